@@ -107,7 +107,8 @@ class WindStow:
         if wind is not None and 0 <= wind < math.inf:
             self._heard_s, self._speed_m_s = now_s, wind
             self._judge(wind, now_s)
-        elif self._why is not None and self._heard_s == -math.inf:
+            return self._why
+        if self._why is not None and self._heard_s == -math.inf:
             # Calm begins to count when the sensor has been heard, and not at a restart.
             self._strong_s = now_s
         silent_s = now_s - max(self._heard_s, self._begun_s)

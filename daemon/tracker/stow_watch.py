@@ -98,7 +98,11 @@ class StowWatch:
 
     def reasons(self, now_s: float) -> tuple[str, ...]:
         """Poll every source at this monotonic time and return all reasons to stow, none of them twice."""
-        found = {source.name: why for source in self._sources if (why := source.reason(now_s)) is not None}
+        found: dict[str, str] = {}
+        for source in self._sources:
+            why = source.reason(now_s)
+            if why is not None:
+                found[source.name] = why
         if found.keys() != self._kept:
             self._keep(found)
         for source in self._sources:
