@@ -153,12 +153,8 @@ def responses(faces_w_m2: ArrayLike, sun: ArrayLike, believed: Sequence[bool]) -
     reached = np.stack([up[:, 1], up[:, 0], -up[:, 1], up[:, 2]]).min(axis=1) > _LIT_COSINE
     reached[3] = True
     stillest, least = None, _STAYS_SHARE
-    for face in range(4):
-        others = [other for other in range(4) if other != face]
-        lit_beside = any(reached[other] for other in others if other != 3)
-        if not (reached[face] and lit_beside and all(believed[other] for other in others)):
-            continue
-        by_the_others = _by_the_others(faces, up, face)
+    judged = [face for face in range(4) if _can_be_judged(face, reached, believed)]
+    for face, by_the_others in zip(judged, _by_the_others(faces, up, judged), strict=True):
         predicted, lasting = float(np.ptp(by_the_others)), _but_for_one_minute(by_the_others)
         changed = float(np.ptp(faces[:, face]))
         if not predicted > _PREDICTED_W_M2:
@@ -172,18 +168,27 @@ def responses(faces_w_m2: ArrayLike, sun: ArrayLike, believed: Sequence[bool]) -
     return found
 
 
+def _can_be_judged(face: int, reached: NDArray[np.bool_], believed: Sequence[bool]) -> bool:
+    others = [other for other in range(4) if other != face]
+    lit_beside = any(reached[other] for other in others if other != 3)
+    return bool(reached[face]) and lit_beside and all(believed[other] for other in others)
+
+
 def _but_for_one_minute(w_m2: Array) -> float:
     """Return the range of some minutes without the one that widens it most."""
     ordered = np.sort(w_m2)
     return float(min(ordered[-2] - ordered[0], ordered[-1] - ordered[1]))
 
 
-def _by_the_others(faces: Array, sun: Array, face: int) -> Array:
-    """Return what a face should read by the other three, shape (n,)."""
-    usable = np.ones(faces.shape, dtype=np.bool_)
-    usable[:, face] = False
-    light = light_from_faces(faces, sun, _ALBEDO, usable)
-    return irradiance_on(light, sun, _ALBEDO, FACE_NORMALS[face])
+def _by_the_others(faces: Array, sun: Array, judged: Sequence[int]) -> Array:
+    """Return what each of some faces should read by the other three, shape (faces, n): one fit for all of them."""
+    if not judged:
+        return np.empty((0, len(faces)))
+    usable = np.ones((len(judged), *faces.shape), dtype=np.bool_)
+    for place, face in enumerate(judged):
+        usable[place, :, face] = False
+    light = light_from_faces(np.broadcast_to(faces, usable.shape), sun, _ALBEDO, usable)
+    return irradiance_on(light, sun, _ALBEDO, FACE_NORMALS[list(judged), None, :])
 
 
 def lit(faces_w_m2: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
