@@ -24,6 +24,8 @@ _BEGINNING = re.compile(rb'\[\{"bn":"([A-Za-z0-9][A-Za-z0-9_.-]{0,31})/","bt":([
 _COUNTED = re.compile(
     rb',\{"n":"sequence","u":"count","v":([0-9]{1,16})\},\{"n":"session","vs":"([A-Za-z0-9_-]{1,32})"\},'
 )
+# A tuple: `int | float` would be put together anew for each of ten numbers of a scan.
+_NUMBERS = (int, float)
 _QUALITY_OF = {f"{face}/quality": face for face in FACES}
 _CALIBRATION = re.compile(r"[0-9]{8}-[0-9a-f]{8}", re.ASCII)
 _COMMON = ("sequence", "session", "monotonic", "simulated")
@@ -177,7 +179,7 @@ def _unit(record: dict[str, Any], unit: str) -> None:
 
 
 def _number(value: object, low: float, high: float, what: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not (low <= value <= high):
+    if isinstance(value, bool) or not isinstance(value, _NUMBERS) or not (low <= value <= high):
         raise _malformed(f"has a {what} that is not a number from {low:g} to {high:g}: {_shown(value)}")
     return float(value)
 

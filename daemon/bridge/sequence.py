@@ -96,12 +96,15 @@ class SequenceGuard:
     def _session(self, head: "ScanHead") -> "_Session | None":
         if head.source != self._source:
             return None
-        return next((session for session in self._sessions if session.name == head.session), None)
+        for session in self._sessions:
+            if session.name == head.session:
+                return session
+        return None
 
     def _refuse_second(self, session: "_Session", now_s: float) -> None:
         """Refuse a session while one that is elder is there."""
         followed = self._followed
-        if followed is None or not now_s - followed.accepted_at_s < HELD_S:
+        if followed is None or followed is session or not now_s - followed.accepted_at_s < HELD_S:
             return
         if self._sessions.index(followed) < self._sessions.index(session):
             raise ScanRefusedError(
