@@ -141,7 +141,7 @@ class Control(Doors):
         self._readings.add(scan)
         if self._clock_watch.trusted:
             self.pointing.receive(scan, utc_s)
-        if scan.ok and (self.mode in (Mode.STARTING, Mode.FALLBACK) or self._waits_for_data):
+        if (self.mode in (Mode.STARTING, Mode.FALLBACK) or self._waits_for_data) and scan.ok:
             # It may be what was waited for.
             self._decide_in_turn()
 
