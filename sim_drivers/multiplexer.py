@@ -59,7 +59,8 @@ class MultiplexerCore:
         self._errors: deque[int] = deque()
         self._pending: deque[tuple[float, int]] = deque()
         self._port = ALL_HIGH
-        self._selected = self._decode(ALL_HIGH)
+        self._input_of = [self._decode(port) for port in range(ALL_HIGH + 1)]
+        self._selected = self._input_of[ALL_HIGH]
         self._held_v = 0.0
         self._left: dict[int, float] = {}
 
@@ -108,12 +109,16 @@ class MultiplexerCore:
             raise ValueError(f"the switch has address bits 0, 1 and 2, not {address_bit}")
         self._catch_up(now)
         self._stuck[address_bit] = high
-        self._set_port(self._port, now)
+        self._wired_anew(now)
 
     def unstick(self, now: float) -> None:
         """Free all address bits."""
         self._catch_up(now)
         self._stuck.clear()
+        self._wired_anew(now)
+
+    def _wired_anew(self, now: float) -> None:
+        self._input_of = [self._decode(port) for port in range(ALL_HIGH + 1)]
         self._set_port(self._port, now)
 
     def _catch_up(self, now: float) -> None:
@@ -123,7 +128,7 @@ class MultiplexerCore:
 
     def _set_port(self, port: int, at: float) -> None:
         self._port = port
-        selected = self._decode(port)
+        selected = self._input_of[port]
         if selected != self._selected:
             if self._selected is not None:
                 self._left.pop(self._selected, None)
