@@ -115,8 +115,12 @@ def changed(command):
 
 
 def two_hours(name):
+    return minutes(name, 660, 780)
+
+
+def minutes(name, begin, end):
     header, *rows = sample(name).read_text().splitlines(keepends=True)
-    return header + "".join(rows[660:780])
+    return header + "".join(rows[begin:end])
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +134,7 @@ def prepared(tmp_path_factory):
     (folder / "weather.csv").write_text(two_hours("clear"))
     (folder / "weather").mkdir()
     for month in ("2015-10", "2016-10"):
-        (folder / "weather" / f"{month}.csv.gz").write_bytes(gzip.compress(two_hours("clear").encode()))
+        (folder / "weather" / f"{month}.csv.gz").write_bytes(gzip.compress(minutes("clear", 690, 720).encode()))
     (folder / "points.csv").write_text("phi_deg,beta_deg,n,lambda_deg\n48.7,30,172,0\n")
     stored_days(folder / "records")
     (folder / "heliocube.toml").write_text('[store]\ndirectory = "records"\n')

@@ -15,10 +15,10 @@ SITE = "55.79,12.53,50"
 CAUSES = ["structure", "delay", "price", "motion", "noise", "gaps"]
 
 
-def written(path):
+def written(path, minutes=range(480, 780)):
     """Write the middle of a day whose beam comes and goes, and of an overcast one."""
     lines = ["time,ghi,dni,dhi"]
-    for day, minute in ((day, minute) for day in (5, 6) for minute in range(480, 780)):
+    for day, minute in ((day, minute) for day in (5, 6) for minute in minutes):
         dni = 700 if day == 5 and minute % 60 < 25 else 0
         lines.append(f"2016-06-{day:02d}T{minute // 60:02d}:{minute % 60:02d}:00Z,{150 + dni / 2},{dni},150")
     path.write_text("\n".join(lines))
@@ -28,6 +28,12 @@ def written(path):
 @pytest.fixture
 def weather(tmp_path):
     return written(tmp_path / "weather.csv")
+
+
+@pytest.fixture
+def short_weather(tmp_path):
+    """An hour of each day, where the figures do not matter."""
+    return written(tmp_path / "weather.csv", range(600, 660))
 
 
 def energy(monkeypatch, *arguments):
@@ -119,7 +125,7 @@ def test_noise_and_gaps_are_those_of_the_seed_and_ideal_moves_lose_no_motion(
         assert 100.0 * lost / room == pytest.approx(of(points, cause), abs=0.05)
 
 
-def test_interrupted_it_keeps_the_laws_that_are_done(monkeypatch, weather, tmp_path, capsys):
+def test_interrupted_it_keeps_the_laws_that_are_done(monkeypatch, short_weather, tmp_path, capsys):
     steer = optimal_live.steer
 
     def interrupted(settings, *more):
@@ -129,16 +135,16 @@ def test_interrupted_it_keeps_the_laws_that_are_done(monkeypatch, weather, tmp_p
 
     monkeypatch.setattr(optimal_live, "steer", interrupted)
     asked = ("--losses", "--laws", "optimal,optimal:8", "--out", tmp_path / "o")
-    assert energy(monkeypatch, weather, "--site", SITE, *asked) == 130
+    assert energy(monkeypatch, short_weather, "--site", SITE, *asked) == 130
     said = f"heliocube: interrupted: the losses in {tmp_path / 'o'} are those of 1 of 2 laws\n"
     assert capsys.readouterr().err.endswith(said)
     assert {law for _, law, _, _ in points_in(tmp_path / "o")} == {"optimal"}
 
 
-def test_weather_that_nobody_measured_is_marked(monkeypatch, weather, tmp_path, capsys):
-    lines = weather.read_text().splitlines()
-    weather.write_text("\n".join([f"{lines[0]},simulated", *(f"{line},true" for line in lines[1:])]))
-    assert energy(monkeypatch, weather, "--site", SITE, "--losses", "--out", tmp_path / "o") == 0
+def test_weather_that_nobody_measured_is_marked(monkeypatch, short_weather, tmp_path, capsys):
+    lines = short_weather.read_text().splitlines()
+    short_weather.write_text("\n".join([f"{lines[0]},simulated", *(f"{line},true" for line in lines[1:])]))
+    assert energy(monkeypatch, short_weather, "--site", SITE, "--losses", "--out", tmp_path / "o") == 0
     assert capsys.readouterr().out.startswith("SIMULATED: ")
     rows = csv.DictReader((tmp_path / "o" / "energy-losses.csv").read_text().splitlines())
     assert {row["simulated"] for row in rows} == {"true"}
