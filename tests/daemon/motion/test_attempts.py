@@ -20,6 +20,9 @@ from tests.support.motion import (
 )
 from tests.support.phases import at_rest, now, quiet
 
+# Hours of scans are no business of attempts.
+FEW_SCANS = {"cube": {"scan_every_s": 60}, "safety": {"scan_stale_s": 130, "fallback_after_s": 600}}
+
 
 def test_a_move_is_tried_as_often_as_the_settings_say_and_no_more(run_rig, monkeypatch):
     async def scenario(rig):
@@ -117,7 +120,7 @@ def test_a_stow_that_fails_is_an_alarm_and_is_tried_again_with_growing_pauses(ru
         await at_rest(rig)
         assert "move-failed" not in alarms(rig)
 
-    run_rig(scenario)
+    run_rig(scenario, **FEW_SCANS)
 
 
 def test_a_stow_that_waits_to_be_tried_again_is_forgotten_with_its_reason(run_rig, monkeypatch):
@@ -156,4 +159,4 @@ def test_an_ordinary_move_that_fails_again_is_tried_after_twice_the_pause(run_ri
         assert rig.motion.concerns == ()
         assert not alarms(rig)
 
-    run_rig(scenario, motion={"deadband_deg": 30})
+    run_rig(scenario, motion={"deadband_deg": 30}, **FEW_SCANS)

@@ -138,7 +138,8 @@ def test_the_state_has_it_by_the_rig_s_own_faces(run_rig, law, least, most):
         assert found["chronometric_kwh_m2"] == pytest.approx(found["known_s"] / 3.6e6 * 780.0, rel=0.03)
         assert found["actual_kwh_m2"] <= found["best_kwh_m2"]
 
-    run_rig(scenario, law={"name": law}, weather=HandWeather(dni=700, dhi=90))
+    fewer = {"cube": {"scan_every_s": 20}, "safety": {"scan_stale_s": 65}}
+    run_rig(scenario, law={"name": law}, weather=HandWeather(dni=700, dhi=90), **fewer)
 
 
 def test_what_was_received_on_another_day_is_not_shown_as_today_s_while_no_scan_comes(run_rig, tmp_path):

@@ -9,6 +9,9 @@ from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
 from tests.support.rig import SITE, HandWeather
 
+# Scans enough for every decision, and a quarter of the work of hours.
+SELDOM = {"cube": {"scan_every_s": 20}, "safety": {"scan_stale_s": 65}}
+
 
 async def no_cube(rig):
     """Wait for tracking, then take the cube away and wait for fallback at rest."""
@@ -44,7 +47,7 @@ def test_in_fallback_the_tracker_stays_where_it_is_after_a_step(run_rig, hours):
         assert not stays(rig, before), "set right it follows the sun"
         assert "clock" not in [alarm.name for alarm in rig.tracker.alarms.active]
 
-    run_rig(scenario, rest_look_s=5.0)
+    run_rig(scenario, rest_look_s=5.0, **SELDOM)
 
 
 @pytest.mark.parametrize(("hours", "start"), [(9, "07:00"), (-3, "13:00")])
@@ -61,7 +64,7 @@ def test_a_wrong_clock_of_hours_turns_no_tracker_from_the_sun_and_condemns_no_fa
         sun = sun_direction(rig.clock.true_utc(), *SITE)
         assert separation_deg(normal_from_angles(*rig.truth()), sun) < 10.0
 
-    run_rig(scenario, start=f"2022-10-12T{start}", rest_look_s=5.0)
+    run_rig(scenario, start=f"2022-10-12T{start}", rest_look_s=5.0, **SELDOM)
 
 
 def test_a_new_time_is_believed_once_it_is_synchronised(run_rig):
