@@ -46,6 +46,8 @@ def service(tmp_path):
     config.write_text(
         "[bridge]\nlisten = '127.0.0.1:0'\n[store]\ndirectory = 'records'\nbatch_s = 0.2\n"
         "[api]\nlisten = '127.0.0.1:0'\ntoken_file = 'api.token'\n"
+        # Slow enough for a person's next command to find it on its way, on a busy machine too.
+        "[simulation]\nmotor_speed_mm_s = 0.8\n"
     )
     write_token(tmp_path / "api.token", generate_token())
     told, tells = os.pipe()
@@ -82,6 +84,8 @@ def test_a_person_at_a_terminal_sees_and_commands_the_service(service, tmp_path)
     code, out, err = heliocube("goto", "-70", "60", *at, *token)
     assert (code, out) == (2, "")
     assert err == "heliocube: A -70, B 60 deg is outside the limits (A -50..50 deg, B 15..90 deg)\n"
+
+    wait_until(lambda: json.loads(heliocube("status", "--json", *at)[1])["tracker"]["pose"]["a_deg"] < -25.0, 60, "turned away")
 
     config.write_text(config.read_text().replace("[api]\nlisten = '127.0.0.1:0'", f"[api]\nlisten = '{address}'"))
     code, out, err = heliocube("stow", "--config", config)
