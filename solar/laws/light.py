@@ -29,9 +29,9 @@ _RIDGE = 1e-6
 _SMALLEST = 1e-4
 _HORIZON_RANGE = (-0.3, 0.7)
 _LOWEST_W_M2, _HIGHEST_W_M2 = -20.0, 2000.0
-_DEAD_SHARE = 0.2
+_DEAD_SHARE = 0.4
 _ZENITH_SHARE = 0.03
-_NOISE_W_M2 = 4.0
+_NOISE_W_M2 = 1.0
 _ALIKE = 1e-6
 
 
@@ -57,9 +57,9 @@ def usable_faces(faces: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
     """Tell which of the faces, shape (..., 4) in the order east, south, west, zenith [W/m2], can be believed.
 
     Not believed are readings that are no finite number in -20..2000 W/m2, and faces that are covered or dead: a
-    vertical face that reads less than 3 % of the zenith face, or less than a fifth of another vertical one that gets
-    no more beam by the sun's direction (shape (..., 3)); a zenith face that reads less than a fifth of every vertical
-    one.
+    vertical face that reads less than 3 % of the zenith face, or less than two fifths of another vertical one that
+    gets no more beam by the sun's direction (shape (..., 3)); a zenith face that reads less than two fifths of every
+    vertical one; each with 1 W/m2 for noise. At dawn a dead east face would draw the tracker away from the sun.
     """
     readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
     possible = _are_possible(readings)

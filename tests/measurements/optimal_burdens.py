@@ -2,7 +2,8 @@
 
 Usage: python tests/measurements/optimal_burdens.py LAT,LON,ALT WEATHER... [--sky SKY]
 
-The weather is by the minute, the tracker at 0.9 deg/s, as in `heliocube energy`. Two minutes for a year.
+The weather is by the minute, the tracker at 0.9 deg/s, as in `heliocube energy`; the worst day is over
+ideal chronometric. Two minutes for a year.
 """
 
 import argparse
@@ -30,6 +31,13 @@ def without(days, *missing):
     return faces
 
 
+def dead(days, face, rng):
+    """Return the faces with one that reads its noise of 0.3 W/m2 and nothing else."""
+    faces = days.faces.copy()
+    faces[:, face] = 0.3 * rng.standard_normal(len(faces))
+    return faces
+
+
 def noisy(days, rng):
     """Return the faces with noise of 1 % and of 1 W/m2."""
     one, other = rng.standard_normal((2, *days.faces.shape))
@@ -43,7 +51,8 @@ def say(name, days, faces, **settings):
     room = (days.bound_kwh_m2 - days.chronometric_kwh_m2)[lit].sum()
     share = 100.0 * (done.energy_kwh_m2 - days.chronometric_kwh_m2)[lit].sum() / room
     each = done.travel_deg[lit].sum() / days.weather.whole_days(), done.moves[lit].sum() / days.weather.whole_days()
-    print(f"{name:34} {share:6.1f} % {each[0]:6.0f} deg/day {each[1]:5.0f} moves", flush=True)
+    worst = 100.0 * (done.energy_kwh_m2[lit] / days.chronometric_kwh_m2[lit] - 1.0).min()
+    print(f"{name:34} {share:6.1f} % {each[0]:6.0f} deg/day {each[1]:5.0f} moves, worst day {worst:+.2f} %", flush=True)
 
 
 def main():
@@ -60,6 +69,8 @@ def main():
     say("nothing", days, days.faces)
     for number, face in enumerate(FACES):
         say(f"no {face} face", days, without(days, number))
+    for number, face in enumerate(FACES):
+        say(f"a dead {face} face", days, dead(days, number, np.random.default_rng(2)))
     say("neither east nor zenith face", days, without(days, 0, 3))
     say("noise of 1 % and 1 W/m2", days, noisy(days, np.random.default_rng(1)))
     say("gains off by +3, -3, +2, -3 %", days, days.faces * np.array(GAINS))

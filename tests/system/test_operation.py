@@ -85,7 +85,9 @@ def test_a_person_at_a_terminal_sees_and_commands_the_service(service, tmp_path)
     assert (code, out) == (2, "")
     assert err == "heliocube: A -70, B 60 deg is outside the limits (A -50..50 deg, B 15..90 deg)\n"
 
-    wait_until(lambda: json.loads(heliocube("status", "--json", *at)[1])["tracker"]["pose"]["a_deg"] < -25.0, 60, "turned away")
+    wait_until(
+        lambda: json.loads(heliocube("status", "--json", *at)[1])["tracker"]["pose"]["a_deg"] < -25.0, 60, "turned away"
+    )
 
     config.write_text(config.read_text().replace("[api]\nlisten = '127.0.0.1:0'", f"[api]\nlisten = '{address}'"))
     code, out, err = heliocube("stow", "--config", config)

@@ -129,24 +129,27 @@ SOUTH = direction_from_azimuth(180.0, 40.0, 50.0)
 @pytest.mark.parametrize(("face", "faces", "believed"), [
     (1, (400.0, 2000.0, 400.0, 600.0), True),
     (1, (400.0, 2001.0, 400.0, 600.0), False),
-    # A fifth of another face that the sun reaches no more, less 4 W/m2 of noise.
-    (0, (77.0, 600.0, 400.0, 500.0), True),
-    (0, (75.0, 600.0, 400.0, 500.0), False),
-    (2, (400.0, 600.0, 77.0, 500.0), True),
-    (2, (400.0, 600.0, 75.0, 500.0), False),
-    (1, (400.0, 77.0, 400.0, 500.0), True),
-    (1, (400.0, 75.0, 400.0, 500.0), False),
+    # Two fifths of another face that the sun reaches no more, less 1 W/m2 of noise.
+    (0, (160.0, 600.0, 400.0, 500.0), True),
+    (0, (158.0, 600.0, 400.0, 500.0), False),
+    (2, (400.0, 600.0, 160.0, 500.0), True),
+    (2, (400.0, 600.0, 158.0, 500.0), False),
+    (1, (400.0, 160.0, 400.0, 500.0), True),
+    (1, (400.0, 158.0, 400.0, 500.0), False),
+    # A dead one at dawn, when the others have little light of their own.
+    (0, (0.3, 9.0, 8.0, 14.0), False),
+    (0, (2.5, 9.0, 8.0, 14.0), True),
     # It is no reason for doubt that the sun shines on the other face alone.
     (0, (75.0, 1900.0, 60.0, 500.0), True),
     # Where nothing else is read, nothing says that a face reads too little.
-    (0, (-3.9, np.nan, np.nan, np.nan), True),
+    (0, (-0.9, np.nan, np.nan, np.nan), True),
     # 3 % of the zenith.
-    (0, (27.0, 27.0, 27.0, 1000.0), True),
-    (0, (25.0, 27.0, 27.0, 1000.0), False),
-    # The zenith, by a fifth of the darkest other.
-    (3, (400.0, 600.0, 500.0, 77.0), True),
-    (3, (400.0, 600.0, 500.0, 75.0), False),
-    (3, (400.0, 600.0, np.nan, 75.0), False),
+    (0, (30.0, 30.0, 30.0, 1000.0), True),
+    (0, (28.0, 30.0, 30.0, 1000.0), False),
+    # The zenith, by two fifths of the darkest other.
+    (3, (400.0, 600.0, 500.0, 160.0), True),
+    (3, (400.0, 600.0, 500.0, 158.0), False),
+    (3, (400.0, 600.0, np.nan, 158.0), False),
     (0, (np.nan, 600.0, 400.0, 500.0), False),
 ])  # fmt: skip
 def test_the_bounds_of_what_a_face_may_read(face, faces, believed):
