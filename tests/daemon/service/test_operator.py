@@ -192,6 +192,17 @@ def test_homing_and_clearing_tell_what_the_unit_does(run_rig, in_doubt):
     run_rig(scenario)
 
 
+def test_a_reference_run_is_believed_by_the_unit_s_own_word_before_an_axis_has_turned(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        for axis in "ab":
+            rig.unit.inject(f"{axis}_hall_loss", rig.clock.monotonic())
+        assert (await operator(rig).home("reference")).seen == "under-way"
+
+    run_rig(scenario)
+
+
 def test_a_reference_run_that_ends_between_two_looks_is_done(run_rig):
     async def scenario(rig):
         await tracking(rig)
