@@ -1,0 +1,121 @@
+"""Where an axis stands whose count was lost, in units counted by hand, and which doubts a reference run settles."""
+
+import pytest
+
+from drivers.positioners.pozsol.reference import LastKnown, Reference
+
+
+def known(position=500.0, destination=500.0):
+    last = LastKnown()
+    last.note("a", position, destination, trusted=True, set_anew=False)
+    return last
+
+
+def test_where_an_axis_stands_is_known_from_its_first_count_that_is_trusted():
+    last = LastKnown()
+    assert (last.of("a", 500.0), last.at_worst("a")) == (None, None)
+    last.note("a", 500.0, 500.0, trusted=False, set_anew=False)
+    assert (last.of("a", 500.0), last.at_worst("a")) == (None, None), "nobody knows what a doubtful count is worth"
+    last.note("a", 510.0, 510.0, trusted=True, set_anew=False)
+    assert (last.of("a", 520.0), last.at_worst("a"), last.of("b", 0.0)) == (520.0, 510.0, None)
+
+
+def test_a_count_that_was_set_anew_is_short_of_what_it_has_lost_each_time():
+    last = known()
+    last.note("a", 0.0, 0.0, trusted=False, set_anew=True)
+    assert (last.of("a", 20.0), last.at_worst("a")) == (520.0, 500.0)
+    last.note("a", 30.0, 30.0, trusted=False, set_anew=False)
+    assert last.at_worst("a") == 530.0, "it has moved on by its count"
+    last.note("a", -5.0, -5.0, trusted=False, set_anew=True)
+    assert (last.of("a", -5.0), last.at_worst("a")) == (530.0, 530.0)
+    last.note("a", 7.0, 7.0, trusted=True, set_anew=True)
+    assert last.of("a", 7.0) == 7.0, "what is trusted is short of nothing"
+
+
+def test_a_run_that_ended_where_the_axis_stood_has_set_the_count_there():
+    last = known()
+    last.stuck("a", 500.0, 0.0)
+    last.note("a", 0.0, 0.0, trusted=False, set_anew=False)
+    assert (last.of("a", 0.0), last.of("a", 40.0), last.at_worst("a")) == (500.0, 540.0, 500.0)
+    last.referenced("a")
+    assert last.of("a", 40.0) == 40.0
+
+
+def test_a_run_that_its_end_switch_may_have_cut_short_leaves_two_places_until_the_next_good_one():
+    last = known()
+    last.referenced("a")
+    last.contradicted("a", 200.0, 3.0)
+    last.note("a", 3.0, 3.0, trusted=False, set_anew=False)
+    assert (last.of("a", 3.0), last.at_worst("a")) == (3.0, 200.0)
+    last.note("a", -7.0, -7.0, trusted=False, set_anew=True)
+    assert (last.of("a", -7.0), last.at_worst("a")) == (3.0, 200.0), "both places outlive a count that is lost"
+    last.referenced("a")
+    assert (last.of("a", 3.0), last.at_worst("a")) == (3.0, -7.0)
+
+
+def test_a_place_that_is_recalled_is_where_the_axis_was_and_was_going():
+    last = LastKnown()
+    last.recall("a", 300.0)
+    assert (last.of("a", 310.0), last.at_worst("a")) == (310.0, 300.0)
+    assert last.strayed("a", 305.0, 5.0) == ""
+    assert last.strayed("a", 305.1, 5.0) == (
+        "axis A has the count 305, and had 300 when it was seen last: it was moved by hand, or its count is lost"
+    )
+
+
+@pytest.mark.parametrize(
+    ("shown", "told", "position", "strays"),
+    [
+        (500.0, None, 495.0, False),
+        (500.0, None, 494.9, True),
+        (500.0, None, 505.0, False),
+        (500.0, None, 505.1, True),
+        (800.0, None, 650.0, False),
+        (800.0, None, 805.1, True),
+        (100.0, None, 300.0, False),
+        (100.0, None, 94.9, True),
+        # What was told and not shown yet counts beside what is shown.
+        (500.0, 900.0, 905.0, False),
+        (500.0, 900.0, 905.1, True),
+        (500.0, 900.0, 494.9, True),
+    ],
+)
+def test_an_axis_has_strayed_beyond_all_ways_that_it_may_have_gone(shown, told, position, strays):
+    last = LastKnown()
+    assert last.strayed("a", position, 5.0) == "", "nobody has seen it"
+    if told is not None:
+        last.tell("a", told)
+    last.note("a", 500.0, shown, trusted=True, set_anew=False)
+    assert bool(last.strayed("a", position, 5.0)) is strays
+
+
+@pytest.mark.parametrize(("shown", "waits"), [(899.4, True), (899.5, False), (900.5, False), (900.6, True)])
+def test_a_target_is_waited_for_until_it_shows_or_nothing_is_under_way(shown, waits):
+    last = known()
+    last.tell("a", 900.0)
+    last.note("a", 500.0, shown, trusted=True, set_anew=False)
+    last.note("a", 500.0, 500.0, trusted=True, set_anew=False)
+    assert (last.strayed("a", 700.0, 5.0) == "") is waits
+    last.forget_told()
+    assert last.strayed("a", 700.0, 5.0)
+
+
+def test_a_run_on_the_spot_settles_no_doubt_that_takes_a_way_and_each_axis_only_its_own():
+    reference = Reference()
+    assert (reference.text, reference.kinds, reference.may_stand_at("a")) == ("", (), None)
+    reference.note("reset", "has restarted")
+    reference.note("a switch", "its switch lies", "a", needs_travel=True, stands=150.0)
+    reference.note("a run", "its run ended early", "a", needs_travel=True, stands=400.0)
+    assert reference.may_stand_at("a") == 400.0, "the farther one of two"
+    assert reference.may_stand_at("b") is None
+    reference.proven("a", travelled=False)
+    assert reference.doubts("a")
+    assert reference.kinds == ("reset", "a switch", "a run")
+    reference.proven("b", travelled=False)
+    assert not reference.doubts("b")
+    assert reference.kinds == ("a switch", "a run")
+    assert reference.text == "its switch lies; its run ended early"
+    reference.forgive(("a switch", "unheard of"))
+    assert reference.doubts("a")
+    reference.proven("a", travelled=True)
+    assert (reference.text, reference.doubts("a")) == ("", False)
