@@ -107,6 +107,14 @@ def test_clouds_tell_how_far_a_clock_is_ahead(ahead_s):
     assert found == pytest.approx(ahead_s, abs=1.0)
 
 
+@pytest.mark.parametrize(("first", "second"), [((0.0, 7200.0), (0.0, 2400.0)), ((0.0, 7200.0), (6000.0, 7200.0))])
+def test_only_the_time_that_both_were_there_tells_the_lag(first, second):
+    for reference_s, sensor_s in ((first, second), (second, first)):
+        reference, sensor = np.arange(*reference_s, 10.0), np.arange(*sensor_s, 10.0)
+        found = lag_s(reference, clouds(reference), sensor + 37.0, clouds(sensor))
+        assert found == pytest.approx(37.0, abs=1.0)
+
+
 def test_readings_of_every_second_are_searched_second_by_second():
     utc_s = np.arange(0.0, 3600.0)
     assert lag_s(utc_s, clouds(utc_s), utc_s + 2.3, clouds(utc_s), largest_s=3.0) == pytest.approx(2.3, abs=0.1)

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.positioners.pozsol import wire
-from drivers.positioners.pozsol.wire import Field, TokenStream, encode_command, parse_number, parse_status
+from drivers.positioners.pozsol.wire import Field, TokenStream, encode_command, own_moves, parse_number, parse_status
 
 ALLOWED = {44, 46, 48, 50, 56, 57, 136}
 
@@ -222,3 +222,20 @@ def test_a_status_printed_as_a_signed_number_keeps_its_32_bits(word):
 def test_a_status_that_is_no_32_bit_number_is_refused(text):
     with pytest.raises(ValueError, match="32 bits"):
         parse_status(text)
+
+
+@pytest.mark.parametrize(
+    ("fields", "told"),
+    [
+        ({}, ()),
+        ({108: "off", 109: "OFF", 117: "off", 118: "Off", 126: "off", 127: "off"}, ()),
+        ({108: "1000", 109: "1000.0", 117: "0", 118: "0.0", 126: "1000", 127: ""}, ()),
+        ({108: "-50", 109: "off"}, ("a night position (108=-50, 109=off)",)),
+        ({109: "0"}, ("a night position (109=0)",)),
+        ({117: "0", 118: "7"}, ("a reference run every few days (117=0, 118=7)",)),
+        ({126: "0.0", 127: "1000"}, ("a snow position (126=0.0, 127=1000)",)),
+        ({108: "1", 118: "1000"}, ("a night position (108=1)", "a reference run every few days (118=1000)")),
+    ],
+)
+def test_a_move_of_the_unit_s_own_is_off_by_1000_for_a_place_and_by_0_for_days(fields, told):
+    assert own_moves(fields) == told
