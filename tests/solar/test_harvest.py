@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from daemon.config.sections import LimitSettings, MotionSettings
 from solar.energy import Drive, best_possible, fixed, harvest, lay_out
 from solar.ephemeris import Site
 from solar.frames import Limits
@@ -140,3 +141,9 @@ def test_a_day_without_light_among_others_has_no_type_and_days_without_any_are_r
 @pytest.mark.parametrize(("dni", "dhi", "kind"), [(0.0, 20.0, 3), (0.2, 0.1, 1), (900.0, 50.0, 0), (400.0, 150.0, 1)])
 def test_a_day_has_its_type_however_weak_its_light_is(dni, dhi, kind):
     assert weather_of(dni, dhi).day_types().tolist() == [kind]
+
+
+def test_the_tracker_of_a_study_is_the_one_that_the_service_drives_where_nothing_is_set():
+    assert Drive().deadband_deg == MotionSettings().deadband_deg
+    limits = LimitSettings()
+    assert Limits() == Limits(limits.a_min_deg, limits.a_max_deg, limits.b_min_deg, limits.b_max_deg)
