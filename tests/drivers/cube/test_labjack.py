@@ -144,6 +144,18 @@ def test_odd_inputs_are_for_a_t8_alone():
     assert on_simulated(work, inputs=(0, 3, 4, 6)).startswith("LabJack T8")
 
 
+def test_inputs_from_8_on_are_for_a_t7_alone():
+    async def work(cube, device):
+        identity = await cube.open()
+        await cube.close()
+        become_t8(device)
+        with pytest.raises(ProtocolError, match="has the inputs 0 to 7, and not 8"):
+            await cube.open()
+        return identity
+
+    assert on_simulated(work, inputs=(0, 2, 8, 12)).startswith("LabJack T7")
+
+
 def become_t8(device):
     device.product = 8
     device.power_cycle(0.0)
