@@ -237,6 +237,15 @@ def test_a_face_is_accused_by_the_third_look_at_five_minutes_and_forgiven_after_
     assert day.doubted() == []
 
 
+def test_looks_that_accuse_a_face_count_only_without_one_that_agrees_between_them():
+    day = WatchedDay(MORNING_UTC_S)
+    for _ in range(5):
+        # After a gap one look holds the first minute.
+        day.clock.utc_s += 600.0
+        day.minutes(1, frozen=3, at_w_m2=9000.0)
+        assert day.minutes(9) == [None] * 4
+
+
 def test_each_fault_is_told_with_the_faces_that_have_it():
     day = WatchedDay(MORNING_UTC_S)
     day.minutes(8, frozen=[1, 3], at_w_m2=[0.0, 1800.0])
