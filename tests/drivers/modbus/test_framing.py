@@ -45,6 +45,14 @@ def test_published_bytes(request_, sent, came, registers):
     assert registers_of(framing.feed(bytes.fromhex(came))) == registers
 
 
+@pytest.mark.parametrize("noise", ["03", "03 03", "00 03", "03 00", "03 83"])
+def test_a_reply_is_found_behind_bytes_that_look_like_its_beginning(noise):
+    framing = RtuClient()
+    framing.begin(read_registers(3, 3, 0, 1))
+    reply = bytes.fromhex("03 03 02 01 F4")
+    assert registers_of(framing.feed(bytes.fromhex(noise) + reply + crc16(reply))) == (500,)
+
+
 def test_a_coil_of_the_manual_is_written():
     framing = RtuClient()
     frame = framing.begin(write_coil(1, 10, on=True))
