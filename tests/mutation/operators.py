@@ -40,7 +40,18 @@ _ARITHMETIC = {
 _OTHER_CALL = {"min": "max", "max": "min", "any": "all", "all": "any", "minimum": "maximum", "maximum": "minimum"}
 _MAY_BE_LEFT_OUT = {"abs", "sorted", "reversed"}
 # Of `zip`, of arrays of numbers, of files, and for people: nothing that a line of ours decides by.
-_NOT_LEFT_OUT = {"strict", "dtype", "encoding", "errors", "name", "extra", "exc_info", "examples", "description"}
+_NOT_LEFT_OUT = {
+    "strict",
+    "dtype",
+    "encoding",
+    "errors",
+    "name",
+    "extra",
+    "exc_info",
+    "examples",
+    "description",
+    "repr",
+}
 _LOGGERS = {"log", "_log", "logger", "_LOG", "LOG"}
 
 

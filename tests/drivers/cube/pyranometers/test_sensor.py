@@ -202,3 +202,17 @@ def test_a_line_that_does_not_open_is_tried_ever_more_rarely_until_it_does():
     began_s = bus.now_s - 1000.0
     asyncio.run(seconds(8))
     assert [at_s - began_s for at_s in bus.opened_s] == [2.0, 6.0], "the pauses begin anew"
+
+
+def test_a_line_that_was_closed_is_opened_again_before_it_is_read():
+    bus = Bus()
+    line = SensorLine(bus, [(1, bus.sensor())], 2.0, lambda: bus.now_s)
+
+    async def scenario():
+        await line.read()
+        await line.close()
+        bus.now_s += 5.0
+        return line.is_open, await line.read()
+
+    was_open, ((_, sample),) = asyncio.run(scenario())
+    assert (was_open, bus.opened_s, sample.value) == (False, [0, 5], 500.0)
