@@ -30,6 +30,8 @@ _SMALLEST = 1e-4
 _HORIZON_RANGE = (-0.3, 0.7)
 _LOWEST_W_M2, _HIGHEST_W_M2 = -20.0, 2000.0
 _DEAD_SHARE = 0.4
+# Less than of a vertical face: with the west face missing, a low sun is on all that are left of them.
+_DEAD_ZENITH_SHARE = 0.2
 _ZENITH_SHARE = 0.03
 _NOISE_W_M2 = 1.0
 _ALIKE = 1e-6
@@ -58,7 +60,7 @@ def usable_faces(faces: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
 
     Not believed are readings that are no finite number in -20..2000 W/m2, and faces that are covered or dead: a
     vertical face that reads less than 3 % of the zenith face, or less than two fifths of another vertical one that
-    gets no more beam by the sun's direction (shape (..., 3)); a zenith face that reads less than two fifths of every
+    gets no more beam by the sun's direction (shape (..., 3)); a zenith face that reads less than a fifth of every
     vertical one; each with 1 W/m2 for noise. At dawn a dead east face would draw the tracker away from the sun.
     """
     readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
@@ -93,7 +95,7 @@ def _are_possible(readings: Array) -> NDArray[np.bool_]:
 
 
 def _zenith_believed(readings: Array, possible: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    least = _DEAD_SHARE * np.where(possible[..., :3], readings[..., :3], np.inf).min(axis=-1)
+    least = _DEAD_ZENITH_SHARE * np.where(possible[..., :3], readings[..., :3], np.inf).min(axis=-1)
     result: NDArray[np.bool_] = ~(np.isfinite(least) & (readings[..., 3] < least - _NOISE_W_M2))
     return result
 
