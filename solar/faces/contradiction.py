@@ -114,7 +114,13 @@ def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
     shares = np.sqrt(left.sum(axis=-1) / there.sum(axis=-1))
     parts = zip(np.array_split(left, _PARTS, axis=-1), np.array_split(there, _PARTS, axis=-1), strict=True)
     least = np.min([np.sqrt(over.sum(axis=-1) / all_of_it.sum(axis=-1)) for over, all_of_it in parts], axis=0)
-    return Misfits(float(shares[0]), float(least[0]), shares[1:5], least[1:5], shares[5:])
+    return Misfits(
+        whole=float(shares[0]),
+        least=float(least[0]),
+        without=shares[1:5],
+        least_without=least[1:5],
+        swapped=shares[5:],
+    )
 
 
 def _clear(shares: Array) -> int | None:
