@@ -30,7 +30,7 @@ _SMALLEST = 1e-4
 _HORIZON_RANGE = (-0.3, 0.7)
 _LOWEST_W_M2, _HIGHEST_W_M2 = -20.0, 2000.0
 _DEAD_SHARE = 0.4
-# Less than of a vertical face: with the west face missing, a low sun is on all that are left of them.
+# Of the darkest vertical face; less than theirs, for with the west face missing a low sun is on all that are left.
 _DEAD_ZENITH_SHARE = 0.2
 _ZENITH_SHARE = 0.03
 _NOISE_W_M2 = 1.0
