@@ -165,11 +165,11 @@ def product(vector: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> Array:
 def as_far_as_it_pays(
     vector: ArrayLike,
     here: tuple[ArrayLike, ArrayLike],
-    best: tuple[ArrayLike, ArrayLike],
+    best_a_deg: ArrayLike,
     price_w_m2_per_deg: ArrayLike,
     limits: Limits,
 ) -> tuple[Array, Array]:
-    """Return how far to go from `here` towards the `best` pose [deg] where a degree has a price.
+    """Return how far to go from `here` towards the best pose [deg] where a degree has a price.
 
     Along one axis the irradiance is a cosine about that axis' best angle; its slope falls to the price some way before
     it, and what is left is not worth going. B is chosen where A is best, then A for that B.
@@ -178,8 +178,10 @@ def as_far_as_it_pays(
     ----------
     vector
         As from :func:`aim_vector`, shape (..., 3).
-    here, best
+    here
         Angles (A, B).
+    best_a_deg
+        A of the best pose within the limits.
     price_w_m2_per_deg
         Irradiance that a degree of A or B has to gain.
     limits
@@ -187,7 +189,7 @@ def as_far_as_it_pays(
     """
     vector = np.asarray(vector, dtype=np.float64)
     south, east, up = vector[..., 0], vector[..., 1], vector[..., 2]
-    upright = np.hypot(south, up) * np.cos(np.radians(best[0]))
+    upright = np.hypot(south, up) * np.cos(np.radians(best_a_deg))
     b_deg = _near(np.degrees(np.arctan2(up, south)), upright, here[1], price_w_m2_per_deg)
     b_deg = np.clip(b_deg, limits.b_min_deg, limits.b_max_deg)
     upright = south * np.cos(np.radians(b_deg)) + up * np.sin(np.radians(b_deg))

@@ -173,7 +173,7 @@ class OptimalLaw:
         vector = np.where(expected.known[..., None], vector, _SUNNY_W_M2 * sun)
         alone = angles_within(vector, self._limits)
         per_degree = thrift * self._settings.price_per_degree_w_m2
-        best_a, best_b = as_far_as_it_pays(vector, (a, b), alone, per_degree, self._limits)
+        best_a, best_b = as_far_as_it_pays(vector, (a, b), alone[0], per_degree, self._limits)
         shade_w_m2 = np.zeros(self._shape)
         if self._group is not None:
             beam = np.where(expected.known, expected.light.beam, _SUNNY_W_M2)

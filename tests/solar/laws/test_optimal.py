@@ -139,7 +139,7 @@ def test_a_move_is_worth_what_it_gains_and_costs_what_its_way_and_the_thrift_say
 def test_an_axis_goes_as_far_as_its_last_degree_pays_and_no_further(place, pose, price):
     vector = 200.0 * normal_from_angles(*pose)
     here = np.asarray(place)
-    a, b = as_far_as_it_pays(vector, place, angles_within(vector, LIMITS), price, LIMITS)
+    a, b = as_far_as_it_pays(vector, place, angles_within(vector, LIMITS)[0], price, LIMITS)
     reached = np.array([float(a), float(b)])
 
     def worth(angles):
@@ -156,15 +156,15 @@ def test_an_axis_goes_as_far_as_its_last_degree_pays_and_no_further(place, pose,
 def test_a_pose_beyond_a_limit_is_gone_to_as_far_as_the_limit():
     # The slope does not vanish there: nothing is left out before the limit.
     vector = 300.0 * normal_from_angles(-80.0, 5.0)
-    a, b = as_far_as_it_pays(vector, (0.0, 90.0), angles_within(vector, LIMITS), 0.05, LIMITS)
+    a, b = as_far_as_it_pays(vector, (0.0, 90.0), angles_within(vector, LIMITS)[0], 0.05, LIMITS)
     assert (a, b) == (LIMITS.a_min_deg, LIMITS.b_min_deg)
 
 
 def test_a_dear_degree_moves_nothing_and_a_free_one_goes_all_the_way():
     vector = 200.0 * normal_from_angles(20.0, 40.0)
-    best = angles_within(vector, LIMITS)
-    assert as_far_as_it_pays(vector, (0.0, 90.0), best, 1e12, LIMITS) == (0.0, 90.0)
-    np.testing.assert_allclose(as_far_as_it_pays(vector, (0.0, 90.0), best, 0.0, LIMITS), (20.0, 40.0), atol=1e-9)
+    best_a, _ = angles_within(vector, LIMITS)
+    assert as_far_as_it_pays(vector, (0.0, 90.0), best_a, 1e12, LIMITS) == (0.0, 90.0)
+    np.testing.assert_allclose(as_far_as_it_pays(vector, (0.0, 90.0), best_a, 0.0, LIMITS), (20.0, 40.0), atol=1e-9)
 
 
 def test_a_day_s_budget_that_runs_ahead_of_the_daylight_raises_the_price_by_its_sixth_power():
