@@ -88,13 +88,27 @@ class LiveFirmware:
         self._process.stdout.close()
 
 
-async def move(positioner, a_deg, b_deg, **options):
-    """Give a target, and again while it is not taken, as the service does: of two packets read late one is lost."""
+async def taken(order):
+    """Give an order, and again while it is not taken, as the service does: of two packets read late one is lost."""
     for _ in range(9):
         with contextlib.suppress(RefusedError):
-            await positioner.move_to(a_deg, b_deg, **options)
-            return
-    await positioner.move_to(a_deg, b_deg, **options)
+            return await order()
+    return await order()
+
+
+async def move(positioner, a_deg, b_deg, **options):
+    """Give a target until it is taken."""
+    await taken(lambda: positioner.move_to(a_deg, b_deg, **options))
+
+
+async def home(positioner, axis):
+    """Begin a reference run, however often it has to be asked for."""
+    await taken(lambda: positioner.home(axis))
+
+
+async def clear(positioner, **options):
+    """Clear what the unit says until it has taken that, and return the look before it."""
+    return await taken(lambda: positioner.clear_faults(**options))
 
 
 def driver_on(firmware, a=A, b=B, **options):

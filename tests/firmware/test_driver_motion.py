@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from drivers.errors import LinkLostError, RefusedError
-from tests.firmware.live import A, B, driver_on, move, opened, standstill_after_s, until
+from tests.firmware.live import A, B, clear, driver_on, move, opened, standstill_after_s, until
 
 # Braking takes a third of a second; the rest is for a machine on which emulator and driver wait for their turn.
 STANDS_WITHIN_S = 2.0
@@ -112,7 +112,7 @@ def test_after_power_up_it_takes_no_target_before_its_status_is_cleared(start_fi
         assert (await positioner.read_telemetry()).was_reset
         with pytest.raises(RefusedError, match="it has restarted, and may take no target before its status is cleared"):
             await positioner.move_to(0.0, 90.0, first="b")
-        await positioner.clear_faults(forgive=False)
+        await clear(positioner, forgive=False)
         assert "restarted" in (await positioner.read_telemetry()).reference_doubt
         await move(positioner, 0.0, 90.0, first="b")
 

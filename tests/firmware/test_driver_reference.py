@@ -6,7 +6,7 @@ import time
 import pytest
 
 from drivers.errors import RefusedError
-from tests.firmware.live import driver_on, move, opened, standstill_after_s, until
+from tests.firmware.live import clear, driver_on, home, move, opened, standstill_after_s, until
 
 
 async def over(positioner):
@@ -18,13 +18,14 @@ async def over(positioner):
 
 
 def test_both_axes_are_homed_and_the_count_is_believed(start_firmware):
-    firmware = start_firmware(-51.0, 14.0)
+    # A way of some seconds, of which a busy machine sees more than the end.
+    firmware = start_firmware(-47.0, 18.0)
 
     async def scene():
         positioner = driver_on(firmware)
         await opened(positioner)
         for axis, index in (("a", 0), ("b", 1)):
-            await positioner.home(axis)
+            await home(positioner, axis)
             seen = await over(positioner)
             assert seen.reference_doubt == ""
             assert f"{axis}_low" in seen.details["end_switches"]
@@ -40,7 +41,7 @@ def test_a_run_that_a_supply_dip_breaks_off_leaves_a_doubt_until_a_good_one(star
     async def scene():
         positioner = driver_on(firmware)
         await opened(positioner)
-        await positioner.home("a")
+        await home(positioner, "a")
         firmware.control("supply 15")
         await asyncio.sleep(0.8)
         firmware.control("supply 24")
@@ -49,7 +50,7 @@ def test_a_run_that_a_supply_dip_breaks_off_leaves_a_doubt_until_a_good_one(star
         assert "not on its end switch" in seen.reference_doubt
         # The unit refuses to move for five seconds after its supply is back.
         await asyncio.sleep(5.5)
-        await positioner.home("a")
+        await home(positioner, "a")
         assert (await over(positioner)).reference_doubt == ""
         await positioner.close()
 
@@ -63,12 +64,12 @@ def test_a_switch_that_is_stuck_closed_does_not_make_a_reference(start_firmware)
         positioner = driver_on(firmware)
         await opened(positioner)
         firmware.control("stucklow 0 1")
-        await positioner.home("a")
+        await home(positioner, "a")
         seen = await over(positioner)
         assert "did not move on its reference run" in seen.reference_doubt
-        await positioner.home("a")
+        await home(positioner, "a")
         assert "did not move" in (await over(positioner)).reference_doubt, "a second such run proves nothing"
-        await positioner.clear_faults()
+        await clear(positioner)
         assert (await positioner.read_telemetry()).reference_doubt == ""
         await positioner.close()
 
@@ -82,7 +83,7 @@ def test_a_count_and_a_switch_that_contradict_each_other_are_told_apart_off_the_
         positioner = driver_on(firmware)
         await opened(positioner)
         began = firmware.positions_mm()[0]
-        await positioner.home("a")
+        await home(positioner, "a")
 
         async def on_its_way():
             return firmware.positions_mm()[0] < began - 4.0
@@ -92,7 +93,7 @@ def test_a_count_and_a_switch_that_contradict_each_other_are_told_apart_off_the_
         assert "met its end switch where its count was" in (await over(positioner)).reference_doubt
         stood = firmware.positions_mm()[0]
         firmware.control("stucklow 0 0")
-        await positioner.home("a")
+        await home(positioner, "a")
         assert firmware.positions_mm()[0] > stood + 10.0, "it was driven off the switch, and is on its way back"
         assert (await over(positioner)).reference_doubt == ""
         assert firmware.positions_mm()[0] == pytest.approx(-0.37, abs=0.3)
@@ -110,8 +111,8 @@ def test_a_switch_that_is_stuck_after_a_restart_shows_by_where_the_axis_stood_be
         positioner.recall(*began, "")
         await opened(positioner)
         assert (await positioner.read_telemetry()).was_reset
-        await positioner.clear_faults(forgive=False)
-        await positioner.home("a")
+        await clear(positioner, forgive=False)
+        await home(positioner, "a")
 
         async def on_its_way():
             return firmware.positions_mm()[0] < began[0] - 4.0
@@ -133,7 +134,7 @@ def test_homing_stops_the_other_axis_first(start_firmware):
         await opened(positioner)
         await move(positioner, -20.0, 16.0)
         await asyncio.sleep(1.5)
-        await positioner.home("b")
+        await home(positioner, "b")
         stood_at = firmware.positions_mm()[0]
         await over(positioner)
         assert firmware.positions_mm()[0] == pytest.approx(stood_at, abs=0.05)
@@ -161,7 +162,7 @@ def test_dead_hall_sensors_are_a_fault_and_nothing_is_sent_to_either_axis(start_
         with pytest.raises(RefusedError, match="it reports a_hall_fault"):
             await positioner.move_to(0.0, 80.0)
         firmware.control("freeze 0 0")
-        seen = await positioner.clear_faults()
+        seen = await clear(positioner)
         assert "a_hall_fault" in seen.faults, "what was cleared is what was seen"
         assert (await positioner.read_telemetry()).faults == ()
         await positioner.close()

@@ -114,7 +114,8 @@ def test_the_trackers_role_goes_where_it_is_told_and_stops_when_it_is_told(start
 
 @pytest.mark.long
 def test_a_count_that_was_lost_is_a_fault_until_the_trackers_role_has_homed_both_axes(start_firmware, tmp_path):
-    firmware = start_firmware(-50.0, 16.0)
+    # A way of some seconds, of which a busy machine sees more than the end.
+    firmware = start_firmware(-46.0, 20.0)
     with tracker(firmware, tmp_path, 240) as (config, address):
         until_state(address, lambda seen: seen["tracker"]["connected"], 40, "the connection")
         assert heliocube("hold", "-c", config).returncode == 0
