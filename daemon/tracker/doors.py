@@ -187,5 +187,4 @@ class Doors:
         self._orders.refuse("clear")
         found = self._motion.concerns if shown is None else shown
         self._motion.clear_faults(shown=found)
-        self._wake.set()
         return found

@@ -122,7 +122,6 @@ class PositionerWatch:
         stood, trusted = self._last_known.of(axis, start), not self.reference.doubts(axis)
         self._last_known.tell(axis, 0.0)
         self.run = HomingRun(axis, self._setups[axis], start, sent_s, trusted=trusted, stood=stood)
-        self._last = None
         return self.run
 
     def break_off_run(self) -> None:

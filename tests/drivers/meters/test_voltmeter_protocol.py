@@ -186,6 +186,8 @@ def test_what_is_set_is_taken_for_kept_within_a_millionth_and_a_meter_that_is_op
 def test_an_answer_that_is_no_number_proves_nothing():
     with pytest.raises(ConnectError, match="is it on"):
         opened({"*ESE?": "noise"})
+    with pytest.raises(ProtocolError, match=r":SENS:VOLT:DC:RANG\? is answered by noise"):
+        opened({":SENS:VOLT:DC:RANG?": "noise"}, range_v=0.1)
 
 
 @pytest.mark.parametrize(("identity", "right"), [

@@ -1,6 +1,7 @@
 """The positioner's driver on the simulated unit, in virtual time: halts, refusals, doubts."""
 
 import asyncio
+import itertools
 import math
 from dataclasses import replace
 
@@ -92,6 +93,28 @@ def test_a_machine_that_was_busy_for_a_second_has_yet_sent_stop_twice():
         await positioner.halt()
         # The first packet of a connection is lost.
         assert sent == [b"$9s\r"] * 2
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scene())
+
+
+def test_a_command_keeps_its_distance_from_the_end_of_one_that_took_long_to_go_out():
+    async def scene():
+        now, times = asyncio.get_running_loop().time, []
+        line = InMemoryStream(PositionerCore(now()), now)
+        positioner, send = PozsolPositioner(line, now, A, B), line.send
+        await positioner.open()
+
+        async def slowly(packet):
+            begun_s = now()
+            await asyncio.sleep(0.5)
+            await send(packet)
+            times.append((begun_s, now()))
+
+        line.send = slowly
+        await positioner.move_to(-30.0, 45.0)
+        assert len(times) > 2
+        assert all(begun_s - ended_s >= 0.06 for (_, ended_s), (begun_s, _) in itertools.pairwise(times))
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         runner.run(scene())
