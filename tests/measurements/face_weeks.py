@@ -1,12 +1,14 @@
 """What a face that lies costs: weeks of measured weather with each fault, energy against chronometric and the bound.
 
 Usage: python tests/measurements/face_weeks.py FOLDER [--law LAW ...] [--month M ...] [--kind KIND ...] [--scan SECONDS]
+[--day DAY] [--still HOUR]
 
-FOLDER holds the months of a year at Lyngby. Of each month the 8th to the 14th are replayed through the service's own
-code under Perez' sky, with a real sensor's noise. A fault is there from the first midnight; what stands still does so
-from the first noon. `held` stands still but for its noise, `stuck` does so at 300 W/m2; `shaded` has no beam while the
-sun is within 30 deg of where the face looks; `soiled` keeps 80 % of its light. By default June and December of
-`optimal`; --month 4 6 10 12 --law optimal mu-prime is the whole, 20 minutes.
+FOLDER holds the months of a year at Lyngby. Of each month seven days, from the 8th on or from --day, are replayed
+through the service's own code under Perez' sky, with a real sensor's noise. A fault is there from the first midnight;
+what stands still does so from noon (UTC) of the first day on, or from the hour of --still. `held` stands still but for
+its noise, `stuck` does so at 300 W/m2; `shaded` has no beam while the sun is within 30 deg of where the face looks;
+`soiled` keeps 80 % of its light. By default June and December of `optimal`; --month 4 6 10 12 --law optimal mu-prime is
+the whole, 20 minutes.
 """
 
 import argparse
@@ -33,7 +35,7 @@ LIMITS = Limits()
 ALBEDO = 0.2
 NOISE_SHARE, NOISE_W_M2 = 0.002, 0.3
 NIGHT_SCAN_S = 60.0
-FIRST_DAY, DAYS = 8, 7
+DAYS = 7
 STUCK_W_M2, SOILED, SHADE_DEG = 300.0, 0.8, 30.0
 KINDS = ("dead", "frozen", "held", "stuck", "shaded", "soiled")
 PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
@@ -42,11 +44,11 @@ PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 class Week:
     """A week's light, what the faces read in it, and what chronometric and the bound collect a day [Wh/m2]."""
 
-    def __init__(self, folder: Path, month: int, scan_s: float) -> None:
+    def __init__(self, folder: Path, month: int, first_day: int, scan_s: float, still_hour: float) -> None:
         (path,) = folder.glob(f"*-{month:02d}.csv*")
         weather = measured_weather(path)
         year = datetime.fromtimestamp(weather.start_utc_s + DAY_S, UTC).year
-        begin = datetime(year, month, FIRST_DAY, tzinfo=UTC).timestamp()
+        begin = datetime(year, month, first_day, tzinfo=UTC).timestamp()
         utc_s = np.arange(begin, begin + DAYS * DAY_S, scan_s)
         utc_s = utc_s[weather.covers(utc_s)]
         now = weather.at(utc_s)
@@ -60,7 +62,7 @@ class Week:
         self.utc_s = self.utc_s[self.order]
         self.sky = build_sky(self.light, "perez1990")
         dull = build_sky(lay_out(utc_s, 0.0 * now.dni_w_m2, now.dhi_w_m2, LYNGBY, scan_s), "perez1990")
-        self.noon_s = begin + DAY_S / 2.0
+        self.still_s = begin + 3600.0 * still_hour
         ideal = normal_from_angles(*angles_within(self.light.sun, LIMITS))
         self.chronometric = self.light.by_day(self.sky.irradiance_on(ideal, ALBEDO))
         self.bound = self.light.by_day(best_possible(self.light, self.sky, LIMITS, ALBEDO))
@@ -81,14 +83,14 @@ class Week:
             faces[:, list(face)] = faces[:, list(face[::-1])]
             return faces
         noise = NOISE_W_M2 * self.noise[1, :, face]
-        later = self.utc_s >= self.noon_s
-        at_noon = faces[np.argmax(later), face]
+        later = self.utc_s >= self.still_s
+        last = faces[np.argmax(later), face]
         if kind == "dead":
             faces[:, face] = noise
         elif kind == "frozen":
-            faces[later, face] = at_noon
+            faces[later, face] = last
         elif kind == "held":
-            faces[later, face] = at_noon + noise[later]
+            faces[later, face] = last + noise[later]
         elif kind == "stuck":
             faces[:, face] = STUCK_W_M2 + noise
         elif kind == "soiled":
@@ -140,9 +142,11 @@ def main() -> None:
     parser.add_argument("--month", nargs="+", type=int, default=[6, 12])
     parser.add_argument("--kind", nargs="+", choices=(*KINDS, "swapped"), default=[*KINDS, "swapped"])
     parser.add_argument("--scan", type=float, default=30.0)
+    parser.add_argument("--day", type=int, default=8)
+    parser.add_argument("--still", type=float, default=12.0)
     arguments = parser.parse_args()
     for month in arguments.month:
-        week = Week(arguments.folder, month, arguments.scan)
+        week = Week(arguments.folder, month, arguments.day, arguments.scan, arguments.still)
         for law in arguments.law:
             share, days, travel, tracking = week.driven(law, week.faces)
             print(f"\nmonth {month}, {law}: share of the bound [%], of the healthy week's [%], worst day over")
