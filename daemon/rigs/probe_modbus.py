@@ -9,7 +9,7 @@ from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.config.plugged import PYRANOMETERS
 from daemon.config.settings import Settings
-from drivers.cube.pyranometers.makes import Make, Told, WhoAmI, WrongSensorError, make_of
+from drivers.cube.pyranometers.makes import Block, Make, Told, WhoAmI, WrongSensorError, make_of
 from drivers.cube.pyranometers.settings import MakeName, PyranometersSettings
 from drivers.errors import DeadlineError, RefusedError
 from drivers.modbus.client import ModbusBus
@@ -225,10 +225,10 @@ class ModbusProbe:
         text = "answers; its make is not known here, see docs/instruments.md for a map"
         for name, make in self._candidates(line, unit):
             try:
-                words = await bus.read(unit, *make.proof, self._within_s) if make.proof else ()
-                more = [await bus.read(unit, *block, self._within_s) for block in make.more]
+                words = await self._read(bus, unit, make.proof) if make.proof else ()
+                more = [await self._read(bus, unit, block) for block in make.more]
                 who = make.identify(words, *more)
-                told = make.told(await bus.read(unit, *make.data, self._within_s))
+                told = make.told(await self._read(bus, unit, make.data))
             except DeadlineError as error:
                 text = _GARBLED if error.message else text
             except (RefusedError, WrongSensorError):
@@ -236,6 +236,15 @@ class ModbusProbe:
             else:
                 return self._answering(unit, name, who, told)
         return Answering(unit, text)
+
+    async def _read(self, bus: ModbusBus, unit: int, block: Block) -> tuple[int, ...]:
+        """Ask one that has answered before, and once more where it is silent: without this it is of no known make."""
+        try:
+            return await bus.read(unit, *block, self._within_s)
+        except DeadlineError as error:
+            if error.message:
+                raise
+        return await bus.read(unit, *block, self._within_s)
 
     def _answering(self, unit: int, name: MakeName, who: WhoAmI, told: Told) -> Answering:
         value = "no value" if told.flaw else f"{told.w_m2:.2f} W/m2"
