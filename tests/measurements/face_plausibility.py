@@ -9,33 +9,27 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.config.sections import CubeSettings
 from daemon.config.settings import Settings
 from daemon.cube.face_watch import BAD_LOOKS, BLOCKS, face_normals
 from daemon.studies.energy.benchmark import measured_minutes
-from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
+from solar.energy import SKIES, Shining, build_sky, faces_under, lay_out
+from solar.ephemeris import Site, sun_direction
 from solar.faces.contradiction import misfits
 from solar.faces.plausible import Doubt, Response, doubts, responses
 from solar.frames import Array
-from solar.skies.sky import SkyModel, sky
 
 LYNGBY = Site(55.79064, 12.52505, 50.0)
 NOISE_MV = 0.02
 SCANS_PER_MINUTE = 12
 SEEDS = 3
 HALF_HOUR = 30
-SKIES: tuple[SkyModel, ...] = ("isotropic", "haydavies", "perez1990", "perez1993", "cie")
 ALBEDOS = (0.05, 0.2, 0.8)
 
 
-def cube_of(utc_s: Array, dni: Array, dhi: Array, model: SkyModel, albedo: float, seed: int) -> tuple[Array, Array]:
+def cube_of(light: Shining, albedo: float, seed: int) -> tuple[Array, Array]:
     """Return faces [W/m2] and voltages [mV], shape (n, 4), of sensors with 3 % of gain error and noise."""
     random = np.random.default_rng(seed)
-    sun = sun_direction(utc_s, *LYNGBY)
-    light = sky(model, sun, dni, dhi, extraterrestrial_dni(utc_s))
-    faces = np.stack(
-        [light.irradiance_on(n, albedo) for n in face_normals(CubeSettings(), LYNGBY.latitude_deg)], axis=-1
-    )
+    faces = faces_under(light, albedo)
     noise = random.normal(0.0, NOISE_MV / np.sqrt(SCANS_PER_MINUTE), faces.shape)
     voltages = 0.1 * faces * (1.0 + 0.03 * random.standard_normal(4)) + noise
     return 10.0 * voltages, voltages
@@ -94,7 +88,9 @@ def main() -> None:
     utc_s, dni, dhi, sun = utc_s[day], dni[day], dhi[day], sun[day]
     normals = face_normals(Settings().cube, LYNGBY.latitude_deg)
     print(f"{len(files)} months, {day.sum()} minutes with the sun above 5 deg")
+    weather = lay_out(utc_s, dni, dhi, LYNGBY)
     for model in SKIES:
+        light = build_sky(weather, model)
         for albedo in ALBEDOS:
             found = np.zeros((utc_s.size, 4), dtype=np.int64)
             raised, minutes = (
@@ -102,7 +98,7 @@ def main() -> None:
                 dict.fromkeys([kind for kind in Doubt if kind in (Doubt.DEAD, Doubt.DARK, Doubt.SAME, Doubt.OVER)], 0),
             )
             for seed in range(SEEDS):
-                faces, voltages = cube_of(utc_s, dni, dhi, model, albedo, seed)
+                faces, voltages = cube_of(light, albedo, seed)
                 found = doubts(five_minutes(utc_s, faces), five_minutes(utc_s, voltages), sun, normals)
                 raised += alarms(utc_s, (found != Doubt.NONE).any(axis=1))
                 for kind in minutes:
