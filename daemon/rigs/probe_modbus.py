@@ -1,7 +1,7 @@
 """Looking at what answers on lines of Modbus, clearing an old error, and giving new sensors their addresses."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple, cast
 
 from daemon.base.clock import Clock
@@ -23,6 +23,7 @@ Ask = Callable[[str], str]
 _SMP_ERROR_CODE, _SMP_CLEAR_ERROR = 26, 10
 _RECOGNISED: tuple[MakeName, ...] = ("smp", "hukseflux", "hukseflux-pv")
 _OF_ITS_OWN: dict[MakeName, int] = {"hukseflux": 0, "hukseflux-pv": 0x1000}
+_ANYTHING = Block(READ_HOLDING, 0, 1)
 _GARBLED = "answers with garbage: are there two sensors of this address?"
 _WITHOUT = {
     "smp": "an SMP takes its address from the maker's Smart Explorer alone",
@@ -209,17 +210,16 @@ class ModbusProbe:
         return found
 
     async def _greet(self, bus: ModbusBus, unit: int, *, twice: bool) -> None:
-        """Ask an address for anything; raises `DeadlineError` where it is silent. A question may be lost: two tell."""
-        for last in (False, True) if twice else (True,):
-            try:
-                await bus.read(unit, READ_HOLDING, 0, 1, self._within_s)
-            except RefusedError:
-                return
-            except DeadlineError:
-                if last:
-                    raise
-            else:
-                return
+        """Ask an address for anything; raises `DeadlineError` where it is silent."""
+        with suppress(RefusedError):
+            await self._read(bus, unit, _ANYTHING, times=2 if twice else 1)
+
+    async def _read(self, bus: ModbusBus, unit: int, block: Block, *, times: int = 2) -> tuple[int, ...]:
+        """Ask, and again where there is no proper answer: a question may be lost, and two tell."""
+        for _ in range(times - 1):
+            with suppress(DeadlineError):
+                return await bus.read(unit, *block, self._within_s)
+        return await bus.read(unit, *block, self._within_s)
 
     async def _identified(self, bus: ModbusBus, line: str, unit: int) -> Answering:
         text = "answers; its make is not known here, see docs/instruments.md for a map"
@@ -236,15 +236,6 @@ class ModbusProbe:
             else:
                 return self._answering(unit, name, who, told)
         return Answering(unit, text)
-
-    async def _read(self, bus: ModbusBus, unit: int, block: Block) -> tuple[int, ...]:
-        """Ask one that has answered before, and once more where it is silent: without this it is of no known make."""
-        try:
-            return await bus.read(unit, *block, self._within_s)
-        except DeadlineError as error:
-            if error.message:
-                raise
-        return await bus.read(unit, *block, self._within_s)
 
     def _answering(self, unit: int, name: MakeName, who: WhoAmI, told: Told) -> Answering:
         value = "no value" if told.flaw else f"{told.w_m2:.2f} W/m2"
