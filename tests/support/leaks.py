@@ -38,7 +38,7 @@ def nothing_leaks():
     """Fail a test that leaves a task, a thread, a file descriptor or a process behind, whatever its tier."""
     # What was there before, libraries above all, is no test's garbage: to look through it cost a tenth of a second.
     gc.freeze()
-    threads, descriptors, children = set(threading.enumerate()), _descriptors(), _children()
+    threads, descriptors, before = set(threading.enumerate()), _descriptors(), children()
     root = logging.getLogger()
     handlers, level = [*root.handlers], root.level
     with pytest.MonkeyPatch.context() as patch:
@@ -59,7 +59,7 @@ def nothing_leaks():
         # A library's thread may be about to close what it has read.
         time.sleep(0.05)
         opened = _opened_since(descriptors)
-    started = {number: command for number, command in _children().items() if number not in children}
+    started = {number: command for number, command in children().items() if number not in before}
     for number in started:
         with contextlib.suppress(ProcessLookupError):
             os.kill(number, signal.SIGKILL)
@@ -90,7 +90,7 @@ def _descriptors() -> dict[str, str]:
     return {number: target for number, target in found.items() if int(number) not in asked_on}
 
 
-def _children() -> dict[int, str]:
+def children() -> dict[int, str]:
     """Return the processes that this one has started and not waited for, with what they run."""
     found = forks.running()
     # The kernel's own list: to ask every process of the machine for its parent took more time than most tests.

@@ -21,6 +21,7 @@ from daemon.store.schema import FILE_NAME, VERSION
 from tests.daemon.store.test_copies import OLDER, made_older, opened
 from tests.daemon.store.test_store import count
 from tests.daemon.store.test_tables import ALL, scan
+from tests.support.leaks import children
 
 
 @pytest.fixture
@@ -354,8 +355,9 @@ def test_what_ran_is_started_again_although_somebody_or_a_lost_connection_ends_i
         for name, handler in handlers.items():
             signal.signal(name, handler)
         gc.collect()
-        with contextlib.suppress(ChildProcessError):
-            os.wait()
+        for systemctl in children():
+            with contextlib.suppress(ChildProcessError):
+                os.waitpid(systemctl, 0)
     assert (code, out, missed) == (130, "", [])
     assert err.startswith("heliocube: interrupted: units that ran are started again; give the command again, and it")
     asked = (tmp_path / "asked").read_text().splitlines()
