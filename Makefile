@@ -52,7 +52,7 @@ test-quick: $(BIN)/.dev
 
 mutations: $(BIN)/.dev
 	$(BIN)/python -m tests.mutation.reach reach.json tests/solar tests/drivers tests/daemon --live without
-	$(BIN)/python -m tests.mutation.run --reach reach.json --seed $(SEED) --limit 60 --jobs $(WORKERS) $(ARGS)
+	$(BIN)/python -m tests.mutation.run --reach reach.json --seed $(SEED) --limit 120 --jobs $(WORKERS) $(ARGS)
 
 lint: $(BIN)/.dev
 	$(BIN)/ruff check .

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.mutation.allowance import ended_within, spent_by_children_s
 from tests.mutation.nearest import Reached
 from tests.mutation.operators import Mutant
 from tests.mutation.tree import begin_afresh, copy_into
@@ -93,9 +94,10 @@ class _Chosen:
 
 def _first_red(mutant: Mutant, limit_s: float) -> tuple[str | None, bool]:
     """Run tests until one is red; return its name, or None where none is, and whether the time was enough."""
-    ends_s = time.monotonic() + limit_s
+    before_s = spent_by_children_s()
     for tests in _reached.stages(mutant):
-        status = _status(_Chosen(tests, mutant.path), ends_s) if tests else 0
+        left_s = limit_s - (spent_by_children_s() - before_s)
+        status = _status(_Chosen(tests, mutant.path), left_s) if tests else 0
         if status is None:
             return None, False
         if status:
@@ -103,21 +105,19 @@ def _first_red(mutant: Mutant, limit_s: float) -> tuple[str | None, bool]:
     return None, True
 
 
-def _status(chosen: _Chosen, ends_s: float) -> int | None:
+def _status(chosen: _Chosen, limit_s: float) -> int | None:
     """Run tests in a process of their own; return 0 for green, and None where the time was too short."""
     child = os.fork()
     if child == 0:
         _run_and_exit(chosen)
     try:
-        while time.monotonic() < ends_s:
-            done, status = os.waitpid(child, os.WNOHANG)
-            if done:
-                return 0 if os.waitstatus_to_exitcode(status) == pytest.ExitCode.NO_TESTS_COLLECTED else status
-            time.sleep(0.02)
+        status = ended_within(child, limit_s)
     finally:
         _end_group(child)
-    os.waitpid(child, 0)
-    return None
+    if status is None:
+        os.waitpid(child, 0)
+        return None
+    return 0 if os.waitstatus_to_exitcode(status) == pytest.ExitCode.NO_TESTS_COLLECTED else status
 
 
 def _named_in_output() -> str:

@@ -2,11 +2,11 @@
 
 Usage: ``python -m tests.mutation.run --sample 250 --seed 7`` (``--help`` for the rest). Everything happens in a copy of
 the tree. Each change is put to the tests that lie nearest: those of its module, those that import it, those of its
-folder, in this order, until one is red or `--limit` seconds are over. With `--reach`, which knows the lines that each
-test reaches (tests.mutation.reach), it is put to all that reach its line, those of its module first, the quickest
-first; without, what tests further away would notice is not asked, so the share is rather too low. What is left alive is
-printed with what was changed. A change that no test can notice is listed in equivalent.toml with the reason and is not
-counted. Ctrl-C ends it early and tells the share of what has been tried.
+folder, in this order, until one is red or `--limit` seconds of processor time are over. With `--reach`, which knows the
+lines that each test reaches (tests.mutation.reach), it is put to all that reach its line, those of its module first,
+the quickest first; without, what tests further away would notice is not asked, so the share is rather too low. What is
+left alive is printed with what was changed. A change that no test can notice is listed in equivalent.toml with the
+reason and is not counted. Ctrl-C ends it early and tells the share of what has been tried.
 """
 
 import argparse
@@ -104,7 +104,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--sample", type=int, default=250, help="how many changes")
     parser.add_argument("--seed", type=int, default=1, help="of the choice")
     parser.add_argument("--jobs", type=int, default=1, help="how many at a time")
-    parser.add_argument("--limit", type=float, default=120.0, help="seconds of tests for one change")
+    parser.add_argument("--limit", type=float, default=120.0, help="processor seconds of tests for one change")
     parser.add_argument("--reach", type=Path, help="what tests.mutation.reach has noted")
     parser.add_argument("--only", help="of the sample, what begins with this path")
     parser.add_argument("--verbose", action="store_true", help="print what was caught, too")

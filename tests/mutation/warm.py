@@ -21,13 +21,13 @@ from pathlib import Path
 
 import pytest
 
+from tests.mutation.allowance import ended_within
 from tests.mutation.cold import PLAIN, make_ready
 from tests.mutation.nearest import Reached
 from tests.mutation.operators import Mutant
 from tests.mutation.tree import begin_afresh
 from tests.mutation.verdict import Verdict, applied
 
-_HEAR_EVERY_S = 0.01
 # A change can make a loop endless; of 4,700 tests that compute the longest takes less on an idle machine.
 _ONE_TEST_S = 30
 _RED = 1
@@ -177,7 +177,7 @@ class _Warm:
             self._run_and_exit(change, [self._items[name] for name in names])
         os.close(tell)
         try:
-            ended = _ended_within(child, self._limit_s)
+            ended = ended_within(child, self._limit_s)
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(child, signal.SIGKILL)
@@ -281,13 +281,3 @@ def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
         if isinstance(constant, types.CodeType):
             yield constant
             yield from _codes(constant)
-
-
-def _ended_within(child: int, limit_s: float) -> int | None:
-    ends_s = time.monotonic() + limit_s
-    while time.monotonic() < ends_s:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            return status
-        time.sleep(_HEAR_EVERY_S)
-    return None
