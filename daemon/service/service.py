@@ -23,7 +23,7 @@ from daemon.config.settings import Settings
 from daemon.cube.acquisition import Acquisition
 from daemon.cube.calibration import CubeCalibration, ExpiryWatch, calibrated_cube
 from daemon.cube.face_watch import FaceWatch
-from daemon.cube.told_faces import ToldFaces
+from daemon.cube.told_faces import ToldFaces, UnreadFaces
 from daemon.motion.motion import OFTEN, Polling
 from daemon.service.health import LoopWatch, Watchdog
 from daemon.service.inheritance import hand_on, left_behind
@@ -97,6 +97,7 @@ class Service:
         self._folder = kept_in(settings.store.directory)
         self.cube_alarms = Alarms(clock, bus.publish, file=AlarmFile(self._folder, CUBE_FILE_NAME))
         self._told_faces = ToldFaces(self.cube_alarms)
+        self._unread_faces = UnreadFaces(self.cube_alarms)
         self._is_open = False
         self._random = random
         self._kept_in = kept_in
@@ -204,6 +205,7 @@ class Service:
             tracker.receive(scan, utc_s)
         if self.role is Role.TRACKER:
             self._told_faces.note(scan)
+        self._unread_faces.note(scan)
         self.bus.publish(scan)
 
     async def open(self) -> None:

@@ -1,5 +1,6 @@
 """The law `mu-prime`: towards sun and bright sky, equation (12) of the paper (:func:`solar.laws.paper.mu_prime`)."""
 
+import numpy as np
 from pydantic import Field
 
 from solar.energy import DaylightWeather, Steer
@@ -7,6 +8,7 @@ from solar.frames import Array, Limits
 from solar.laws import paper
 from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
 from solar.laws.steer import by_the_mean
+from solar.laws.three_faces import FACES_NEEDED, completed
 from solar.laws.words import towards_light
 from solar.rows.group import TrackerGroup
 
@@ -23,7 +25,7 @@ class MuPrimeSettings(LawSettings):
 
 
 class MuPrimeLaw(DirectionLaw):
-    """Points along mu' of the mean.
+    """Points along mu' of the mean; a face without one reads what the light behind the other three puts on it.
 
     Parameters
     ----------
@@ -31,15 +33,18 @@ class MuPrimeLaw(DirectionLaw):
         Its parameters and what it points.
     """
 
+    faces_needed = FACES_NEEDED
+
     def __init__(self, settings: MuPrimeSettings, tracker: TrackerFacts) -> None:
         super().__init__(tracker)
         self._settings = settings
 
-    def direction(self, now: Moment, _to_sun: Array) -> Array:
-        """Return mu'; none without a mean."""
+    def direction(self, now: Moment, to_sun: Array) -> Array:
+        """Return mu'; none without a mean, nor by three faces while the sun's position is in doubt."""
         if now.mean_w_m2 is None:
             return NO_DIRECTION
-        return paper.mu_prime(now.mean_w_m2, uniform_threshold=self._settings.uniform_threshold)
+        faces = completed(now.mean_w_m2, to_sun) if now.sun_known else np.asarray(now.mean_w_m2)
+        return paper.mu_prime(faces, uniform_threshold=self._settings.uniform_threshold)
 
     def reason(self, azimuth_deg: float, elevation_deg: float) -> str:
         """Return where the light comes from."""
@@ -58,8 +63,9 @@ def steer(
     group: TrackerGroup | None = None,
 ) -> Steer:
     """Run the law on many days at once, in the paper's rhythm, and out of the shade of a group's neighbours."""
+    sun = weather.gridded(weather.sun, np.nan)
 
     def direction(mean: Array) -> Array:
-        return paper.mu_prime(mean, uniform_threshold=settings.uniform_threshold)
+        return paper.mu_prime(completed(mean, sun), uniform_threshold=settings.uniform_threshold)
 
     return by_the_mean(weather, faces, limits, direction, group=group)

@@ -1,5 +1,6 @@
 """The law `sun-vector`: towards the sun as the cube sees it, equation (11) (:func:`solar.laws.paper.sun_vector`)."""
 
+import numpy as np
 from pydantic import Field
 
 from solar.energy import DaylightWeather, Steer
@@ -7,6 +8,7 @@ from solar.frames import Array, Limits
 from solar.laws import paper
 from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
 from solar.laws.steer import by_the_mean
+from solar.laws.three_faces import FACES_NEEDED, completed
 from solar.laws.words import towards_sun
 
 
@@ -43,7 +45,7 @@ class SunVectorSettings(LawSettings):
 
 
 class SunVectorLaw(DirectionLaw):
-    """Points along s of the mean, completed by the ephemeris where no face can see.
+    """Points along s of the mean, completed by the ephemeris where no face can see or one has no reading.
 
     Parameters
     ----------
@@ -51,16 +53,19 @@ class SunVectorLaw(DirectionLaw):
         Its parameters and what it points.
     """
 
+    faces_needed = FACES_NEEDED
+
     def __init__(self, settings: SunVectorSettings, tracker: TrackerFacts) -> None:
         super().__init__(tracker)
         self._settings = settings
 
     def direction(self, now: Moment, to_sun: Array) -> Array:
-        """Return s; none without a mean, and no completion while the sun's position is in doubt."""
+        """Return s; none without a mean, and nothing by the ephemeris while the sun's position is in doubt."""
         if now.mean_w_m2 is None:
             return NO_DIRECTION
-        seen = self._settings.seen(now.mean_w_m2)
-        return paper.complete_poleward(seen, to_sun) if now.sun_known else seen
+        if not now.sun_known:
+            return self._settings.seen(now.mean_w_m2)
+        return _seen(self._settings, np.asarray(now.mean_w_m2), to_sun)
 
     def reason(self, azimuth_deg: float, elevation_deg: float) -> str:
         """Return where the sun is seen."""
@@ -73,5 +78,10 @@ build = SunVectorLaw
 
 def steer(settings: SunVectorSettings, weather: DaylightWeather, faces: Array, limits: Limits) -> Steer:
     """Run the law on many days at once, in the paper's rhythm."""
-    sun = weather.gridded(weather.sun, float("nan"))
-    return by_the_mean(weather, faces, limits, lambda mean: paper.complete_poleward(settings.seen(mean), sun))
+    sun = weather.gridded(weather.sun, np.nan)
+    return by_the_mean(weather, faces, limits, lambda mean: _seen(settings, mean, sun))
+
+
+def _seen(settings: SunVectorSettings, faces: Array, sun: Array) -> Array:
+    whole = completed(faces, sun, settings.albedo)
+    return paper.complete_poleward(settings.seen(whole), sun)

@@ -1,9 +1,11 @@
 """What the law `optimal` keeps of the bound's gain when something is wrong: faces, noise, gains, the ground, a budget.
 
+Last come the paper's laws with one face missing.
+
 Usage: python tests/measurements/optimal_burdens.py LAT,LON,ALT WEATHER... [--sky SKY]
 
 The weather is by the minute, the tracker at 0.9 deg/s, as in `heliocube energy`; the worst day is over
-ideal chronometric. Two minutes for a year.
+ideal chronometric. Three minutes for a year.
 """
 
 import argparse
@@ -16,7 +18,7 @@ from daemon.studies.inputs import parse_site
 from solar.energy import Drive, lay_out
 from solar.ephemeris import Site
 from solar.frames import Limits
-from solar.laws.optimal_live import LiveOptimalSettings, steer
+from solar.laws import mu_prime, optimal_live, sun_vector
 
 LIMITS = Limits()
 FACES = ("east", "south", "west", "zenith")
@@ -44,10 +46,10 @@ def noisy(days, rng):
     return days.faces * (1.0 + 0.01 * one) + other
 
 
-def say(name, days, faces, **settings):
-    """Drive the law by these faces and print what it keeps, and how far it goes."""
+def say(name, days, faces, law=optimal_live, **settings):
+    """Drive a law by these faces and print what it keeps, and how far it goes."""
     lit = days.weather.day_types() >= 0
-    done = days.run(steer(LiveOptimalSettings(**settings), days.weather, faces, LIMITS), Drive())
+    done = days.run(law.steer(law.SETTINGS(**settings), days.weather, faces, LIMITS), Drive())
     room = (days.bound_kwh_m2 - days.chronometric_kwh_m2)[lit].sum()
     share = 100.0 * (done.energy_kwh_m2 - days.chronometric_kwh_m2)[lit].sum() / room
     each = done.travel_deg[lit].sum() / days.weather.whole_days(), done.moves[lit].sum() / days.weather.whole_days()
@@ -77,6 +79,10 @@ def main():
     say("albedo 0.6", snowy, snowy.faces)
     for budget in BUDGETS:
         say(", ".join(f"{key} {value:g}" for key, value in budget.items()), days, days.faces, **budget)
+    for name, law in (("mu-prime", mu_prime), ("sun-vector", sun_vector)):
+        say(name, days, days.faces, law)
+        for number, face in enumerate(FACES):
+            say(f"{name}, no {face} face", days, without(days, number), law)
 
 
 if __name__ == "__main__":

@@ -140,9 +140,16 @@ _ALL = (
         "cube-face",
         Severity.WARNING,
         "a face of the cube reads what cannot be true",
-        "the face is not used; laws that need it follow the ephemeris instead",
+        "the face is not used: the laws go on by three, and without a second one by the ephemeris",
         "look after the sensor, its cable and the multiplexer, its shade, and whether cables are swapped; it is used"
         " again after ten sound looks, one that stood still or contradicted the others once it follows the light",
+    ),
+    _kind(
+        "face-unread",
+        Severity.WARNING,
+        "for ten scans a face of the cube gives no reading (over-range, stale, missing) while others do",
+        "the laws go on by three faces, and without a second one by the ephemeris",
+        "look after its sensor, its plug and its cable; ten scans with it end the alarm",
     ),
     _kind(
         "cube-sensor",

@@ -64,7 +64,7 @@ _ROWS: tuple[_Row, ...] = (
     ("meter_restart", (), 0.0, _GOES_ON, 0.0, _BY_ITSELF, _AT_ONCE_S, _REST),
     ("switch_fails", (2,), 0.0, _GOES_ON, 0.0, _BY_ITSELF, _AT_ONCE_S, _REST),
     ("switch_reset", (), 0.0, _GOES_ON, 0.0, _BY_ITSELF, _AT_ONCE_S, _REST),
-    ("face_stuck", (0, 9.9), _DARK_S, FALLBACK, _NO_READINGS_S, _BY_ITSELF, _READS_S, _BOTH),
+    ("face_stuck", (0, 9.9), _DARK_S, _GOES_ON, 0.0, _BY_ITSELF, _AT_ONCE_S, _BOTH),
     ("face_noise", (1.0,), _DARK_S, FALLBACK, _NO_READINGS_S, _BY_ITSELF, _AGREES_S, _REST),
     ("bridge_lost", (), _DARK_S, FALLBACK, _NO_READINGS_S, _BY_ITSELF, _READS_S, _BOTH),
     ("bridge_late", (40.0,), _DARK_S, FALLBACK, _NO_READINGS_S, _BY_ITSELF, _READS_S, _BOTH),

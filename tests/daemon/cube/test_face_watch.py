@@ -49,7 +49,7 @@ class WatchedDay:
         self.share = [1.0] * 4
         self.in_cloud_w_m2 = 150.0
 
-    def minutes(self, count, frozen=None, at_w_m2=0.0, every_s=15.0, late_s=0.0):
+    def minutes(self, count, frozen=None, at_w_m2=0.0, every_s=15.0, late_s=0.0, exactly=False):
         """Let scans come, up to so much late; returns after how many minutes each face was found, None for never."""
         found = [None] * 4
         numbers = np.arange(1, int(60.0 * count / every_s) + 1)
@@ -63,6 +63,8 @@ class WatchedDay:
         if frozen is not None:
             faces[:, frozen] = at_w_m2
         faces += self.random.normal(0.0, 0.3, faces.shape)
+        if exactly:
+            faces[:, frozen] = at_w_m2
         for number, (at_s, row) in enumerate(zip(utc_s.tolist(), faces.tolist(), strict=True)):
             self.clock.utc_s = at_s
             self.watch.note(row, [value / 10 for value in row])
@@ -194,6 +196,14 @@ def test_swapped_faces_are_both_named_within_the_hour_and_used_again_when_they_a
     day.order = [0, 1, 2, 3]
     day.minutes(60)
     assert day.doubted() == []
+
+
+@pytest.mark.parametrize("exactly", [False, True])
+def test_beside_a_face_that_repeats_itself_to_the_last_digit_no_other_is_accused_of_a_swap(exactly):
+    day = WatchedDay(MORNING_UTC_S)
+    day.order = [0, 3, 2, 1]
+    found = day.minutes(60, frozen=2, at_w_m2=200.0, exactly=exactly)
+    assert [minutes is not None for minutes in found] == [False, not exactly, False, not exactly]
 
 
 def test_a_face_in_a_shade_of_its_own_is_named_and_used_again_when_it_follows_the_light():

@@ -96,11 +96,17 @@ def test_one_bad_face_is_named_and_never_steers(run_rig, stuck_at_v, quality):
     async def scenario(rig):
         await tracking(rig)
         rig.scene.break_sensor(2, stuck_at_v)
+        await rig.until(lambda: rig.control.state.scan.faces[2].quality == quality, 60, "the face's quality")
+        await asyncio.sleep(400)
+        (told,) = rig.service.cube_alarms.active
+        assert (told.name, "west" in told.text) == ("face-unread" if quality == "over-range" else "cube-face", True)
+        rig.scene.break_sensor(0, stuck_at_v)
         await rig.until_mode(Mode.FALLBACK, 90)
-        assert f"west {quality}" in rig.control.why
+        assert f"east {quality}, west {quality}" in rig.control.why
 
     rig = run_rig(scenario)
-    assert all(decision.irradiances.west_w_m2 < 200 for decision in rig.of(Decision) if decision.mode == "tracking")
+    assert modes(rig) == [Mode.TRACKING, Mode.FALLBACK]
+    assert all(not decision.irradiances.west_w_m2 > 200 for decision in rig.of(Decision) if decision.mode == "tracking")
 
 
 def test_a_meter_that_repeats_itself_to_the_last_digit_is_stale(run_rig):

@@ -168,7 +168,7 @@ def test_an_implausible_or_missing_face_is_left_out(replayed):
     lines = readings(NOON + np.arange(0, 1800, 5.0))
     for number, line in enumerate(lines):
         line[1] = "" if number % 2 else "1900"
-    assert replayed(lines, "mu-prime")[-1]["mode"] == "fallback"
+    assert replayed(lines, "mu-prime")[-1]["mode"] == "tracking"
     *_, implausible, last = replayed(lines, "optimal")
     assert last["mode"] == "tracking"
     assert off_sun_deg(last) < 6.0
@@ -181,8 +181,9 @@ def test_a_dead_face_is_found_as_on_a_rig(replayed, law):
     for line in lines:
         line[2] = "0.3"
     last = replayed(lines, law)[-1]
-    assert last["mode"] == ("tracking" if law == "optimal" else "fallback")
-    assert off_sun_deg(last) < 6.0
+    assert last["mode"] == "tracking"
+    # Under a clear sky mu' looks higher than the sun.
+    assert off_sun_deg(last) < (6.0 if law == "optimal" else 8.0)
 
 
 @pytest.mark.parametrize("ending", ["gz", "GZ"])

@@ -1,0 +1,75 @@
+"""The fourth face by three, and the paper's laws with it."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from solar.energy import Drive, build_sky, faces_under, harvest, lay_out
+from solar.ephemeris import Site
+from solar.frames import Limits
+from solar.laws import mu_prime, sun_vector
+from solar.laws.law import Moment, TrackerFacts
+from solar.laws.steer import by_readings
+from solar.laws.three_faces import completed
+
+LYNGBY = Site(55.79064, 12.52505, 50.0)
+HAZY = 250.0, 150.0
+CLEAR = 700.0, 90.0
+NIGHTS = 1476230400.0  # 2016-10-12
+
+
+def day(dni_w_m2, dhi_w_m2):
+    utc_s = NIGHTS + 60.0 * np.arange(1440)
+    weather = lay_out(utc_s, np.full(1440, dni_w_m2), np.full(1440, dhi_w_m2), LYNGBY)
+    light = build_sky(weather, "perez1990")
+    return weather, light, faces_under(light, 0.2)
+
+
+@pytest.mark.parametrize("face", range(4))
+@pytest.mark.parametrize("weather", [HAZY, CLEAR])
+def test_the_fourth_face_is_found_from_three_while_the_sun_is_up(weather, face):
+    minutes, _, faces = day(*weather)
+    up = minutes.sun[:, 2] > 0.2
+    sun, faces = minutes.sun[up], faces[up]
+    without = faces.copy()
+    without[:, face] = np.nan
+    found = completed(without, sun)
+    np.testing.assert_array_equal(np.delete(found, face, axis=1), np.delete(faces, face, axis=1))
+    off = np.abs(found[:, face] - faces[:, face])
+    assert off.max() < 0.25 * faces[:, face].max()
+
+
+def test_four_faces_are_left_alone_and_so_are_two():
+    sun = np.array([0.6, 0.0, 0.8])
+    four, two = np.array([200.0, 500.0, 150.0, 600.0]), np.array([np.nan, 500.0, np.nan, 600.0])
+    np.testing.assert_array_equal(completed(four, sun), four)
+    np.testing.assert_array_equal(completed(two, sun), two)
+    both = completed(np.array([four, two]), sun)
+    np.testing.assert_array_equal(both, [four, two])
+
+
+@pytest.mark.parametrize("law", [mu_prime, sun_vector])
+@pytest.mark.parametrize("face", range(4))
+def test_reading_by_reading_three_faces_steer_as_in_the_benchmark_and_nearly_as_four(law, face):
+    weather, light, faces = day(*HAZY)
+    without = faces.copy()
+    without[:, face] = np.nan
+    settings = law.SETTINGS()
+    steers = (
+        law.steer(settings, weather, faces, Limits()),
+        law.steer(settings, weather, without, Limits()),
+        by_readings(partial(law.build, settings), weather, without, Limits()),
+    )
+    healthy, fast, slow = (float(harvest(weather, light, 0.2, Drive(), steer).energy_kwh_m2[0]) for steer in steers)
+    assert slow == pytest.approx(fast, rel=1e-9)
+    assert fast == pytest.approx(healthy, rel=0.01)
+
+
+@pytest.mark.parametrize("law", [mu_prime, sun_vector])
+def test_three_faces_tell_no_direction_while_the_sun_s_position_is_in_doubt(law):
+    noon = NIGHTS + 43200.0
+    made = law.build(law.SETTINGS(), TrackerFacts(LYNGBY, Limits(), 5.0, 300.0, noon))
+    faces = 200.0, np.nan, 150.0, 300.0
+    assert made.aim(Moment(noon, faces, None)).target is not None
+    assert made.aim(Moment(noon, faces, None, sun_known=False)).target is None
