@@ -116,7 +116,7 @@ def ordered_deg(rig):
     )
 
 
-@pytest.mark.parametrize(("key", "limit"), [("travel_per_day_deg", 90.0), ("moves_per_day", 4)])
+@pytest.mark.parametrize(("key", "limit"), [("travel_per_day_deg", 90.0), ("moves_per_day", 2)])
 def test_the_budget_of_the_day_holds_and_a_restart_opens_no_new_one(run_rig, tmp_path, key, limit):
     law = OPTIMAL | {"thrift": 0.1, key: limit}
     store = {"directory": tmp_path}
