@@ -64,12 +64,13 @@ def plain_means(scans, decisions):
         yield [sum(column) / (end - begin) for column in zip(*faces[begin:end], strict=True)]
 
 
-@pytest.mark.parametrize("date", ["2016-06-05", "2016-03-15"])
-def test_on_measured_days_mu_prime_lands_where_the_equations_put_it(measured, tmp_path, date):
-    weather = measured / "dtu_lyngby_2016" / f"{date[:7]}.csv.gz"
-    day(tmp_path, f"{date}T06:00", weather, "mu-prime", LYNGBY, days=0.3)
+# A clear sky, and a closed one that opens.
+@pytest.mark.parametrize("start", ["2016-06-05T09:00", "2016-03-15T11:30"])
+def test_on_measured_days_mu_prime_lands_where_the_equations_put_it(measured, tmp_path, start):
+    weather = measured / "dtu_lyngby_2016" / f"{start[:7]}.csv.gz"
+    day(tmp_path, start, weather, "mu-prime", LYNGBY, days=0.12)
     decisions = [row for row in rows(tmp_path / "decisions.csv") if row["mode"] == "tracking"]
-    assert len(decisions) > 60
+    assert len(decisions) > 25
     settled = 0
     poses = rows(tmp_path / "poses.csv")
     stood = iter(poses)
@@ -102,9 +103,9 @@ def test_on_measured_days_mu_prime_lands_where_the_equations_put_it(measured, tm
 
 def test_on_the_measured_clear_day_the_sun_vector_is_the_sun(measured, tmp_path):
     weather = measured / "dtu_lyngby_2016" / "2016-06.csv.gz"
-    day(tmp_path, "2016-06-05T05:30", weather, "sun-vector", LYNGBY, days=0.3, scan_every_s=30)
+    day(tmp_path, "2016-06-05T10:30", weather, "sun-vector", LYNGBY, days=0.1, scan_every_s=30)
     high = [row for row in rows(tmp_path / "decisions.csv") if float(row["sun_elevation_deg"]) > 15]
-    assert len(high) > 70
+    assert len(high) > 20
     for row in high:
         seen = direction_from_azimuth(*values(row, "direction_azimuth_deg", "direction_elevation_deg"), 55.8)
         sun = sun_direction(utc_s(row), 55.79064, 12.52505, 50.0)
@@ -113,30 +114,32 @@ def test_on_the_measured_clear_day_the_sun_vector_is_the_sun(measured, tmp_path)
 
 def test_on_the_measured_clear_day_chronometric_faces_the_sun_within_the_limits(measured, tmp_path):
     weather = measured / "dtu_lyngby_2016" / "2016-06.csv.gz"
-    day(tmp_path, "2016-06-05T04:30", weather, "chronometric", LYNGBY, days=0.35, scan_every_s=60)
-    reached = 0
+    day(tmp_path, "2016-06-05T06:00", weather, "chronometric", LYNGBY, days=0.1, scan_every_s=60)
+    reached = beyond = 0
     for row in rows(tmp_path / "decisions.csv"):
         sun = sun_direction(utc_s(row), 55.79064, 12.52505, 50.0)
         apart = separation_deg(normal_from_angles(*values(row, "target_a_deg", "target_b_deg")), sun)
         inside = abs(float(row["target_a_deg"])) < 50 and 15 < float(row["target_b_deg"]) < 90
         reached += inside
+        beyond += not inside
         assert apart < 0.01 or not inside
-    assert reached > 40
+    assert reached > 10
+    assert beyond > 2
 
 
 def test_on_the_built_in_overcast_day_the_tracker_lies_nearly_flat(tmp_path):
-    day(tmp_path, "2022-10-14T06:30", "overcast", "mu-prime", days=0.25, scan_every_s=30)
+    day(tmp_path, "2022-10-14T10:00", "overcast", "mu-prime", days=0.1, scan_every_s=30)
     tilts = [
         separation_deg(normal_from_angles(*values(row, "target_a_deg", "target_b_deg")), [0, 0, 1])
         for row in rows(tmp_path / "decisions.csv")
         if float(row["sun_elevation_deg"]) > 5
     ]
-    assert len(tilts) > 45
+    assert len(tilts) > 20
     assert sum(tilts) / len(tilts) < 10
 
 
 def test_on_the_built_in_clear_day_it_follows_the_sun_within_the_over_tilt_of_mu_prime(tmp_path):
-    summary = day(tmp_path, "2022-06-21T08:00", "clear", "mu-prime", days=0.3, scan_every_s=30)
+    summary = day(tmp_path, "2022-06-21T10:30", "clear", "mu-prime", days=0.12, scan_every_s=30)
     for row in rows(tmp_path / "decisions.csv"):
         sun_elevation = float(row["sun_elevation_deg"])
         if sun_elevation < 20 or not 90 < float(row["sun_azimuth_deg"]) < 270:
@@ -145,12 +148,12 @@ def test_on_the_built_in_clear_day_it_follows_the_sun_within_the_over_tilt_of_mu
         # mu' adds 2 I_min (about the diffuse light) to the vertical component: it looks above the sun, never below.
         assert -0.5 < elevation - sun_elevation < 12
         assert abs(azimuth - float(row["sun_azimuth_deg"])) < 3
-    assert 50 < summary.moves < 110
+    assert 20 < summary.moves < 50
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(tmp_path):
     def digest(folder, seed):
-        day(folder, "2022-10-12T08:00", "variable", "mu-prime", days=0.05, seed=seed)
+        day(folder, "2022-10-12T08:00", "variable", "mu-prime", days=0.02, seed=seed)
         return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.iterdir())}
 
     first, again, other = digest(tmp_path / "a", 1), digest(tmp_path / "b", 1), digest(tmp_path / "c", 2)

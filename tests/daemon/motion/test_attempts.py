@@ -110,11 +110,11 @@ def test_a_stow_that_fails_is_an_alarm_and_is_tried_again_with_growing_pauses(ru
         rig.wind_m_s = 20.0
         await rig.until(lambda: "move-failed" in alarms(rig), 30, "the alarm")
         assert "the stow failed and is tried again: the last move failed (refused)" in alarms(rig)["move-failed"]
-        await asyncio.sleep(3600)
+        await asyncio.sleep(1300)
         tries = [at - start_s for at, data in sent if data[:2] == B_PACKET][::3]
         pauses = [round((b - a) / 60) for a, b in itertools.pairwise(tries)]
         assert pauses[:4] == [1, 2, 5, 10]
-        assert len(targets(sent)) <= 60
+        assert len(targets(sent)) <= 30
         monkeypatch.undo()
         await rig.until(lambda: rig.truth().b_deg > 89, 700, "the stow")
         await at_rest(rig)
@@ -145,7 +145,7 @@ def test_an_ordinary_move_that_fails_again_is_tried_after_twice_the_pause(run_ri
     async def scenario(rig):
         await quiet(rig)
         lose(rig, monkeypatch, A_PACKET, B_PACKET)
-        for pause_s in (600, 1200, 2400):
+        for pause_s in (600, 1200):
             rig.motion.order(Target(0, 60, "test"))
             await rig.until(lambda: rig.motion.doubt, 30, "the failure")
             await asyncio.sleep(pause_s - 20)

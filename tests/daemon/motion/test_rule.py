@@ -41,7 +41,7 @@ def test_what_moves_by_itself_is_stopped_within_2_s_and_blocks_even_a_stow(run_r
         with pytest.raises(RefusedError, match="without an order"):
             rig.motion.home()
         stands = rig.truth()
-        await asyncio.sleep(1200)
+        await asyncio.sleep(700)
         assert rig.truth() == stands
         rig.control.auto()
         assert rig.motion.concerns

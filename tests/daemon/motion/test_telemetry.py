@@ -7,6 +7,7 @@ import pytest
 
 from daemon.base.records import Mode, Move, Pose, Target
 from drivers.errors import RefusedError
+from tests.daemon.motion.test_outages import SELDOM
 from tests.support.motion import alarms, drive_b, show
 from tests.support.phases import now, quiet
 
@@ -85,6 +86,7 @@ def test_motor_currents_that_last_are_an_alarm(run_rig, fields, words):
         await asyncio.sleep(3)
         assert words in alarms(rig)["motor-current"]
         del rig.positioner.read_telemetry
+        rig.motion._polling = SELDOM
         await asyncio.sleep(3700)
         assert not alarms(rig)
 

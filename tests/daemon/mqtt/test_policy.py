@@ -132,7 +132,7 @@ def test_the_delay_is_short_again_only_after_30_s_of_health(lifetime_s, short):
     assert last_s >= (0.8 if short else 25.0)
 
 
-def test_a_day_without_a_broker_costs_no_memory_and_few_lines(caplog):
+def test_hours_without_a_broker_cost_no_memory_and_few_lines(caplog):
     caplog.set_level(logging.INFO, "heliocube")
     bound = bound_socket()
     port = bound.getsockname()[1]
@@ -146,7 +146,7 @@ def test_a_day_without_a_broker_costs_no_memory_and_few_lines(caplog):
         await asyncio.sleep(3600)
         tracemalloc.start()
         before = tracemalloc.get_traced_memory()[0]
-        for _ in range(23 * 60):
+        for _ in range(3 * 60):
             for _ in range(12):
                 link.send(Message("heliocube/tracker/scan", b"x" * 700))
             await asyncio.sleep(60)
@@ -155,7 +155,7 @@ def test_a_day_without_a_broker_costs_no_memory_and_few_lines(caplog):
         grown = tracemalloc.get_traced_memory()[0] - before
         tracemalloc.stop()
         assert link.status.waiting == 100
-        assert link.status.dropped == 23 * 60 * 12 - 100
+        assert link.status.dropped == 3 * 60 * 12 - 100
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)
         return grown
@@ -164,7 +164,7 @@ def test_a_day_without_a_broker_costs_no_memory_and_few_lines(caplog):
         grown = runner.run(scenario())
     assert grown < 500_000
     lines = [record.getMessage() for record in caplog.records if record.levelno >= logging.INFO]
-    assert 1 <= len(lines) <= 20
+    assert 1 <= len(lines) <= 10
     assert f"nothing listens at 127.0.0.1:{port}" in lines[0]
 
 
@@ -204,7 +204,7 @@ def test_control_decides_in_the_same_rhythm_for_hours_with_and_without_a_broker(
                 rig = BrokerRig(asyncio.get_running_loop(), settings, 1.0)
                 stop = asyncio.Event()
                 serving = asyncio.create_task(rig.run_until(stop) if enabled else rig.service.run(stop))
-                await asyncio.sleep(2 * 3600)
+                await asyncio.sleep(2400)
                 stop.set()
                 await serving
                 return [record.time_monotonic_s for record in rig.of(Decision)]
@@ -212,13 +212,13 @@ def test_control_decides_in_the_same_rhythm_for_hours_with_and_without_a_broker(
             return runner.run(scenario())
 
     without, with_a_dead_one = decisions(enabled=False), decisions(enabled=True)
-    assert len(without) >= 20
+    assert len(without) >= 7
     assert with_a_dead_one == pytest.approx(without, abs=0.1)
-    assert 1 <= sum(record.name == "heliocube.mqtt" for record in caplog.records) <= 20
+    assert 1 <= sum(record.name == "heliocube.mqtt" for record in caplog.records) <= 10
 
 
 def test_a_link_that_comes_and_goes_is_told_as_few_outages(caplog):
     caplog.set_level(logging.INFO, "heliocube")
-    delays_after([40.0] * 60)
+    delays_after([40.0] * 30)
     lines = [record.getMessage() for record in caplog.records if record.levelno >= logging.INFO]
     assert 2 <= len(lines) <= 10

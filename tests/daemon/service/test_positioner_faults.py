@@ -152,18 +152,18 @@ def test_the_units_own_tracking_is_switched_off_before_anything_else(run_rig):
     run_rig(scenario)
 
 
-def test_half_a_day_without_the_positioner_writes_few_lines(run_rig, caplog):
+def test_hours_without_the_positioner_write_few_lines(run_rig, caplog):
     async def scenario(rig):
         await tracking(rig)
         rig.cables.positioner.link_up = False
-        await asyncio.sleep(13 * 3600)
+        await asyncio.sleep(2 * 3600)
         rig.cables.positioner.link_up = True
         await asyncio.sleep(60)
 
     with caplog.at_level(logging.INFO):
         run_rig(scenario, cube={"scan_every_s": 60}, safety={"scan_stale_s": 130, "fallback_after_s": 600})
     lines = [r for r in caplog.records if "positioner" in r.getMessage() and r.levelno >= logging.INFO]
-    assert 2 <= len(lines) <= 20
+    assert 2 <= len(lines) <= 10
 
 
 def test_poses_tell_where_the_tracker_truly_stands(run_rig):

@@ -6,6 +6,7 @@ import pytest
 
 from daemon.base.records import Mode
 from daemon.service.operator import Operator
+from tests.daemon.tracker.days import FEWER_SCANS
 from tests.support.rig import ServiceRig
 
 CHANGED = "the program was changed from 0.1.0 to 0.2.0, and nobody has looked yet"
@@ -15,7 +16,7 @@ CHANGED = "the program was changed from 0.1.0 to 0.2.0, and nobody has looked ye
 def upgraded(run_rig, tmp_path, monkeypatch):
     """Run a scenario on a rig whose program is another one than at its last start."""
     monkeypatch.setattr(ServiceRig, "hold_why", CHANGED)
-    return lambda scenario: run_rig(scenario, store={"directory": tmp_path})
+    return lambda scenario: run_rig(scenario, store={"directory": tmp_path}, **FEWER_SCANS)
 
 
 @pytest.fixture
@@ -24,7 +25,7 @@ def restarted(run_rig, tmp_path, monkeypatch):
 
     def run(scenario):
         monkeypatch.setattr(ServiceRig, "hold_why", None)
-        return run_rig(scenario, store={"directory": tmp_path})
+        return run_rig(scenario, store={"directory": tmp_path}, **FEWER_SCANS)
 
     return run
 
@@ -42,7 +43,7 @@ async def moves_nothing(rig, for_s):
 def test_it_holds_with_an_alarm_until_auto_over_restarts_too(upgraded, restarted):
     async def held(rig):
         await rig.until_mode(Mode.HOLD, 60)
-        await moves_nothing(rig, 3600)
+        await moves_nothing(rig, 900)
         assert rig.tracker.control.why.endswith(CHANGED)
         assert "release-changed" in alarms(rig)
         assert "hold-forgotten" not in alarms(rig)
@@ -76,7 +77,7 @@ def test_what_persons_had_asked_for_stands_as_it_was(upgraded, restarted, comman
 
     async def stands(rig):
         await rig.until_mode(mode, 60)
-        await asyncio.sleep(900)
+        await asyncio.sleep(700)
         wishes = rig.tracker.control.wishes
         assert (rig.mode, getattr(wishes, command).by, wishes.held_by_program) == (mode, "ana", None)
         assert "release-changed" not in alarms(rig)
@@ -93,6 +94,6 @@ def test_a_storm_stows_it_all_the_same_and_afterwards_it_holds_where_it_is(upgra
         assert rig.truth() == (pytest.approx(0, abs=0.9), pytest.approx(90, abs=0.9))
         rig.wind_m_s = 1.0
         await rig.until_mode(Mode.HOLD, 3 * 3600)
-        await moves_nothing(rig, 3600)
+        await moves_nothing(rig, 900)
 
     upgraded(scenario)

@@ -9,6 +9,7 @@ from daemon.api.metrics import Metrics
 from daemon.base.records import CurveQuality, Event, IvCurve, Mode, Move
 from daemon.service.state import state_json
 from solar.pv_module import Q_PEAK_G4_1_305, maximum_power
+from tests.daemon.tracker.days import FEWER_SCANS
 
 SIMULATED = {"driver": "simulated"}
 
@@ -17,9 +18,9 @@ def test_every_curve_says_what_the_module_truly_gives(run_rig):
     async def scenario(rig):
         errors = []
         await rig.until_mode(Mode.TRACKING, 300)
-        while len(errors) < 50:
+        while len(errors) < 20:
             seen = len(rig.of(IvCurve))
-            await rig.until(lambda count=seen: len(rig.of(IvCurve)) > count, 10, "the next curve")
+            await rig.until(lambda count=seen: len(rig.of(IvCurve)) > count, 10, "the next curve", every_s=0.2)
             truth = rig.source.maximum(rig.source.light(rig.clock.monotonic()))
             last = rig.of(Move)[-1:]
             if rig.motion.moving or any(rig.clock.monotonic() - move.time_monotonic_s < 60 for move in last):
@@ -93,13 +94,14 @@ def test_an_unplugged_load_is_told_once_and_tracking_goes_on_undisturbed(run_rig
 
         return run
 
-    disturbed, calm = (run_rig(scenario(unplug), load=SIMULATED) for unplug in (True, False))
+    few = SIMULATED | {"period_s": 15.0, "points": 10}
+    disturbed, calm = (run_rig(scenario(unplug), load=few, **FEWER_SCANS) for unplug in (True, False))
     texts = [event.text for event in disturbed.of(Event) if event.subject == "load"]
     assert len(texts) == 2
     assert texts[0].startswith("the load is down: load:")
     assert texts[1] == "the load is back"
     assert disturbed.of(IvCurve)[-1].quality is CurveQuality.OK
-    assert len(calm.of(IvCurve)) - len(disturbed.of(IvCurve)) == pytest.approx(240, abs=5)
+    assert len(calm.of(IvCurve)) - len(disturbed.of(IvCurve)) == pytest.approx(80, abs=3)
 
     def moves(rig):
         return np.array([(move.time_utc_s, move.target_a_deg, move.target_b_deg) for move in rig.of(Move)])
@@ -186,7 +188,7 @@ def test_the_module_is_brighter_and_warmer_where_the_tracker_looks_at_the_sun(ru
             float(maximum_power(Q_PEAK_G4_1_305, *facing).pmpp_w), rel=0.005
         )
 
-    run_rig(scenario, load=SIMULATED)
+    run_rig(scenario, load=SIMULATED | {"period_s": 60.0})
 
 
 def test_the_load_stands_in_state_and_metrics(run_rig):

@@ -8,10 +8,10 @@ import pytest
 
 from daemon.base.records import Event, Mode, Move
 from daemon.base.state import StateFolder
-from daemon.motion.motion import Polling
 from daemon.service.operator import CommandError, Operator
 from daemon.tracker.wishes import Wishes, WishFile
 from drivers.errors import DeviceError, RefusedError
+from tests.daemon.tracker.days import pass_quietly
 from tests.support.api import serve
 from tests.support.motion import commands_sent
 from tests.support.phases import at_rest, tracking, under_way
@@ -34,9 +34,8 @@ def alarms(rig):
     return {alarm.name: alarm.text for alarm in rig.tracker.alarms.active}
 
 
-def look_seldom(rig):
-    """Let the positioner be looked at every five minutes at rest: a day of looks is no test's business."""
-    rig.motion._polling = Polling(idle_s=300.0)
+def reminders(rig):
+    return [event for event in rig.of(Event) if event.text.startswith("still in maintenance by ana@lab")]
 
 
 def press_a_button(rig):
@@ -62,7 +61,8 @@ def test_under_a_stop_every_command_is_refused_with_who_when_why_and_how_it_ends
         assert not refused.value.wrong
         assert str(refused.value).startswith(f"no {name}: the tracker is stopped by ana@lab since 2022-10-12 10:0")
         assert str(refused.value).endswith(" UTC: a hand near the actuator; only 'heliocube auto' releases it")
-        await asyncio.sleep(3600)
+        # Two decisions of the law would have been due.
+        await asyncio.sleep(700)
         assert rig.truth() == stands
         assert len(rig.of(Move)) == before
         assert rig.control.wishes.stow is rig.control.wishes.hold is rig.control.wishes.snow is None
@@ -310,13 +310,15 @@ def test_in_maintenance_nothing_moves_no_alarm_sounds_and_a_reminder_comes_after
                 await call(rig, name)
         stands = rig.truth()
         rig.wind_m_s = 20.0
-        look_seldom(rig)
-        await asyncio.sleep(1.05 * 86400)
+        await asyncio.sleep(1800)
+        pass_quietly(rig, "2022-10-13T09:50")
+        await asyncio.sleep(300)
+        assert not reminders(rig)
+        await asyncio.sleep(900)
         assert rig.truth() == stands
         assert not alarms(rig)
         assert "stow is wanted and not done (wind" in rig.control.why
-        reminders = [event for event in rig.of(Event) if event.text.startswith("still in maintenance by ana@lab")]
-        assert len(reminders) == 1
+        assert len(reminders(rig)) == 1
 
     async def second(rig):
         await asyncio.sleep(600)

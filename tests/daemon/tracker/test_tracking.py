@@ -9,12 +9,13 @@ import pytest
 from daemon.base.records import Decision, Mode, ModeChange, Move, MoveOutcome, Pose, Scan
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
+from tests.daemon.tracker.days import pass_quietly
 from tests.support.phases import tracking
 from tests.support.rig import SITE, HandWeather
 
 
-async def one_hour(_rig):
-    await asyncio.sleep(3600)
+async def half_an_hour(_rig):
+    await asyncio.sleep(1800)
 
 
 def plain_mean(scans):
@@ -24,9 +25,9 @@ def plain_mean(scans):
 
 
 def test_the_tracker_goes_where_equations_12_to_14_put_it(run_rig):
-    rig = run_rig(one_hour, law={"name": "mu-prime"})
+    rig = run_rig(half_an_hour, law={"name": "mu-prime"})
     decisions = rig.of(Decision)
-    assert len(decisions) >= 11
+    assert len(decisions) >= 5
     for decision in decisions:
         scans = [record for record in rig.records[: rig.records.index(decision)] if isinstance(record, Scan)]
         east, south, west, zenith = plain_mean(scans)
@@ -45,21 +46,21 @@ def test_the_tracker_goes_where_equations_12_to_14_put_it(run_rig):
 
 
 def test_chronometric_stands_perpendicular_to_the_sun(run_rig):
-    rig = run_rig(one_hour, law={"name": "chronometric"})
+    rig = run_rig(half_an_hour, law={"name": "chronometric"})
     truth = rig.truth()
     sun = sun_direction(rig.clock.utc(), *SITE)
     assert separation_deg(normal_from_angles(*truth), sun) < 2.0
-    assert len(rig.of(Move)) >= 8
+    assert len(rig.of(Move)) >= 4
 
 
 def test_an_overcast_sky_lays_the_tracker_flat(run_rig):
-    rig = run_rig(one_hour, weather=HandWeather(dni=0, dhi=150))
+    rig = run_rig(half_an_hour, weather=HandWeather(dni=0, dhi=150))
     assert rig.truth().b_deg == pytest.approx(90, abs=1.5)
     assert rig.truth().a_deg == pytest.approx(0, abs=1.5)
 
 
-def test_decisions_come_every_five_minutes_from_a_window_of_two(run_rig):
-    rig = run_rig(one_hour)
+def test_decisions_come_every_five_minutes_from_a_window_of_two_and_scans_at_their_floor(run_rig):
+    rig = run_rig(half_an_hour)
     times = [decision.time_monotonic_s for decision in rig.of(Decision)]
     assert [later - earlier for earlier, later in itertools.pairwise(times)] == pytest.approx(
         [300] * (len(times) - 1), abs=0.1
@@ -67,16 +68,8 @@ def test_decisions_come_every_five_minutes_from_a_window_of_two(run_rig):
     first, *others = [decision.irradiances.coverage for decision in rig.of(Decision)]
     assert first >= 0.25
     assert others == pytest.approx([1.0] * len(others), abs=0.1)
-
-
-def test_noise_alone_moves_nothing(run_rig):
-    rig = run_rig(one_hour, weather=HandWeather(dni=0, dhi=200), law={"name": "mu-prime"}, rest_look_s=5.0)
-    assert len(rig.of(Move)) == 0, "flat to begin with, flat by the law: nothing to do"
-
-
-def test_a_scan_takes_at_most_five_percent_more_than_its_floor(run_rig):
-    rig = run_rig(one_hour)
     scans = rig.of(Scan)
+    # At most five percent more.
     floor_s = 4 * (0.3 + 0.040)
     east_to_zenith = [scan.zenith.time_monotonic_s - scan.east.time_monotonic_s for scan in scans]
     assert max(east_to_zenith) <= floor_s * 3 / 4 * 1.05
@@ -84,9 +77,17 @@ def test_a_scan_takes_at_most_five_percent_more_than_its_floor(run_rig):
     assert [b - a for a, b in itertools.pairwise(starts)] == pytest.approx([5.0] * (len(starts) - 1), abs=0.01)
 
 
+def test_noise_alone_moves_nothing(run_rig):
+    rig = run_rig(half_an_hour, weather=HandWeather(dni=0, dhi=200), law={"name": "mu-prime"}, rest_look_s=5.0)
+    assert len(rig.of(Move)) == 0, "flat to begin with, flat by the law: nothing to do"
+
+
 def test_night_falls_and_morning_comes(run_rig):
-    async def through_the_night(_rig):
-        await asyncio.sleep(14.5 * 3600)
+    async def through_the_night(rig):
+        await rig.until_mode(Mode.NIGHT, 2 * 3600)
+        await asyncio.sleep(1800)
+        pass_quietly(rig, "2022-10-13T05:30")
+        await asyncio.sleep(1.5 * 3600)
 
     class Day(HandWeather):
         def at(self, utc_s):
@@ -97,11 +98,11 @@ def test_night_falls_and_morning_comes(run_rig):
             return conditions
 
     seldom = {"cube": {"scan_every_s": 60}, "safety": {"scan_stale_s": 130}}
-    rig = run_rig(through_the_night, start="2022-10-12T16:30", weather=Day(), rest_look_s=30.0, **seldom)
+    rig = run_rig(through_the_night, start="2022-10-12T17:00", weather=Day(), rest_look_s=30.0, **seldom)
     modes = [change.after for change in rig.of(ModeChange)]
     assert modes == [Mode.TRACKING, Mode.NIGHT, Mode.TRACKING]
     dark = next(change.time_utc_s for change in rig.of(ModeChange) if change.after is Mode.NIGHT)
-    at_night = [pose for pose in rig.of(Pose) if dark + 600 < pose.time_utc_s < dark + 7 * 3600]
+    at_night = [pose for pose in rig.of(Pose) if dark + 600 < pose.time_utc_s < dark + 11 * 3600]
     assert {(round(pose.a_deg), round(pose.b_deg)) for pose in at_night} == {(0, 90)}
 
 
