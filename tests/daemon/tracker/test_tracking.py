@@ -119,6 +119,7 @@ def test_a_good_scan_wakes_whoever_waits_for_it(run_rig):
             await rig.until(lambda scans=scans: any(scan.ok for scan in rig.of(Scan)[scans:]), 60, "a good scan")
             await asyncio.sleep(0.1)
             assert rig.mode is Mode.TRACKING
+            assert rig.control.state.since_utc_s == rig.of(ModeChange)[-1].time_utc_s
             await asyncio.sleep(130)
 
     run_rig(scenario)

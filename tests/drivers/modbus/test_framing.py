@@ -129,6 +129,12 @@ def test_an_exception_is_an_answer():
     assert exception_text(reply) == "has no such register (exception 2)"
 
 
+def test_an_exception_is_found_before_a_byte_of_noise():
+    framing = RtuClient()
+    framing.begin(ASKED)
+    assert exception_text(framing.feed(rtu(2, 0x84, 2) + bytes(1))) == "has no such register (exception 2)"
+
+
 def test_over_tcp_a_late_reply_bears_the_number_of_its_own_question():
     client, server = TcpClient(), TcpServer()
     (late,) = server.feed(client.begin(ASKED), 0.0)
