@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from solar.frames import Array, Limits, angles_within, normal_from_angles
-from solar.laws.light import Light, aim_vector, light_from_faces, usable_faces, within_reach
+from solar.laws.light import aim_vector, irradiance_on, light_from_faces, usable_faces, within_reach
 
 FACES_NEEDED = 3
 
@@ -35,19 +35,6 @@ class Received(NamedTuple):
     actual_w_m2: Array
     chronometric_w_m2: Array
     best_w_m2: Array
-
-
-def irradiance_on(light: Light, sun: ArrayLike, albedo: ArrayLike, normals: ArrayLike) -> Array:
-    """Return the irradiance [W/m2], shape (...), of unit normals (..., 3) in the light under suns (..., 3)."""
-    sun, normals = np.asarray(sun, dtype=np.float64), np.asarray(normals, dtype=np.float64)
-    height, up = np.maximum(sun[..., 2], 0.0), normals[..., 2]
-    towards = np.maximum(np.sum(sun * normals, axis=-1), 0.0)
-    level = np.sqrt(np.maximum(1.0 - up * up, 0.0))
-    ground = np.asarray(albedo) * (light.beam * height + light.uniform)
-    result: Array = (
-        light.beam * towards + light.uniform * (1.0 + up) / 2.0 + light.horizon * level + ground * (1.0 - up) / 2.0
-    )
-    return result
 
 
 def received(

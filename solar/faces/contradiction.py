@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from solar.faces.plausible import LOWEST_SINE
 from solar.frames import FACE_NORMALS, Array
-from solar.laws.light import Light, light_from_faces
-from solar.received import irradiance_on
+from solar.laws.light import Light, irradiance_on, light_from_faces
 
 PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 """Places of two faces that may be swapped."""

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from solar.frames import FACE_NORMALS, Array
-from solar.laws.light import light_from_faces
-from solar.received import irradiance_on
+from solar.laws.light import irradiance_on, light_from_faces
 
 _SOLAR_CONSTANT_W_M2 = 1361.0
 LOWEST_SINE = float(np.sin(np.radians(5.0)))

@@ -131,6 +131,19 @@ def light_from_faces(
     return _possible(solution, weight, towards, height)
 
 
+def irradiance_on(light: Light, sun: ArrayLike, albedo: ArrayLike, normals: ArrayLike) -> Array:
+    """Return the irradiance [W/m2], shape (...), of unit normals (..., 3) under suns (..., 3); no beam from behind."""
+    sun, normals = np.asarray(sun, dtype=np.float64), np.asarray(normals, dtype=np.float64)
+    height, up = np.maximum(sun[..., 2], 0.0), normals[..., 2]
+    towards = np.maximum(np.sum(sun * normals, axis=-1), 0.0)
+    level = np.sqrt(np.maximum(1.0 - up * up, 0.0))
+    ground = np.asarray(albedo) * (light.beam * height + light.uniform)
+    result: Array = (
+        light.beam * towards + light.uniform * (1.0 + up) / 2.0 + light.horizon * level + ground * (1.0 - up) / 2.0
+    )
+    return result
+
+
 def aim_vector(light: Light, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Array:
     """Return M [W/m2], shape (..., 3): its product with a unit normal is the normal's irradiance but for a constant.
 

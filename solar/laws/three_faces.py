@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from solar.frames import FACE_NORMALS, Array
-from solar.laws.light import light_from_faces
-from solar.received import irradiance_on
+from solar.laws.light import irradiance_on, light_from_faces
 
 FACES_NEEDED = 3
 

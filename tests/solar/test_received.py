@@ -6,8 +6,8 @@ import pytest
 from solar.energy import best_possible, build_sky, faces_under, lay_out
 from solar.ephemeris import Site
 from solar.frames import Limits, normal_from_angles
-from solar.laws.light import Light
-from solar.received import insolation, irradiance_on, received
+from solar.laws.light import Light, irradiance_on
+from solar.received import insolation, received
 
 SITE = Site(48.72, 2.21, 156.0)
 LIMITS = Limits()
