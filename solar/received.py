@@ -14,9 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from solar.frames import Array, Limits, angles_within, normal_from_angles
-from solar.laws.light import aim_vector, irradiance_on, light_from_faces, usable_faces, within_reach
-
-FACES_NEEDED = 3
+from solar.laws.light import FACES_NEEDED, aim_vector, irradiance_on, light_from_faces, usable_faces, within_reach
 
 
 class Received(NamedTuple):

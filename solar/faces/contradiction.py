@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solar.faces.plausible import LOWEST_SINE
-from solar.frames import FACE_NORMALS, Array
-from solar.laws.light import Light, irradiance_on, light_from_faces
+from solar.frames import Array
+from solar.laws.light import Light, light_from_faces, on_faces
 
 PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 """Places of two faces that may be swapped."""
@@ -145,5 +145,4 @@ def _left_over(faces: Array, sun: Array, used: NDArray[np.bool_]) -> Array:
 def faces_of(light: Light, sun: Array, albedo: Array | float) -> Array:
     """Return what the faces of a cube read [W/m2] in a light whose horizon is no darker than any is, shape (..., 4)."""
     horizon = np.clip(light.horizon, _HORIZON_RANGE[0] * light.uniform, _HORIZON_RANGE[1] * light.uniform)
-    bounded = light._replace(horizon=horizon)
-    return np.stack([irradiance_on(bounded, sun, albedo, normal) for normal in FACE_NORMALS], axis=-1)
+    return on_faces(light._replace(horizon=horizon), sun, albedo)

@@ -21,7 +21,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from solar.frames import Array, Limits, angles_within
+from solar.frames import FACE_NORMALS, Array, Limits, angles_within
+
+FACES_NEEDED = 3
+"""How many faces the light can be told by, with the sun's position."""
 
 # Weight of the assumption that H is 0, beside one face's reading: it decides only where faces are missing.
 _HORIZON_PRIOR = 0.02
@@ -142,6 +145,11 @@ def irradiance_on(light: Light, sun: ArrayLike, albedo: ArrayLike, normals: Arra
         light.beam * towards + light.uniform * (1.0 + up) / 2.0 + light.horizon * level + ground * (1.0 - up) / 2.0
     )
     return result
+
+
+def on_faces(light: Light, sun: ArrayLike, albedo: ArrayLike) -> Array:
+    """Return what the faces of a cube read [W/m2] in the light under suns (..., 3), shape (..., 4)."""
+    return np.stack([irradiance_on(light, sun, albedo, normal) for normal in FACE_NORMALS], axis=-1)
 
 
 def aim_vector(light: Light, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Array:

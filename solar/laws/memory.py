@@ -11,15 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from solar.frames import Array
-from solar.laws.light import Light, light_from_faces, usable_faces
+from solar.laws.light import FACES_NEEDED, Light, light_from_faces, usable_faces
 from solar.laws.site import Learned, SiteLearning
 
 Flags = NDArray[np.bool_]
 
 THRIFT_RANGE = (0.1, 100.0)
 """Least and greatest weight of wear against harvest."""
-
-_FACES_NEEDED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +141,7 @@ class LightMemory:
         elapsed = np.broadcast_to(elapsed, faces.shape[:-1])
         faces = self.site.corrected(faces)
         usable = usable_faces(faces, sun)
-        good = (usable.sum(axis=-1) >= _FACES_NEEDED) & (sun[..., 2] > 0.0)
+        good = (usable.sum(axis=-1) >= FACES_NEEDED) & (sun[..., 2] > 0.0)
         lights = np.stack(light_from_faces(faces, sun, self.site.learned.albedo, usable), axis=1)
         for light, is_good, seconds in zip(lights, good, elapsed, strict=True):
             self._remember(light, is_good, seconds)

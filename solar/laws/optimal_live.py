@@ -15,7 +15,7 @@ from solar.ephemeris import DAY_S, SunDay, SunPosition, sun_day, sun_direction, 
 from solar.frames import Angles, Array, Limits, azimuth_from_direction, direction_from_azimuth
 from solar.laws.heard import Heard, solar_day
 from solar.laws.law import Aim, Estimates, Faces, Law, LawSettings, Moment, Reading, TrackerFacts
-from solar.laws.light import light_from_faces, usable_faces, zenith_usable
+from solar.laws.light import FACES_NEEDED, light_from_faces, usable_faces, zenith_usable
 from solar.laws.memory import THRIFT_RANGE, OptimalSettings
 from solar.laws.optimal import Choice, OptimalLaw
 from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning
@@ -23,7 +23,6 @@ from solar.laws.words import weighed
 from solar.rows.group import TrackerGroup
 
 DECIDE_EVERY_S = 60.0
-FACES_NEEDED = 3
 _TOO_MUCH = "what the law may move in a day does not allow it (law.moves_per_day, law.travel_per_day_deg)"
 
 

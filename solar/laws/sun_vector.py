@@ -7,8 +7,9 @@ from solar.energy import DaylightWeather, Steer
 from solar.frames import Array, Limits
 from solar.laws import paper
 from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
+from solar.laws.light import FACES_NEEDED
 from solar.laws.steer import by_the_mean
-from solar.laws.three_faces import FACES_NEEDED, completed
+from solar.laws.three_faces import completed
 from solar.laws.words import towards_sun
 
 

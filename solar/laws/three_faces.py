@@ -6,10 +6,8 @@ The light that explains three faces best (:func:`solar.laws.light.light_from_fac
 import numpy as np
 from numpy.typing import ArrayLike
 
-from solar.frames import FACE_NORMALS, Array
-from solar.laws.light import irradiance_on, light_from_faces
-
-FACES_NEEDED = 3
+from solar.frames import Array
+from solar.laws.light import FACES_NEEDED, light_from_faces, on_faces
 
 
 def completed(faces: ArrayLike, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Array:
@@ -30,5 +28,4 @@ def completed(faces: ArrayLike, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Arra
     if not alone.any():
         return readings
     light = light_from_faces(readings, sun, albedo, known)
-    by_the_others = np.stack([irradiance_on(light, sun, albedo, normal) for normal in FACE_NORMALS], axis=-1)
-    return np.where(alone, by_the_others, readings)
+    return np.where(alone, on_faces(light, sun, albedo), readings)
