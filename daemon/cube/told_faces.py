@@ -19,7 +19,6 @@ class _FaceAlarm(ABC):
         Of what belongs to no tracker.
     """
 
-    _name: ClassVar[str]
     _qualities: ClassVar[tuple[Quality, ...]]
 
     def __init__(self, alarms: Alarms) -> None:
@@ -34,24 +33,23 @@ class _FaceAlarm(ABC):
             self._counts[place] = min(max(self._counts[place] + step, 0), _SCANS)
         counts = dict(zip(FACES, self._counts, strict=True))
         faces = tuple(name for name, count in counts.items() if count == _SCANS or (count > 0 and name in self._faces))
-        if faces != self._faces:
-            self._faces = faces
-            self._alarms.set(self._name, self._text(faces, scan) if faces else None, of=faces)
+        self._faces = faces
+        self._tell(scan)
 
     @abstractmethod
-    def _text(self, faces: tuple[str, ...], scan: Scan) -> str | None:
-        """Return what the alarm says of some faces, None for nothing."""
+    def _tell(self, scan: Scan) -> None:
+        """Raise the alarm, or end it, by the faces that are in it after a scan."""
 
 
 class ToldFaces(_FaceAlarm):
     """Raises `cube-face` in the tracker's process, for faces that a cube on another machine does not believe."""
 
-    _name = "cube-face"
     _qualities = (Quality.IMPLAUSIBLE,)
 
-    def _text(self, faces: tuple[str, ...], _scan: Scan) -> str:
-        read = "faces read" if len(faces) > 1 else "face reads"
-        return f"the {', '.join(faces)} {read} what cannot be true and is not used; the cube's own alarms say why"
+    def _tell(self, _scan: Scan) -> None:
+        read = "faces read" if len(self._faces) > 1 else "face reads"
+        text = f"the {', '.join(self._faces)} {read} what cannot be true and is not used; the cube's own alarms say why"
+        self._alarms.set("cube-face", text if self._faces else None, of=self._faces)
 
 
 class UnreadFaces(_FaceAlarm):
@@ -60,12 +58,13 @@ class UnreadFaces(_FaceAlarm):
     What a digital sensor says of itself (`cube-sensor`) is not said twice.
     """
 
-    _name = "face-unread"
     _qualities = (Quality.OVER_RANGE, Quality.STALE, Quality.MISSING)
 
-    def _text(self, faces: tuple[str, ...], scan: Scan) -> str | None:
-        if len(faces) == len(FACES) or any(alarm.name == "cube-sensor" for alarm in self._alarms.active):
-            return None
+    def _tell(self, scan: Scan) -> None:
+        if len(self._faces) in (0, len(FACES)) or any(alarm.name == "cube-sensor" for alarm in self._alarms.active):
+            self._alarms.set("face-unread", None)
+            return
         read = dict(zip(FACES, scan.faces, strict=True))
-        each = ", ".join(f"{name} ({read[name].quality})" for name in faces)
-        return f"no reading of {each} while other faces are read"
+        if all(read[name].quality in self._qualities for name in self._faces):
+            each = ", ".join(f"{name} ({read[name].quality})" for name in self._faces)
+            self._alarms.set("face-unread", f"no reading of {each} while other faces are read", of=self._faces)
