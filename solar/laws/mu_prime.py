@@ -6,10 +6,9 @@ from pydantic import Field
 from solar.energy import DaylightWeather, Steer
 from solar.frames import Array, Limits
 from solar.laws import paper
-from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
-from solar.laws.light import FACES_NEEDED
+from solar.laws.law import NO_DIRECTION, LawSettings, Moment, TrackerFacts
 from solar.laws.steer import by_the_mean
-from solar.laws.three_faces import completed
+from solar.laws.three_faces import ThreeFacesLaw, completed
 from solar.laws.words import towards_light
 from solar.rows.group import TrackerGroup
 
@@ -25,16 +24,14 @@ class MuPrimeSettings(LawSettings):
     )
 
 
-class MuPrimeLaw(DirectionLaw):
-    """Points along mu' of the mean; a face without one reads what the light behind the other three puts on it.
+class MuPrimeLaw(ThreeFacesLaw):
+    """Points along mu' of the mean; a face that tells nothing reads what the light behind the others puts on it.
 
     Parameters
     ----------
     settings, tracker
         Its parameters and what it points.
     """
-
-    faces_needed = FACES_NEEDED
 
     def __init__(self, settings: MuPrimeSettings, tracker: TrackerFacts) -> None:
         super().__init__(tracker)

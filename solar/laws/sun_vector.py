@@ -6,10 +6,9 @@ from pydantic import Field
 from solar.energy import DaylightWeather, Steer
 from solar.frames import Array, Limits
 from solar.laws import paper
-from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
-from solar.laws.light import FACES_NEEDED
+from solar.laws.law import NO_DIRECTION, LawSettings, Moment, TrackerFacts
 from solar.laws.steer import by_the_mean
-from solar.laws.three_faces import completed
+from solar.laws.three_faces import ThreeFacesLaw, completed
 from solar.laws.words import towards_sun
 
 
@@ -45,16 +44,14 @@ class SunVectorSettings(LawSettings):
         )
 
 
-class SunVectorLaw(DirectionLaw):
-    """Points along s of the mean, completed by the ephemeris where no face can see or one has no reading.
+class SunVectorLaw(ThreeFacesLaw):
+    """Points along s of the mean, completed by the ephemeris where no face can see or one tells nothing.
 
     Parameters
     ----------
     settings, tracker
         Its parameters and what it points.
     """
-
-    faces_needed = FACES_NEEDED
 
     def __init__(self, settings: SunVectorSettings, tracker: TrackerFacts) -> None:
         super().__init__(tracker)

@@ -1,29 +1,45 @@
 """Three faces and the sun's position for a law that reads four.
 
-The light that explains three faces best (:func:`solar.laws.light.light_from_faces`) tells what the fourth would read.
+The light that explains three faces best (:func:`solar.laws.light.light_from_faces`) tells what the fourth would read,
+where it has no reading or one that its neighbours contradict.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from solar.frames import Array
-from solar.laws.light import FACES_NEEDED, light_from_faces, on_faces
+from solar.laws.law import DirectionLaw, Faces
+from solar.laws.light import FACES_NEEDED, light_from_faces, on_faces, usable_faces, zenith_usable
+
+
+class ThreeFacesLaw(DirectionLaw):
+    """A law that says a direction by the faces, and goes on with three of them."""
+
+    faces_needed = FACES_NEEDED
+
+    def believes_zenith(self, faces_w_m2: Faces, utc_s: float) -> bool:  # noqa: ARG002
+        """Whether the zenith face of a mean [W/m2] can be believed beside the other three."""
+        return bool(zenith_usable(faces_w_m2))
 
 
 def completed(faces: ArrayLike, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Array:
-    """Return the faces, and for the one without a reading what the light behind the other three puts on it.
+    """Return the faces, and for one that tells nothing what the light behind the other three puts on it.
 
     Parameters
     ----------
     faces
-        Irradiances [W/m2], shape (..., 4); NaN for none. Where more than one has none it stays as it is.
+        Irradiances [W/m2], shape (..., 4). One tells nothing if it is NaN or, where all four have a reading, covered
+        or dead by what the others read (:func:`solar.laws.light.usable_faces`). Where more than one tells nothing all
+        stay as they are.
     sun
         Unit vector(s) to the apparent sun, shape (..., 3).
     albedo
         Of the ground around the cube, shape (...).
     """
     readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
-    known = np.isfinite(readings)
+    read = np.isfinite(readings)
+    # With one face missing already, the others are all there is.
+    known = np.where(read.all(axis=-1, keepdims=True), usable_faces(readings, sun), read)
     alone = ~known & (known.sum(axis=-1, keepdims=True) == FACES_NEEDED)
     if not alone.any():
         return readings

@@ -1,6 +1,6 @@
 """What the law `optimal` keeps of the bound's gain when something is wrong: faces, noise, gains, the ground, a budget.
 
-Last come the paper's laws with one face missing.
+Last come the paper's laws with one face missing or dead.
 
 Usage: python tests/measurements/optimal_burdens.py LAT,LON,ALT WEATHER... [--sky SKY]
 
@@ -83,6 +83,8 @@ def main():
         say(name, days, days.faces, law)
         for number, face in enumerate(FACES):
             say(f"{name}, no {face} face", days, without(days, number), law)
+        for number, face in enumerate(FACES):
+            say(f"{name}, a dead {face} face", days, dead(days, number, np.random.default_rng(2)), law)
 
 
 if __name__ == "__main__":

@@ -55,7 +55,7 @@ def test_a_real_rotctld_follows_the_simulated_sky_and_is_taken_up_again_after_it
         return all(abs(here - there) <= WITHIN_DEG for here, there in zip(stands, law_says(bench), strict=True))
 
     wait_until(follows, SETTLES_WITHIN_S, service.log)
-    bench.ask("shade", "east", 0)
+    bench.ask("shade", "zenith", 0.5)
     wait_until(lambda: not follows(), SETTLES_WITHIN_S, service.log)
     wait_until(follows, SETTLES_WITHIN_S, service.log)
     server.kill()

@@ -49,6 +49,33 @@ def test_four_faces_are_left_alone_and_so_are_two():
     np.testing.assert_array_equal(both, [four, two])
 
 
+@pytest.mark.parametrize("face", range(4))
+def test_a_dead_face_counts_as_one_that_is_missing(face):
+    minutes, _, faces = day(*CLEAR)
+    up = minutes.sun[:, 2] > 0.2
+    sun, faces = minutes.sun[up], faces[up]
+    dead, without = faces.copy(), faces.copy()
+    dead[:, face], without[:, face] = 0.3, np.nan
+    # A face without beam beside others without it is as dark as theirs are: nothing contradicts it then.
+    found, expected = completed(dead, sun), completed(without, sun)
+    replaced = (found == expected).all(axis=-1)
+    assert replaced.mean() > 0.95
+    np.testing.assert_array_equal(found[~replaced], dead[~replaced])
+
+
+def test_beside_a_missing_face_the_three_others_count_however_dark_one_is():
+    sun = np.array([0.6, 0.0, 0.8])
+    found = completed(np.array([np.nan, 500.0, 1.0, 600.0]), sun)
+    assert np.isfinite(found).all()
+
+
+@pytest.mark.parametrize("law", [mu_prime, sun_vector])
+def test_a_dead_zenith_face_does_not_make_it_night(law):
+    made = law.build(law.SETTINGS(), TrackerFacts(LYNGBY, Limits(), 5.0, 300.0, NIGHTS))
+    assert not made.believes_zenith((500.0, 600.0, 100.0, 0.3), NIGHTS)
+    assert made.believes_zenith((0.3, 0.4, 0.2, 0.3), NIGHTS)
+
+
 @pytest.mark.parametrize("law", [mu_prime, sun_vector])
 @pytest.mark.parametrize("face", range(4))
 def test_reading_by_reading_three_faces_steer_as_in_the_benchmark_and_nearly_as_four(law, face):
