@@ -24,3 +24,11 @@ def heliocube(monkeypatch, capsys):
         return ended.value.code, written.out, written.err
 
     return run
+
+
+@pytest.fixture
+def few_curves(tmp_path):
+    """Names a configuration with a curve every 15 s of fourteen points: thirty every 5 s take six times as long."""
+    path = tmp_path / "few_curves.toml"
+    path.write_text("[load]\npoints = 14\nperiod_s = 15.0\n")
+    return ("--config", path)

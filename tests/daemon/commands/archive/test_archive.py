@@ -17,11 +17,11 @@ SPAN = ("--from", f"{DAY}T10:00", "--to", f"{DAY}T10:14")
 
 
 @pytest.fixture
-def store(tmp_path, heliocube):
+def store(tmp_path, heliocube, few_curves):
     """Some minutes of two trackers with loads."""
     folder = tmp_path / "store"
     simulate = ("compare", "simulate", "--start", f"{DAY}T10:00", "--days", "0.01", "--laws", "chronometric,flat")
-    assert heliocube(*simulate, "--store", folder)[0] == 0
+    assert heliocube(*simulate, *few_curves, "--store", folder)[0] == 0
     return folder
 
 
