@@ -60,7 +60,7 @@ def test_under_an_even_sky_what_would_lie_flat_gains_over_what_follows_the_sun_a
         assert shadow["moves"] == 0
         assert shadow["active_moves"] >= 5
 
-    rig = run_rig(scenario, law={"driver": "chronometric", "shadow": "flat"}, weather=OVERCAST)
+    rig = run_rig(scenario, law={"driver": "chronometric", "shadow": "flat"}, weather=OVERCAST, **SELDOM)
     assert {decision.law for decision in rig.of(Decision)} == {"chronometric"}
     assert rig.truth().b_deg < 60.0
 
@@ -127,7 +127,7 @@ def test_what_it_has_learned_and_moved_outlives_a_restart(run_rig, tmp_path):
     async def scenario(rig):
         await most_of_an_hour(rig)
 
-    run_rig(scenario, store={"directory": tmp_path}, law=law)
+    run_rig(scenario, store={"directory": tmp_path}, law=law, **SELDOM)
     assert json.loads((tmp_path / "shadow-optimal-learned.json").read_text())["albedo"] == pytest.approx(0.35, abs=0.1)
     kept = json.loads((tmp_path / "shadow-optimal-day.json").read_text())
     assert kept["active_moves"] >= 5
