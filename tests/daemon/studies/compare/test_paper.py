@@ -23,10 +23,10 @@ SELDOM = "[cube]\nscan_every_s = 60\n\n[safety]\nscan_stale_s = 120\n\n[site]\nl
 
 @pytest.mark.long
 def test_the_shape_of_the_papers_results_is_found_again(monkeypatch, capsys, tmp_path):
-    # The powers of the flat day until noon are those after it, and of both days the hours until the afternoon are
-    # asked for: from 08:00 to 12:20.
+    # The first three hours of the flat day have all powers of the two days in October, of which the hours until the
+    # afternoon are asked for: from 08:00 to 12:20.
     monkeypatch.setattr(paper, "_FLAT_START", datetime(2022, 8, 3, 6, tzinfo=UTC))
-    monkeypatch.setattr(paper, "_FLAT_DAYS", 6.0 / 24.0)
+    monkeypatch.setattr(paper, "_FLAT_DAYS", 3.0 / 24.0)
     monkeypatch.setattr(paper, "_BEGIN_HOUR", 8)
     monkeypatch.setattr(paper, "_DAY_SHARE", (4.0 + 20.0 / 60.0) / 24.0)
     config = tmp_path.with_name("seldom.toml")
