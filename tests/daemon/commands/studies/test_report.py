@@ -285,11 +285,11 @@ def test_a_picture_that_cannot_be_drawn_is_one_sentence(heliocube, store, tmp_pa
 
 
 def test_simulate_and_replay_write_the_same_page(heliocube, tmp_path):
-    start = ("--start", "2022-06-21T11:00Z", "--days", "0.02")
+    start = ("--start", "2022-06-21T11:00Z", "--days", "0.01")
     out = tmp_path / "tables"
     code, told, err = heliocube("simulate", *start, "--out", out, "--report", tmp_path / "pages", "--json")
-    assert (code, err, json.loads(told)["scans"]) == (0, "", 346)
-    simulated = (tmp_path / "pages" / "20220621T1100Z_20220621T1128Z-tracker.html").read_text(encoding="utf-8")
+    assert (code, err, json.loads(told)["scans"]) == (0, "", 173)
+    simulated = (tmp_path / "pages" / "20220621T1100Z_20220621T1114Z-tracker.html").read_text(encoding="utf-8")
     faces = tmp_path / "faces.csv"
     with (out / "scans.csv").open(newline="") as file:
         scans = list(csv.DictReader(file))
