@@ -80,7 +80,7 @@ CHANGES = (
     (r"/etc/heliocube/", ""),
     (r"^(heliocube replay )tmp/samples/mixed.csv", r"\1faces.csv"),
     (r"--day yesterday", "--day 2022-10-14"),
-    (r"^(heliocube (?:compare )?simulate .*--start \S+)", r"\1T11:00Z --days 0.02"),
+    (r"^(heliocube (?:compare )?simulate .*--start \S+)", r"\1T11:00Z --days 0.01"),
     (r"(--plot map|--lat-range 0:65):1", r"\1:13"),
 )
 # What a command may end with beside 0.
