@@ -114,8 +114,8 @@ def test_each_failure_is_reduced_and_kept_so_that_it_can_be_run_alone(tmp_path, 
     # What a service says is too much then as soon as a person has said anything.
     monkeypatch.setattr("daemon.studies.campaign.bounded.LINES_OF_A_COMMAND", -100)
     said, keep = [], tmp_path / "failures"
-    given = tuple(Happening(100.0 + 50 * at, "command", name) for at, name in enumerate(("stow", "auto", "clear")))
-    schedule = replace(draw(7, 0.1), events=given)
+    given = tuple(Happening(70.0 + 20 * at, "command", name) for at, name in enumerate(("stow", "auto", "clear")))
+    schedule = replace(draw(7, 0.04), events=given)
     assert Attack([schedule], HERE, said.append, keep, show=False).run(lambda _share: None) == 1
     (alone,) = chosen_schedules(1, 1, 1.0, (), (), keep / "seed-7.json")
     assert run_schedule(alone).promises == {"log"}
