@@ -65,12 +65,12 @@ def plain_means(scans, decisions):
 
 
 # A clear sky, and a closed one that opens.
-@pytest.mark.parametrize("start", ["2016-06-05T09:00", "2016-03-15T11:30"])
+@pytest.mark.parametrize("start", ["2016-06-05T09:00", "2016-03-15T12:00"])
 def test_on_measured_days_mu_prime_lands_where_the_equations_put_it(measured, tmp_path, start):
     weather = measured / "dtu_lyngby_2016" / f"{start[:7]}.csv.gz"
-    day(tmp_path, start, weather, "mu-prime", LYNGBY, days=0.12)
+    day(tmp_path, start, weather, "mu-prime", LYNGBY, days=0.08)
     decisions = [row for row in rows(tmp_path / "decisions.csv") if row["mode"] == "tracking"]
-    assert len(decisions) > 25
+    assert len(decisions) > 20
     settled = 0
     poses = rows(tmp_path / "poses.csv")
     stood = iter(poses)
