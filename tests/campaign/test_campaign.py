@@ -11,7 +11,7 @@ from daemon.studies.campaign.draw import draw
 from daemon.studies.campaign.run import run_schedule
 from daemon.studies.campaign.schedule import Schedule
 
-HOURS = 1.5
+HOURS = 1.0
 SEEDS = range(1, 9)
 FAILED_ONCE = sorted((Path(__file__).parent / "failed_once").glob("*.json"))
 

@@ -23,11 +23,11 @@ def learn(days, albedo, gains=(1.0, 1.0, 1.0, 1.0), dni=800.0):
     light = sky("isotropic", sun, np.full(len(sun), dni), np.full(len(sun), 90.0), np.full(len(sun), 1360.0))
     faces = light.irradiance_on(NORMALS[:, None], albedo).T * np.array(gains)
     for _ in range(days):
-        for row in range(0, len(sun), 10):
+        for row in range(0, len(sun), 30):
             corrected = site.corrected(faces[row])
             usable = usable_faces(corrected, sun[row])
             beam = light_from_faces(corrected, sun[row], site.learned.albedo, usable).beam
-            site.observe(corrected, sun[row], usable, beam, 600.0)
+            site.observe(corrected, sun[row], usable, beam, 1800.0)
         site.end_of_day()
     return site.learned
 
