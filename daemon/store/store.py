@@ -295,9 +295,13 @@ class Store:
 
     def _reason(self, error: Exception) -> str:
         """Return what is wrong in words; of a full disk SQLite has several, some of which do not name it."""
+        full = f"the disk of {self._path.parent} is full"
+        # What it takes back of a batch that found no room may leave more room than that.
+        if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
+            return full
         with contextlib.suppress(OSError):
             if shutil.disk_usage(self._path.parent).free < _ROOM_BYTES:
-                return f"the disk of {self._path.parent} is full"
+                return full
         if isinstance(error, OSError) and error.strerror:
             return f"{error.filename or self._path.parent}: {error.strerror}"
         return str(error)
