@@ -8,6 +8,7 @@ import urllib.request
 
 import pytest
 
+from daemon.base.errors import ExitCode
 from tests.support import forks
 from tests.support.addresses import free_port
 
@@ -118,7 +119,8 @@ def test_a_count_that_was_lost_is_a_fault_until_the_trackers_role_has_homed_both
     firmware = start_firmware(-46.0, 20.0)
     with tracker(firmware, tmp_path, 240) as (config, address):
         until_state(address, lambda seen: seen["tracker"]["connected"], 40, "the connection")
-        assert heliocube("hold", "-c", config).returncode == 0
+        # On a busy machine the command may end before it has seen rest; here that is waited for.
+        assert heliocube("hold", "-c", config).returncode in (ExitCode.GOOD, ExitCode.NOT_SEEN)
         # It may have set out already: what jumps while a stopped move runs out counts as motion.
         until_state(address, lambda seen: seen["mode"]["name"] == "hold" and not seen["tracker"]["moving"], 60, "rest")
         time.sleep(3.0)
