@@ -47,9 +47,12 @@ class ToldFaces(_FaceAlarm):
     _qualities = (Quality.IMPLAUSIBLE,)
 
     def _tell(self, _scan: Scan) -> None:
+        if not self._faces:
+            self._alarms.set("cube-face", None)
+            return
         read = "faces read" if len(self._faces) > 1 else "face reads"
         text = f"the {', '.join(self._faces)} {read} what cannot be true and is not used; the cube's own alarms say why"
-        self._alarms.set("cube-face", text if self._faces else None, of=self._faces)
+        self._alarms.set("cube-face", text, of=self._faces)
 
 
 class UnreadFaces(_FaceAlarm):

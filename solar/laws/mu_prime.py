@@ -6,7 +6,7 @@ from pydantic import Field
 from solar.energy import DaylightWeather, Steer
 from solar.frames import Array, Limits
 from solar.laws import paper
-from solar.laws.law import NO_DIRECTION, LawSettings, Moment, TrackerFacts
+from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
 from solar.laws.steer import by_the_mean
 from solar.laws.three_faces import ThreeFacesLaw, completed
 from solar.laws.words import towards_light
@@ -24,7 +24,7 @@ class MuPrimeSettings(LawSettings):
     )
 
 
-class MuPrimeLaw(ThreeFacesLaw):
+class MuPrimeLaw(ThreeFacesLaw, DirectionLaw):
     """Points along mu' of the mean; a face that tells nothing reads what the light behind the others puts on it.
 
     Parameters

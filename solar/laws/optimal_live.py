@@ -14,11 +14,12 @@ from solar.energy import DaylightWeather, Steer
 from solar.ephemeris import DAY_S, SunDay, SunPosition, sun_day, sun_direction, sun_position
 from solar.frames import Angles, Array, Limits, azimuth_from_direction, direction_from_azimuth
 from solar.laws.heard import Heard, solar_day
-from solar.laws.law import Aim, Estimates, Faces, Law, LawSettings, Moment, Reading, TrackerFacts
-from solar.laws.light import FACES_NEEDED, light_from_faces, usable_faces, zenith_usable
+from solar.laws.law import Aim, Estimates, LawSettings, Moment, Reading, TrackerFacts
+from solar.laws.light import FACES_NEEDED, light_from_faces, usable_faces
 from solar.laws.memory import THRIFT_RANGE, OptimalSettings
 from solar.laws.optimal import Choice, OptimalLaw
 from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning
+from solar.laws.three_faces import ThreeFacesLaw
 from solar.laws.words import weighed
 from solar.rows.group import TrackerGroup
 
@@ -74,7 +75,7 @@ class Kept(BaseModel):
         return Learned(self.albedo, self.gain_east, self.gain_south, self.gain_west)
 
 
-class LiveOptimal(Law):
+class LiveOptimal(ThreeFacesLaw):
     """Keeps one :class:`solar.laws.optimal.OptimalLaw` informed and asks it where to point.
 
     Parameters
@@ -83,7 +84,6 @@ class LiveOptimal(Law):
         Its parameters and what it points; `ValueError` for something kept that is none of this law's.
     """
 
-    faces_needed = FACES_NEEDED
     needs_sun = True
 
     def __init__(self, settings: LiveOptimalSettings, tracker: TrackerFacts) -> None:
@@ -177,10 +177,6 @@ class LiveOptimal(Law):
     def book(self, distance_deg: float) -> None:
         """Take a move that was ordered out of the day's budget."""
         self._law.book(distance_deg)
-
-    def believes_zenith(self, faces_w_m2: Faces, utc_s: float) -> bool:  # noqa: ARG002
-        """Whether the zenith face of a mean [W/m2] can be believed beside the other three."""
-        return bool(zenith_usable(faces_w_m2))
 
     def estimates(self, faces: Array, sun: Array, learned: Learned) -> Estimates:
         """Return the light that each reading shows by itself."""

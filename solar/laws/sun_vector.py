@@ -6,7 +6,7 @@ from pydantic import Field
 from solar.energy import DaylightWeather, Steer
 from solar.frames import Array, Limits
 from solar.laws import paper
-from solar.laws.law import NO_DIRECTION, LawSettings, Moment, TrackerFacts
+from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
 from solar.laws.steer import by_the_mean
 from solar.laws.three_faces import ThreeFacesLaw, completed
 from solar.laws.words import towards_sun
@@ -44,7 +44,7 @@ class SunVectorSettings(LawSettings):
         )
 
 
-class SunVectorLaw(ThreeFacesLaw):
+class SunVectorLaw(ThreeFacesLaw, DirectionLaw):
     """Points along s of the mean, completed by the ephemeris where no face can see or one tells nothing.
 
     Parameters

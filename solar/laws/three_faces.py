@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from solar.frames import Array
-from solar.laws.law import DirectionLaw, Faces
+from solar.laws.law import Faces, Law
 from solar.laws.light import FACES_NEEDED, light_from_faces, on_faces, usable_faces, zenith_usable
 
 
-class ThreeFacesLaw(DirectionLaw):
-    """A law that says a direction by the faces, and goes on with three of them."""
+class ThreeFacesLaw(Law):
+    """A law that goes by the faces, and goes on with three of them."""
 
     faces_needed = FACES_NEEDED
 

@@ -28,7 +28,7 @@ def heliocube(monkeypatch, capsys):
 
 @pytest.fixture
 def few_curves(tmp_path):
-    """Names a configuration with a curve every 15 s of fourteen points: thirty every 5 s take six times as long."""
+    """Names a configuration with a curve every 15 s of fourteen points: thirty every 5 s take most of the time."""
     path = tmp_path / "few_curves.toml"
     path.write_text("[load]\npoints = 14\nperiod_s = 15.0\n")
     return ("--config", path)
