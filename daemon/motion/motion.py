@@ -332,10 +332,16 @@ class Motion(MotionState):
             await look_until(self._wake, self._polling.idle_s, self._may_be_new)
 
     def _may_be_new(self) -> bool:
-        """Glance at a unit that rests; tell whether it has to be looked at, or something may be due by now."""
-        # An order waits only for the pause after a failure.
+        """Glance at a unit that rests; tell whether it has to be looked at, or a pause is over."""
         waits = self._retries.text is not None or self._guard.doubts.reference is not None
-        return waits or not self._guard.glance()
+        return (waits and self._pause_is_over()) or not self._guard.glance()
+
+    def _pause_is_over(self) -> bool:
+        return self._order_is_due() or self._must_rehome() or self._readiness() != self._was_ready
+
+    def _order_is_due(self) -> bool:
+        # An order waits only for the pause after a failure.
+        return self._wanted is not None and self._retries.due_s(stow=self._wanted[1]) <= self._clock.monotonic()
 
     async def _do_what_is_asked(self) -> bool:
         """Do the most urgent thing; return False if there is nothing to do."""
@@ -355,10 +361,11 @@ class Motion(MotionState):
         elif self._home_wanted:
             self._home_wanted = False
             await self._runs.home()
-        elif self._wanted is not None and self._retries.due_s(stow=self._wanted[1]) <= self._clock.monotonic():
+        elif self._wanted is not None and self._order_is_due():
             (target, stow), self._wanted = self._wanted, None
             await self._take_up(target, stow=stow)
         elif self._must_rehome():
+            self._rehoming.began(self._clock.monotonic())
             await self._runs.home()
             self._rehoming.ended(good=self._guard.doubts.reference is None)
         else:
@@ -386,10 +393,13 @@ class Motion(MotionState):
             raise RefusedError("positioner", "a button is pressed at the unit: somebody is there")
 
     def _note_readiness(self) -> None:
-        ready = (self.connected and self.blocked is None and self.doubt is None, self.pressed)
+        ready = self._readiness()
         if ready != self._was_ready:
             self._was_ready = ready
             self._changed()
+
+    def _readiness(self) -> tuple[bool, bool]:
+        return self.connected and self.blocked is None and self.doubt is None, self.pressed
 
     def _report(self, text: str) -> None:
         log.info(text)

@@ -21,7 +21,7 @@ class Rehoming:
         self._due_s = -math.inf
 
     def due(self, doubt: str | None, now_s: float) -> bool:
-        """Tell whether to home for this doubt now; the answer yes counts as a run."""
+        """Tell whether to home for this doubt now."""
         if doubt is None:
             if now_s >= self._due_s:
                 self._runs = 0
@@ -29,12 +29,13 @@ class Rehoming:
         # A doubt that comes after the first run had ended the one before has a cause of its own; more of them are a
         # unit that cannot keep its count.
         another = self._settled and self._runs == 1
-        if not self.enabled or (now_s < self._due_s and not another):
-            return False
+        return self.enabled and (now_s >= self._due_s or another)
+
+    def began(self, now_s: float) -> None:
+        """Take note that a run begins."""
         self._settled = False
         self._due_s = now_s + _PAUSES_S[min(self._runs, len(_PAUSES_S) - 1)]
         self._runs += 1
-        return True
 
     def ended(self, *, good: bool) -> None:
         """Take note of how the run ended: `good` where it left no doubt."""

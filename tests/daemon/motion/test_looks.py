@@ -288,24 +288,40 @@ def test_it_looks_as_often_as_it_is_told():
     run_motion(scenario, polling=Polling(idle_s=7.0, moving_s=2.0))
 
 
-def test_a_unit_that_repeats_itself_is_read_each_time_while_something_may_be_due():
-    async def scenario(rig):
-        async def looks_in_5_s():
-            looks = rig.unit.looks
-            await asyncio.sleep(5.0)
-            return rig.unit.looks - looks
+async def looks_in_5_s(rig):
+    looks = rig.unit.looks
+    await asyncio.sleep(5.0)
+    return rig.unit.looks - looks
 
+
+@pytest.mark.parametrize("stow", [False, True])
+def test_a_unit_that_repeats_itself_is_only_glanced_at_until_the_pause_after_a_failure_is_over(stow):
+    async def scenario(rig):
         await asyncio.sleep(20.0)
-        assert await looks_in_5_s() <= 2
+        assert await looks_in_5_s(rig) <= 2
         rig.unit.refuses["move"] = RefusedError("hand", "not taken")
-        rig.motion.order(Target(10.0, 60.0, "go"))
+        rig.motion.order(Target(10.0, 60.0, "go"), stow=stow)
+        await rig.until(lambda: "move-failed" in rig.raised)
+        failed_s = rig.clock.monotonic()
+        if stow:
+            rig.motion.order(Target(10.0, 60.0, "go"), stow=True)
         await asyncio.sleep(20.0)
-        assert await looks_in_5_s() >= 9, "a pause may end"
-        rig.motion.clear_faults()
-        await asyncio.sleep(20.0)
-        assert await looks_in_5_s() <= 2
+        assert await looks_in_5_s(rig) <= 2
+        sent, changes = len(rig.unit.sent), rig.changes
+        await rig.until(lambda: len(rig.unit.sent) > sent if stow else rig.changes > changes, 70.0)
+        assert rig.clock.monotonic() - failed_s == pytest.approx(60.0, abs=0.7)
+        assert rig.motion.doubt is None or stow
+
+    run_motion(scenario, make=RepeatingPositioner, attempts=1, retry_after_s=60.0)
+
+
+def test_a_unit_that_repeats_itself_is_only_glanced_at_until_it_may_be_homed():
+    async def scenario(rig):
         rig.unit.says["reference_doubt"] = "the count jumped"
         await asyncio.sleep(20.0)
-        assert await looks_in_5_s() >= 9, "control may let it home"
+        assert rig.motion.doubt == "the count jumped"
+        assert await looks_in_5_s(rig) <= 2
+        rig.motion.may_rehome = True
+        await rig.until(lambda: rig.motion.homing, 0.7)
 
-    run_motion(scenario, make=RepeatingPositioner, attempts=1)
+    run_motion(scenario, make=RepeatingPositioner, rehome="automatic")

@@ -12,6 +12,7 @@ def runs(rehoming, doubts):
     found = []
     for now_s, doubt in doubts:
         if rehoming.due(doubt, now_s):
+            rehoming.began(now_s)
             found.append(now_s)
             rehoming.ended(good=(now_s, doubt) in GOOD)
     return found
