@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 
-from daemon.base.records import Event, Record
+from daemon.base.records import Event, Mode, ModeChange, Record
 from daemon.rigs.campaign.plant import Plant
 
 WORTH_REPORTING_DEG = 0.5
@@ -96,4 +96,7 @@ class Reporting:
 
 
 def _reports(record: Record, since_s: float) -> bool:
-    return isinstance(record, Event) and record.subject in _SUBJECTS and record.time_monotonic_s >= since_s - 1.0
+    told = isinstance(record, Event) and record.subject in _SUBJECTS
+    # A fault that is over sooner than its alarm would come, on a reference run say, is told by the mode alone.
+    faulty = isinstance(record, ModeChange) and record.after is Mode.FAULT
+    return (told or faulty) and record.time_monotonic_s >= since_s - 1.0

@@ -2,7 +2,7 @@
 
 import pytest
 
-from daemon.base.records import Event, FaceReading, Mode, Quality, Scan
+from daemon.base.records import Event, FaceReading, Mode, ModeChange, Quality, Scan
 from daemon.rigs.campaign.faults import FORGED_W_M2
 from tests.daemon.studies.campaign.watch.scripted import promises
 
@@ -193,14 +193,17 @@ def test_a_move_on_old_readings_is_seen(plant):
     assert promises(plant) == ["stale"]
 
 
-@pytest.mark.parametrize("reported", [False, True])
+@pytest.mark.parametrize("told", ["nothing", "an alarm", "a fault", "another mode"])
 @pytest.mark.parametrize("turned_deg", [0.2, 1.5])
-def test_what_turns_without_an_order_has_to_be_reported(plant, turned_deg, reported):
+def test_what_turns_without_an_order_has_to_be_reported(plant, turned_deg, told):
     plant.wait(1.5, a=turned_deg)
-    if reported:
+    if told == "an alarm":
         plant.records.append(Event(0.0, plant.now_s, "alarm", "A moved"))
+    elif told != "nothing":
+        after = Mode.FAULT if told == "a fault" else Mode.HOLD
+        plant.records.append(ModeChange(0.0, plant.now_s, Mode.TRACKING, after, "why"))
     plant.wait(20)
-    assert reports(plant) == (["unreported"] if turned_deg > 0.5 and not reported else [])
+    assert reports(plant) == (["unreported"] if turned_deg > 0.5 and told in ("nothing", "another mode") else [])
 
 
 def test_two_hairs_a_minute_apart_are_not_one_turn(plant):
