@@ -1,6 +1,9 @@
 """The real driver against the maker's firmware: reference runs that end well, and those that do not."""
 
 import asyncio
+import os
+import signal
+import subprocess
 import time
 
 import pytest
@@ -50,6 +53,32 @@ def test_a_run_that_a_supply_dip_breaks_off_leaves_a_doubt_until_a_good_one(star
         assert "not on its end switch" in seen.reference_doubt
         # The unit refuses to move for five seconds after its supply is back.
         await asyncio.sleep(5.5)
+        await home(positioner, "a")
+        assert (await over(positioner)).reference_doubt == ""
+        await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_a_count_that_was_lost_while_nobody_read_is_settled_by_one_reference_run(start_firmware):
+    firmware = start_firmware(-46.0, 90.0)
+
+    async def scene():
+        positioner = driver_on(firmware)
+        await opened(positioner)
+        assert (await positioner.read_telemetry()).reference_doubt == ""
+        # For as long as an axis might need for that way nothing of this process runs; sooner, and it is a jump.
+        wake = f"read go; sleep 0.8; while kill -CONT {os.getpid()}; do sleep 1; done"
+        with subprocess.Popen(["/bin/sh", "-c", wake], stdin=subprocess.PIPE) as waker:
+            firmware.control("count 0 4500")
+            waker.stdin.close()
+            os.kill(os.getpid(), signal.SIGSTOP)
+            waker.kill()
+
+        async def lost():
+            return (await positioner.read_telemetry()).reference_doubt != ""
+
+        await until(lost)
         await home(positioner, "a")
         assert (await over(positioner)).reference_doubt == ""
         await positioner.close()

@@ -31,12 +31,15 @@ class LinkState(NamedTuple):
         When the unit has last begun to count from elsewhere, or None.
     restarted_s
         When the unit has last printed its banner, or None.
+    unseen_s
+        When an axis last stood so far from where it had been heard of that it may have gone there in between, or None.
     """
 
     values: Mapping[int, Value]
     as_of_s: float = -math.inf
     jumped_s: float | None = None
     restarted_s: float | None = None
+    unseen_s: float | None = None
 
 
 class PositionerLine(Protocol):
@@ -124,7 +127,10 @@ class SerialLine:
     def state(self) -> LinkState:
         """Return the newest values."""
         reader = self._require_reader()
-        return LinkState(reader.table.snapshot(), jumped_s=reader.table.jumped_s, restarted_s=reader.restarted_s)
+        table = reader.table
+        return LinkState(
+            table.snapshot(), jumped_s=table.jumped_s, restarted_s=reader.restarted_s, unseen_s=table.unseen_s
+        )
 
     def has_lines(self) -> bool:
         """Tell whether the port has modem lines."""

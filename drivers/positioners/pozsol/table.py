@@ -53,12 +53,15 @@ class FieldTable:
     ----------
     jumped_s
         When an angle has last changed by more than an axis can turn, or None: the unit counts from elsewhere then.
+    unseen_s
+        When an angle has last changed by that much after a silence in which an axis can have turned so far, or None.
     """
 
     def __init__(self, jumps: Mapping[int, float] = _ANGLES) -> None:
         self._jumps = jumps
         self._taken_s = self._paused_s = self._caught_up_s = -math.inf
         self.jumped_s: float | None = None
+        self.unseen_s: float | None = None
         self.forget()
 
     def get(self, field: int) -> Value | None:
@@ -181,8 +184,11 @@ class FieldTable:
             self._suspect.pop(code, None)
             return True
         passed_s = now_s - (min(known.time_s, self._paused_s) if now_s < self._caught_up_s else known.time_s)
-        if passed_s > _JUMP_WITHIN_S or abs(number - known.number) <= most + _FASTEST_DEG_PER_S * passed_s:
+        change = abs(number - known.number)
+        if passed_s > _JUMP_WITHIN_S or change <= most + _FASTEST_DEG_PER_S * passed_s:
             self._suspect.pop(code, None)
+            if change > most and code in _ANGLES:
+                self.unseen_s = now_s
             return True
         suspect = self._suspect.get(code)
         self._suspect[code] = number

@@ -65,13 +65,14 @@ class PositionerWatch:
         self._settled_s = -math.inf
         self._restarted_s: float | None = None
         self._jumped_s: float | None = None
+        self._unseen_s: float | None = None
         self._checks: tuple[SwitchCheck, ...] = ()
         self._last: _Standing | None = None
         self.start(None)
 
     def start(self, restarted_s: float | None) -> None:
         """Begin anew with a fresh connection, at whose opening the unit restarted at `restarted_s` or did not."""
-        self._restarted_s, self._jumped_s, self._last = restarted_s, None, None
+        self._restarted_s, self._jumped_s, self._unseen_s, self._last = restarted_s, None, None, None
         self._was_out_of_sight = True
         self._checks = tuple(SwitchCheck(axis, self._setups[axis]) for axis in AXES)
         if restarted_s is not None:
@@ -239,6 +240,10 @@ class PositionerWatch:
             if not homing and state.jumped_s > self._settled_s + _JUMP_SHOWS_S:
                 self._set_anew = True
                 self.reference.note(f"jump {state.jumped_s}", "the positioner's count has jumped")
+        if state.unseen_s != self._unseen_s:
+            self._unseen_s = state.unseen_s
+            # Whoever holds a button drives it where nothing was told to go.
+            self._was_out_of_sight = self._was_out_of_sight or not status.button_pressed
         for check in self._checks:
             look = seen[check.axis]
             misfit = check.update(look.position, look.status, look.status_s)

@@ -14,7 +14,7 @@ from drivers.positioners.pozsol.link import LinkState
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.table import FieldTable
 from drivers.positioners.pozsol.watch import FAST, SLOW, PositionerWatch
-from drivers.positioners.pozsol.wire import RESET_BIT, Field
+from drivers.positioners.pozsol.wire import BUTTON_BIT, RESET_BIT, Field
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.transports import InMemoryStream
@@ -284,6 +284,27 @@ def test_where_an_axis_stood_is_known_although_a_restart_has_set_its_count_to_no
     _, lost = at_rest([100.0], A_POSITION=b"0.0", STATUS=b"%d" % (1 << RESET_BIT))
     watch.read(LinkState(lost, 100.0))
     assert watch.standing()[0] == pytest.approx(30.0, abs=0.1)
+
+
+BUTTON = b"%d" % (1 << BUTTON_BIT)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "doubt", "stands"),
+    [
+        ({}, {}, "axis A has the count 0, and had 30 when it was seen last", 30.0),
+        ({"A_DESTINATION": b"-20.0"}, {"A_DESTINATION": b"-20.0"}, "", 0.0),
+        ({}, {"STATUS": BUTTON}, "", 0.0),
+    ],
+    ids=["told nothing", "on its way", "a button"],
+)
+def test_a_count_that_changed_while_nothing_was_heard_is_in_doubt_if_nothing_led_there(before, after, doubt, stands):
+    watch, values = at_rest([100.0], **{"A_POSITION": b"30.0", "A_DESTINATION": b"30.0"} | before)
+    watch.read(LinkState(values, 100.0))
+    _, lost = at_rest([100.0], **{"A_POSITION": b"0.0"} | after)
+    seen = watch.read(LinkState(lost, 100.0, unseen_s=100.0))
+    assert seen.reference_doubt.startswith(doubt) if doubt else seen.reference_doubt == ""
+    assert watch.standing()[0] == pytest.approx(stands, abs=0.1)
 
 
 def test_a_jump_that_a_person_has_forgiven_is_not_told_again():

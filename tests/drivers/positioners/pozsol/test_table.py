@@ -39,13 +39,14 @@ def test_a_screen_that_has_lost_its_end_is_ended_by_whatever_follows(following):
     assert table.get(Field.A_ANGLE).number == 10.1
 
 
-@pytest.mark.parametrize(("pause_s", "jumped_s"), [(0.1, 0.3), (1.1, None)])
-def test_what_comes_after_a_pause_that_nobody_made_may_be_a_backlog_and_is_no_jump(pause_s, jumped_s):
+@pytest.mark.parametrize(("pause_s", "jumped_s", "unseen_s"), [(0.1, 0.3, None), (1.1, None, 1.2)])
+def test_what_comes_after_a_pause_that_nobody_made_may_be_a_backlog_and_is_no_jump(pause_s, jumped_s, unseen_s):
     table = FieldTable()
     for now_s, angle_deg in ((0.0, 10.0), (pause_s, 10.0), (pause_s + 0.1, 20.0), (pause_s + 0.2, 20.0)):
         table.take(axis_a(angle_deg), now_s)
     assert table.get(Field.A_ANGLE).number == 20.0
     assert table.jumped_s == pytest.approx(jumped_s)
+    assert table.unseen_s == pytest.approx(unseen_s), "it may have gone there"
 
 
 def garbled(screen, dice):
