@@ -5,7 +5,7 @@ import pytest
 
 from solar.ephemeris import sun_direction
 from solar.laws.light import light_from_faces, usable_faces
-from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning, no_sums, step
+from solar.laws.site import ALBEDO_RANGE, Learned, SiteLearning, no_sums, step
 from solar.skies.sky import sky
 
 pytestmark = pytest.mark.slow
@@ -48,8 +48,16 @@ def test_learning_is_slow_and_bounded():
     once = learn(1, 0.7)
     assert 0.2 < float(once.albedo) <= 0.2 + 0.2 * 0.55
     wild = learn(60, 0.2, gains=(1.5, 1.0, 1.0, 1.0))
-    assert GAIN_RANGE[0] <= float(wild.gain_east) <= GAIN_RANGE[1]
     assert ALBEDO_RANGE[0] <= float(wild.albedo) <= ALBEDO_RANGE[1]
+
+
+@pytest.mark.parametrize(("log_east", "gains"), [(0.5, (1.07, 0.93, 0.93)), (-0.5, (0.93, 1.07, 1.07))])
+def test_no_sensor_is_believed_to_be_off_by_more_than_seven_percent(log_east, gains):
+    day = no_sums(())._replace(east_s=np.array(3600.0), east=np.array(3600.0 * log_east))
+    learned = Learned()
+    for _ in range(10):
+        learned = step(learned, day)
+    assert (learned.gain_east, learned.gain_south, learned.gain_west) == gains
 
 
 def test_an_overcast_day_teaches_nothing():
