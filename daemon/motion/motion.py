@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 from random import Random
 
 from daemon.base.alarms.alarms import Alarms
@@ -22,6 +21,7 @@ from daemon.base.timeloop import look_until
 from daemon.config.sections import MotionSettings
 from daemon.motion.guard import Guard
 from daemon.motion.place import KeptPlace, elsewhere
+from daemon.motion.polling import OFTEN, Polling
 from daemon.motion.reference import Doubts
 from daemon.motion.rehoming import Rehoming
 from daemon.motion.retry import Retries
@@ -35,19 +35,6 @@ from solar.frames import Limits
 log = logging.getLogger("heliocube.motion")
 
 _HALT_AT_END_S = 3.0
-
-
-@dataclass(frozen=True, slots=True)
-class Polling:
-    """How often the positioner is looked at, at rest and on its way."""
-
-    idle_s: float = 0.5
-    moving_s: float = 0.5
-
-
-OFTEN = Polling()
-SIMULATED = Polling(idle_s=5.0)
-"""For simulated days, where nothing moves by itself."""
 
 
 class Motion(MotionState):

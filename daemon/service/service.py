@@ -24,7 +24,7 @@ from daemon.cube.acquisition import Acquisition
 from daemon.cube.calibration import CubeCalibration, ExpiryWatch, calibrated_cube
 from daemon.cube.face_watch import FaceWatch
 from daemon.cube.told_faces import ToldFaces, UnreadFaces
-from daemon.motion.motion import OFTEN, Polling
+from daemon.motion.polling import OFTEN, Polling
 from daemon.service.health import LoopWatch, Watchdog
 from daemon.service.inheritance import hand_on, left_behind
 from daemon.service.rig import Rig, Role

@@ -18,7 +18,8 @@ from daemon.base.recurrence import LogBudget
 from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
 from daemon.motion.end import finish
-from daemon.motion.motion import Motion, Polling
+from daemon.motion.motion import Motion
+from daemon.motion.polling import Polling
 from daemon.received.shadow import Active, Shadow
 from daemon.received.today import FILE_NAME, ReceivedToday
 from daemon.service.inheritance import STARTED_NAME

@@ -24,7 +24,7 @@ from daemon.config.links import StoreSettings
 from daemon.config.settings import Settings, settings_of_one
 from daemon.cube.face_watch import FaceWatch
 from daemon.cube.repeats import Repeats
-from daemon.motion.motion import Polling
+from daemon.motion.polling import Polling
 from daemon.rigs.simulated import build_simulated_positioner
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from daemon.service.service import Service

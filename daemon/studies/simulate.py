@@ -18,7 +18,7 @@ from daemon.config.links import StoreSettings
 from daemon.config.rules import END_OF_STARTS, FIRST_START
 from daemon.config.settings import Settings
 from daemon.cube.calibration import calibration_in_force
-from daemon.motion.motion import SIMULATED
+from daemon.motion.polling import SIMULATED
 from daemon.rigs.simulated import build_simulated_rig, build_weather
 from daemon.service.rig import Role
 from daemon.service.service import Service

@@ -20,6 +20,16 @@ async def over(positioner):
     return await positioner.read_telemetry()
 
 
+def freeze_after(act, seconds):
+    """Act, and let nothing of this process run for a while after it."""
+    wake = f"read go; sleep {seconds}; while kill -CONT {os.getpid()}; do sleep 1; done"
+    with subprocess.Popen(["/bin/sh", "-c", wake], stdin=subprocess.PIPE) as waker:
+        act()
+        waker.stdin.close()
+        os.kill(os.getpid(), signal.SIGSTOP)
+        waker.kill()
+
+
 def test_both_axes_are_homed_and_the_count_is_believed(start_firmware):
     # A way of some seconds, of which a busy machine sees more than the end.
     firmware = start_firmware(-47.0, 18.0)
@@ -67,13 +77,8 @@ def test_a_count_that_was_lost_while_nobody_read_is_settled_by_one_reference_run
         positioner = driver_on(firmware)
         await opened(positioner)
         assert (await positioner.read_telemetry()).reference_doubt == ""
-        # For as long as an axis might need for that way nothing of this process runs; sooner, and it is a jump.
-        wake = f"read go; sleep 0.8; while kill -CONT {os.getpid()}; do sleep 1; done"
-        with subprocess.Popen(["/bin/sh", "-c", wake], stdin=subprocess.PIPE) as waker:
-            firmware.control("count 0 4500")
-            waker.stdin.close()
-            os.kill(os.getpid(), signal.SIGSTOP)
-            waker.kill()
+        # Sooner, and it is a jump: in so long an axis might have gone there.
+        freeze_after(lambda: firmware.control("count 0 4500"), 0.8)
 
         async def lost():
             return (await positioner.read_telemetry()).reference_doubt != ""

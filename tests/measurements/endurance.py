@@ -22,7 +22,7 @@ from pathlib import Path
 from daemon.api.app import Api
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
-from daemon.motion.motion import OFTEN, Polling
+from daemon.motion.polling import OFTEN, Polling
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import Operators, parse
 from daemon.service.recent import Recent

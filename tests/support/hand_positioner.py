@@ -10,7 +10,8 @@ from daemon.base.records import Event, Move, Pose
 from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.sections import MotionSettings
-from daemon.motion.motion import OFTEN, Motion
+from daemon.motion.motion import Motion
+from daemon.motion.polling import OFTEN
 from drivers.errors import LinkLostError, StillMovingError
 from drivers.interfaces import PositionerIdentity, Telemetry
 from drivers.settings import PositionerSettings

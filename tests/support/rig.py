@@ -8,7 +8,7 @@ import pytest
 from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop, call_until
 from daemon.config.settings import Settings
-from daemon.motion.motion import OFTEN, Polling
+from daemon.motion.polling import OFTEN, Polling
 from daemon.rigs.campaign.rig import KEY, SITE, HandledRig, HandWeather
 from daemon.service.recent import Recent
 from daemon.service.rig import Role

@@ -13,7 +13,8 @@ from daemon.base.records import Bus, Mode, Record
 from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
-from daemon.motion.motion import OFTEN, Motion, Polling
+from daemon.motion.motion import Motion
+from daemon.motion.polling import OFTEN, Polling
 from daemon.rigs.real import build_multiplexed_cube, build_pozsol, build_voltmeter
 from daemon.rigs.simulated_positioner import build_unit
 from daemon.service.rig import Rig, Role, TrackerInstruments

@@ -16,7 +16,7 @@ from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
 from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW, LAW
 from daemon.config.settings import Settings
-from daemon.motion.motion import SIMULATED
+from daemon.motion.polling import SIMULATED
 from daemon.rigs.simulated import SimulatedPair
 from daemon.service.rig import Role
 from daemon.service.service import Service

@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from daemon.base.records import Mode, Target
-from daemon.motion.motion import Polling
+from daemon.motion.polling import Polling
 from daemon.motion.reference import RESET
 from tests.support.motion import HOME_A_PACKET, STOP_PACKET, commands_sent, drive_b, lose, moves_for, show
 from tests.support.phases import at_rest, homed, now, quiet, told, tracking

@@ -6,7 +6,7 @@ import logging
 import pytest
 
 from daemon.base.records import Target
-from daemon.motion.motion import Polling
+from daemon.motion.polling import Polling
 from drivers.errors import RefusedError
 from tests.support.hand_positioner import RepeatingPositioner, asleep, run_motion
 

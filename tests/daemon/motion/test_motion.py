@@ -6,7 +6,7 @@ import math
 import pytest
 
 from daemon.base.records import MoveOutcome, Target
-from daemon.motion.motion import Polling
+from daemon.motion.polling import Polling
 from drivers.errors import RefusedError
 from drivers.interfaces import PositionerIdentity
 from tests.support.hand_positioner import HandPositioner, run_motion

@@ -5,7 +5,7 @@ import logging
 
 import pytest
 
-from daemon.motion.motion import Polling
+from daemon.motion.polling import Polling
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field
 from tests.support.motion import A_PACKET, B_PACKET, commands_sent, drive, lose

@@ -5,7 +5,7 @@ from datetime import datetime
 
 import pytest
 
-from daemon.motion.motion import Polling
+from daemon.motion.polling import Polling
 from daemon.service.operator import Operator
 
 FEWER_SCANS = {"cube": {"scan_every_s": 20}, "safety": {"scan_stale_s": 65, "fallback_after_s": 130}}

@@ -1,0 +1,48 @@
+"""What the interface answers and shows while a person keeps the tracker still, or it has not begun."""
+
+import asyncio
+
+from daemon.base.records import Mode
+from daemon.tracker.wishes import Wishes
+from tests.support.api import serve
+from tests.support.phases import under_way
+
+__all__ = ["serve"]
+
+
+def test_goto_in_mode_starting_is_refused_in_one_sentence(serve):
+    async def scenario(rig, call_http):
+        await rig.until(lambda: rig.motion.connected, 10, "the positioner")
+        assert rig.mode is Mode.STARTING
+        reply = await call_http.post("goto", b'{"a_deg": 10, "b_deg": 60}')
+        assert (reply.status, reply.json) == (
+            409,
+            {"error": "no goto in mode starting: waiting for the cube's readings"},
+        )
+        assert rig.control.wishes == Wishes()
+
+    serve(scenario)
+
+
+def test_the_state_tells_stop_from_hold_with_who_and_since(serve):
+    async def scenario(rig, call_http):
+        await under_way(rig)
+        await call_http.post("hold", b'{"why": "measuring", "by": "bob"}')
+        await call_http.post("stop", b'{"why": "repair", "by": "ana"}')
+        found = (await call_http.get("/api/state")).json
+        wishes = found["wishes"]
+        assert (wishes["stop"]["by"], wishes["stop"]["why"]) == ("ana", "repair")
+        assert wishes["stop"]["since"].startswith("2022-10-12T10:0")
+        assert wishes["hold"]["by"] == "bob"
+        assert {name for name, wish in wishes.items() if wish is None} == {"maintenance", "buttons", "stow", "snow"}
+        assert found["mode"]["name"] == "hold"
+        assert found["alarms"] == []
+        rig.wind_m_s = 20.0
+        await asyncio.sleep(6)
+        (alarm,) = (await call_http.get("/api/state")).json["alarms"]
+        assert (alarm["name"], alarm["since"][:14]) == ("stow-wanted", "2022-10-12T10:")
+        lines = (await call_http.get("/metrics")).body.decode().splitlines()
+        assert 'heliocube_alarms{tracker="tracker"} 1.0' in lines
+        assert 'heliocube_alarm{name="stow-wanted",severity="critical",tracker="tracker"} 1.0' in lines
+
+    serve(scenario)
