@@ -29,6 +29,7 @@ _WAIT_FOR_DISK_S = 0.4
 _NEARER_DEG = 0.15
 # A stop that comes so soon after another one, which is in force, has been sent already.
 _SAME_STOP_S = 0.2
+_REASONS = 2
 
 
 class CommandError(Exception):
@@ -388,7 +389,11 @@ def _furthest_off(pose: Pose, place: Target | Pose) -> float:
     return max(abs(pose.a_deg - place.a_deg), abs(pose.b_deg - place.b_deg))
 
 
-def _obstacle(motion: Motion) -> str | None:
-    if motion.connected:
-        return motion.blocked or motion.doubt
-    return motion.outage.reason or "the positioner has not answered yet"
+def _obstacle(motion: Motion) -> str:
+    """Return why it cannot move, empty if it can: the first reasons of many, which nobody would read in a sentence."""
+    if not motion.connected:
+        return motion.outage.reason or "the positioner has not answered yet"
+    reasons = (motion.blocked or motion.doubt or "").split("; ")
+    more = len(reasons) - _REASONS
+    shown = "; ".join(reasons[:_REASONS])
+    return f"{shown}; and {more} more, which 'heliocube status' shows" if more > 0 else shown

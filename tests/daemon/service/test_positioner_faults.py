@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 
 from daemon.base.records import Decision, Event, Mode, Move, MoveOutcome, Pose
-from tests.support.motion import commands_sent
+from daemon.service.operator import CommandError, Operator
+from tests.support.motion import commands_sent, show
 from tests.support.phases import at_rest, quiet, tracking, under_way
 
 
@@ -177,3 +178,15 @@ def test_poses_tell_where_the_tracker_truly_stands(run_rig):
         pytest.approx(rig.truth().a_deg, abs=0.06),
         pytest.approx(rig.truth().b_deg, abs=0.06),
     )
+
+
+@pytest.mark.parametrize("more", ["", "; and 1 more, which 'heliocube status' shows"])
+def test_of_many_doubts_a_refusal_has_two_and_counts_the_others(run_rig, more):
+    async def scenario(rig):
+        await tracking(rig)
+        show(rig, reference_doubt=f"it slipped; it jumped{'; it restarted' if more else ''}")
+        await rig.until(lambda: rig.motion.doubt, 10, "the doubts")
+        with pytest.raises(CommandError, match=rf"^the tracker cannot go anywhere: it slipped; it jumped{more}$"):
+            await Operator(rig.tracker, 1.0).goto(0, 60, "x")
+
+    run_rig(scenario)
