@@ -289,12 +289,14 @@ class TruthWatch:
         heads_until_s = self._headed_s + RUN_OUT_S
         heading = motion.target is not None or (left <= LEFT_AT_ARRIVAL and now_s < heads_until_s)
         why = self.explained.why(axis, turned_deg, counted, now_s, homing=motion.homing, heading=heading)
+        if why is None:
+            # Reason enough for an alarm, whatever the unit's count says of it, and also where it is told only once
+            # there is a service again that hears of it.
+            self.reporting.cause(now_s)
         if not live:
             self._unexplained_s[axis] = None
             return -math.inf
         if why is None:
-            # Reason enough for an alarm, whatever the unit's count says of it.
-            self.reporting.cause(now_s)
             self._check_unexplained(axis, at_deg, now_s)
             # One axis may have taken a target that the other did not take: the move fails, and that is reported.
             if not self._sendings and now_s - self._sent_s > UNEXPLAINED_S and self._counts(axis, at_deg):

@@ -222,6 +222,15 @@ def test_an_alarm_of_what_never_happened_is_seen(plant, cause):
     assert reports(plant) == ([] if cause else ["false-alarm"])
 
 
+def test_what_moved_while_no_service_could_tell_is_cause_enough_for_an_alarm_later(plant):
+    plant.is_served = False
+    plant.wait(3, a=3.0)
+    plant.is_served = True
+    plant.motion.unexplained = "A moved from 0 to 3 degrees without an order"
+    plant.wait(5)
+    assert reports(plant) == []
+
+
 @pytest.mark.parametrize("excused", [False, True])
 def test_a_storm_that_does_not_end_in_the_stow_position_is_seen(plant, excused):
     plant.control.mode, plant.wind_m_s = Mode.STOW, 25.0
