@@ -3,8 +3,9 @@
 import math
 from dataclasses import dataclass
 
-from drivers.interfaces import AxisName
+from drivers.interfaces import AxisName, Telemetry
 from drivers.positioners.pozsol.geometry import AxisSetup
+from drivers.positioners.pozsol.refusals import likely_cause
 from drivers.positioners.pozsol.wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, SWITCH_BITS, StatusWord
 
 # B moves for certain, and did so when the status was sent.
@@ -16,6 +17,10 @@ _FAR_DEG = 4.0
 _RUN_OUT_UNITS = 1.0
 # Further than that an axis is driven off its switch to see whether the switch opens.
 _OFF_DEG = 5.0
+# How near to where it is sent it has left the switch.
+_NEAR_DEG = 0.5
+# So near to what it was told a destination is the one.
+_SHOWS = 0.5
 
 
 def off_switch(setup: AxisSetup, here: float, may_stand_at: float | None) -> int | None:
@@ -34,6 +39,43 @@ def off_switch(setup: AxisSetup, here: float, may_stand_at: float | None) -> int
     highest = max(setup.geometry.position(end_deg) for end_deg in (setup.minimum_deg, setup.maximum_deg))
     stays_inside = all(place + goes_to + _RUN_OUT_UNITS <= highest for place in (here, may_stand_at))
     return whole if stays_inside and here <= 0.5 * way else None
+
+
+class WayOffSwitch:
+    """The way of an axis off its end switch: whether it is over, and whether the unit has gone astray on it.
+
+    Parameters
+    ----------
+    axis, setup
+        Which one.
+    whole
+        The position that it is sent to, as `off_switch` returns it.
+
+    Attributes
+    ----------
+    goes_to
+        The destination that the unit has to show.
+    trouble
+        Why it does not get there; empty as long as nothing speaks against it.
+    """
+
+    def __init__(self, axis: AxisName, setup: AxisSetup, whole: int) -> None:
+        self._axis, self._near = axis, setup.units(_NEAR_DEG)
+        self.goes_to = whole + setup.zero_offset
+        self.trouble = ""
+        self._taken = False
+
+    def is_over(self, seen: Telemetry) -> bool:
+        """Take in one look; whatever else sends the axis off, its own tracking above all, ends the way."""
+        a, b = (seen.position_a, seen.destination_a), (seen.position_b, seen.destination_b)
+        position, destination = a if self._axis == "a" else b
+        aims = abs(destination - self.goes_to) <= _SHOWS
+        if seen.faults or seen.autonomous:
+            self.trouble = likely_cause(seen)
+        elif self._taken and not aims:
+            self.trouble = f"it heads for {destination:g} and was sent to {self.goes_to:g}"
+        self._taken = self._taken or aims
+        return bool(self.trouble) or abs(position - self.goes_to) <= self._near
 
 
 @dataclass

@@ -21,7 +21,7 @@ from dataclasses import replace
 from drivers.errors import ConnectError, IdentityError, LinkLostError, RefusedError, StillMovingError
 from drivers.interfaces import AxisName, PositionerIdentity, Telemetry
 from drivers.positioners.pozsol import wire
-from drivers.positioners.pozsol.end_switches import off_switch
+from drivers.positioners.pozsol.end_switches import WayOffSwitch, off_switch
 from drivers.positioners.pozsol.geometry import AxisSetup
 from drivers.positioners.pozsol.link import PositionerLine
 from drivers.positioners.pozsol.refusals import likely_cause, misfit, why_not_standing
@@ -51,8 +51,8 @@ _STAND_WITHIN_S = 12.0
 # Targets are whole units, and an axis rests up to 0.2 beyond its own. Told to go back that little, it may be braking
 # when the other target comes, which is lost then; within 0.07 it may stay switched on at rest, and is faulted for that.
 _AT_TARGET = 0.3
-# How near to where an axis is sent off its switch it has left it, and how long that takes at the most.
-_NEAR_DEG, _LEFT_WITHIN_S = 0.5, 30.0
+# How long an axis takes at the most to leave its end switch.
+_LEFT_WITHIN_S = 30.0
 # A Hall count, and what rounding to four decimals adds.
 _JITTER_COUNTS = 1.2
 
@@ -312,20 +312,13 @@ class PozsolPositioner:
         setup, here = self._axes[axis], position_of(axis, self._read())
         if (whole := off_switch(setup, here, self._watch.reference.may_stand_at(axis))) is None:
             return
-        self._watch.tell(axis, whole + setup.zero_offset)
+        way = WayOffSwitch(axis, setup, whole)
+        self._watch.tell(axis, way.goes_to)
         await self._send(_TARGET[axis], whole, stops)
-        what = f"to leave the end switch of axis {axis.upper()}"
-        seen = await self._confirm(
-            lambda seen: (
-                bool(seen.faults) or abs(position_of(axis, seen) - whole - setup.zero_offset) <= setup.units(_NEAR_DEG)
-            ),
-            what,
-            stops,
-            _LEFT_WITHIN_S,
-        )
-        if seen.faults:
-            raise RefusedError(_DEVICE, f"did not take {what}: {likely_cause(seen)}")
+        await self._confirm(way.is_over, f"to leave the end switch of axis {axis.upper()}", stops, _LEFT_WITHIN_S)
         await self._stand(stops)
+        if way.trouble:
+            raise RefusedError(_DEVICE, f"did not leave the end switch of axis {axis.upper()}: {way.trouble}")
 
     async def _stand(self, stops: int, *, give_way: bool = True) -> None:
         """Send stop again and again until both axes stand and aim at where they stand."""

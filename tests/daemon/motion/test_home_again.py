@@ -6,7 +6,8 @@ import pytest
 
 from daemon.base.records import Mode, Target
 from daemon.service.operator import CommandError, Operator
-from tests.support.motion import moves_for
+from drivers.positioners.pozsol.wire import Field
+from tests.support.motion import drive, moves_for
 from tests.support.phases import at_rest, quiet, told
 
 MET = "met its end switch where its count was"
@@ -54,6 +55,35 @@ def test_a_count_that_slipped_is_right_again_after_two_runs(run_rig, axis):
         await homed(rig)
         assert rig.motion.doubt is None
         await knows_where_it_stands(rig)
+
+    run_rig(scenario, motion={"rehome": "operator"})
+
+
+@pytest.mark.parametrize("drives", ["its own tracking", "another program"])
+def test_whatever_else_drives_an_axis_on_its_way_off_the_switch_is_stopped_and_told(run_rig, drives):
+    async def scenario(rig):
+        await quiet(rig)
+        began = rig.truth().a_deg
+        rig.motion.home()
+        await rig.until(lambda: rig.truth().a_deg < began - 5.0, 200, "the axis on its way")
+        rig.unit.inject("a_slip", rig.clock.monotonic())
+        await ended(rig)
+        home_deg = rig.truth().a_deg
+        rig.motion.home()
+        await rig.until(lambda: rig.truth().a_deg > home_deg + 0.5, 60, "the way off the switch")
+        if drives == "its own tracking":
+            rig.unit.inject("own_tracking", rig.clock.monotonic())
+        else:
+            drive(rig, Field.A_ANGLE, 200.0)
+        assert await moves_for(rig, 20.0) < 2.0
+        assert rig.truth().a_deg < home_deg + 3.0
+        (refusal,) = [text for text in told(rig) if text.startswith("homing refused")]
+        assert "did not leave the end switch of axis A: it" in refusal
+        rig.unit.repair("own_tracking", rig.clock.monotonic())
+        await asyncio.sleep(10)
+        await homed(rig)
+        await homed(rig)
+        assert rig.motion.doubt is None
 
     run_rig(scenario, motion={"rehome": "operator"})
 
