@@ -76,18 +76,23 @@ def test_plugs_that_are_out_before_the_start_are_waited_for_at_rest(tmp_path, st
     for device in ROLES:
         bench.ask("unplug", device)
     rig = Rig(bench, start_service(bench.config))
-    wait_until(lambda: rig.lines(" is down: ") == 2, SETTLES_WITHIN_S, rig.service.log)
+
+    # Nobody has pulled the load's plug, and a busy machine may let it answer late.
+    def count(what):
+        return sum(rig.lines(f"the {one} is {what}") for one in ("cube", "positioner"))
+
+    wait_until(lambda: count("down: ") == 2, SETTLES_WITHIN_S, rig.service.log)
     assert rig.load(3.0) < 0.2
     for device in ("multiplexer", "positioner", "voltmeter"):
         bench.ask("replug", device)
         time.sleep(1.0)
     # That the positioner is back is said a moment after the mode that it makes possible.
     wait_until(
-        lambda: rig.last_mode() == "tracking" and rig.lines(" is back") == 2,
+        lambda: rig.last_mode() == "tracking" and count("back") == 2,
         BACK_WITHIN_S,
         lambda: f"both back and tracking, but it is {rig.service.log()}",
     )
-    assert rig.lines(" is down: ") == 2, rig.service.log()
+    assert count("down: ") == 2, rig.service.log()
 
 
 @pytest.mark.long
