@@ -128,7 +128,7 @@ async def opened(positioner, within_s=120.0):
                 raise
 
 
-async def until(condition, within_s=60.0):
+async def until(condition, within_s=150.0):
     """Wait for what must come; the limit is for a broken program, not for a slow machine."""
     async with asyncio.timeout(within_s):
         done = await condition()
