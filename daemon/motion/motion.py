@@ -198,8 +198,7 @@ class Motion(MotionState):
 
     def forget_waiting(self) -> None:
         """Drop an order that waits for the end of the pause after a failure; what moves goes on."""
-        if self._wanted is not None and self._retries.due_s(stow=self._wanted[1]) > self._clock.monotonic():
-            self._wanted = None
+        self._wanted = self._due_order()
 
     def forget_order(self) -> None:
         """Drop what was ordered last, and stop a move to there; a reference run goes on."""
@@ -324,11 +323,13 @@ class Motion(MotionState):
         return (waits and self._pause_is_over()) or not self._guard.glance()
 
     def _pause_is_over(self) -> bool:
-        return self._order_is_due() or self._must_rehome() or self._readiness() != self._was_ready
+        return self._due_order() is not None or self._must_rehome() or self._readiness() != self._was_ready
 
-    def _order_is_due(self) -> bool:
+    def _due_order(self) -> tuple[Target, bool] | None:
         # An order waits only for the pause after a failure.
-        return self._wanted is not None and self._retries.due_s(stow=self._wanted[1]) <= self._clock.monotonic()
+        wanted = self._wanted
+        is_due = wanted is not None and self._retries.due_s(stow=wanted[1]) <= self._clock.monotonic()
+        return wanted if is_due else None
 
     async def _do_what_is_asked(self) -> bool:
         """Do the most urgent thing; return False if there is nothing to do."""
@@ -348,8 +349,8 @@ class Motion(MotionState):
         elif self._home_wanted:
             self._home_wanted = False
             await self._runs.home()
-        elif self._wanted is not None and self._order_is_due():
-            (target, stow), self._wanted = self._wanted, None
+        elif (order := self._due_order()) is not None:
+            (target, stow), self._wanted = order, None
             await self._take_up(target, stow=stow)
         elif self._must_rehome():
             self._rehoming.began(self._clock.monotonic())

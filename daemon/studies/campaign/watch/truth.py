@@ -290,8 +290,7 @@ class TruthWatch:
         heading = motion.target is not None or (left <= LEFT_AT_ARRIVAL and now_s < heads_until_s)
         why = self.explained.why(axis, turned_deg, counted, now_s, homing=motion.homing, heading=heading)
         if why is None:
-            # Reason enough for an alarm, whatever the unit's count says of it, and also where it is told only once
-            # there is a service again that hears of it.
+            # Reason enough for an alarm, whatever the count says, and however late a service comes to tell of it.
             self.reporting.cause(now_s)
         if not live:
             self._unexplained_s[axis] = None
