@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from drivers.interfaces import AxisName, Telemetry
 from drivers.positioners.pozsol.geometry import AxisSetup
+from drivers.positioners.pozsol.reference import SHOWS
 from drivers.positioners.pozsol.refusals import likely_cause
 from drivers.positioners.pozsol.wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, SWITCH_BITS, StatusWord
 
@@ -19,8 +20,6 @@ _RUN_OUT_UNITS = 1.0
 _OFF_DEG = 5.0
 # How near to where it is sent it has left the switch.
 _NEAR_DEG = 0.5
-# So near to what it was told a destination is the one.
-_SHOWS = 0.5
 
 
 def off_switch(setup: AxisSetup, here: float, may_stand_at: float | None) -> int | None:
@@ -69,7 +68,7 @@ class WayOffSwitch:
         """Take in one look; whatever else sends the axis off, its own tracking above all, ends the way."""
         a, b = (seen.position_a, seen.destination_a), (seen.position_b, seen.destination_b)
         position, destination = a if self._axis == "a" else b
-        aims = abs(destination - self.goes_to) <= _SHOWS
+        aims = abs(destination - self.goes_to) <= SHOWS
         if seen.faults or seen.autonomous:
             self.trouble = likely_cause(seen)
         elif self._taken and not aims:

@@ -24,6 +24,7 @@ from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.end_switches import WayOffSwitch, off_switch
 from drivers.positioners.pozsol.geometry import AxisSetup
 from drivers.positioners.pozsol.link import PositionerLine
+from drivers.positioners.pozsol.reference import SHOWS
 from drivers.positioners.pozsol.refusals import likely_cause, misfit, why_not_standing
 from drivers.positioners.pozsol.standstill import Standstill
 from drivers.positioners.pozsol.table import Value
@@ -189,8 +190,8 @@ class PozsolPositioner:
             await self._confirm(
                 lambda seen: (
                     seen.time_monotonic_s > sent_s
-                    and abs(seen.destination_a - wanted["a"]) <= 0.5
-                    and abs(seen.destination_b - wanted["b"]) <= 0.5
+                    and abs(seen.destination_a - wanted["a"]) <= SHOWS
+                    and abs(seen.destination_b - wanted["b"]) <= SHOWS
                 ),
                 what,
                 stops,

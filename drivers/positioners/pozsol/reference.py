@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from drivers.interfaces import AxisName
 
 _BOTH: frozenset[AxisName] = frozenset(("a", "b"))
-# So near to what it was told a destination is the one.
-_SHOWS = 0.5
+SHOWS = 0.5
+"""So near to what it was told a destination is the one."""
 
 
 @dataclass
@@ -120,7 +120,7 @@ class LastKnown:
                 if axis in lost:
                     lost[axis] += self._seen[axis] - position
         self._seen[axis], self._shown[axis] = position, destination
-        if abs(destination - self._told.get(axis, destination)) <= _SHOWS:
+        if abs(destination - self._told.get(axis, destination)) <= SHOWS:
             self._told.pop(axis, None)
 
     def of(self, axis: AxisName, position: float) -> float | None:

@@ -31,6 +31,15 @@ async def knows_where_it_stands(rig):
     assert (told.a_deg, told.b_deg) == pytest.approx(tuple(rig.truth()), abs=0.3)
 
 
+async def slipped_on_its_way(rig, axis):
+    """Let an axis slip when it has gone five degrees towards its end switch."""
+    began = getattr(rig.truth(), f"{axis}_deg")
+    rig.motion.home()
+    await rig.until(lambda: getattr(rig.truth(), f"{axis}_deg") < began - 5.0, 200, "the axis on its way")
+    rig.unit.inject(f"{axis}_slip", rig.clock.monotonic())
+    await ended(rig)
+
+
 async def stuck_on_its_way(rig):
     """Let B's end switch close, and stay closed, when B has gone a degree towards it, and return where B stands."""
     began_deg = rig.truth().b_deg
@@ -46,11 +55,7 @@ async def stuck_on_its_way(rig):
 def test_a_count_that_slipped_is_right_again_after_two_runs(run_rig, axis):
     async def scenario(rig):
         await quiet(rig)
-        began = getattr(rig.truth(), f"{axis}_deg")
-        rig.motion.home()
-        await rig.until(lambda: getattr(rig.truth(), f"{axis}_deg") < began - 5.0, 200, "the axis on its way")
-        rig.unit.inject(f"{axis}_slip", rig.clock.monotonic())
-        await ended(rig)
+        await slipped_on_its_way(rig, axis)
         assert f"axis {axis.upper()} {MET}" in rig.motion.doubt
         await homed(rig)
         assert rig.motion.doubt is None
@@ -63,11 +68,7 @@ def test_a_count_that_slipped_is_right_again_after_two_runs(run_rig, axis):
 def test_whatever_else_drives_an_axis_on_its_way_off_the_switch_is_stopped_and_told(run_rig, drives):
     async def scenario(rig):
         await quiet(rig)
-        began = rig.truth().a_deg
-        rig.motion.home()
-        await rig.until(lambda: rig.truth().a_deg < began - 5.0, 200, "the axis on its way")
-        rig.unit.inject("a_slip", rig.clock.monotonic())
-        await ended(rig)
+        await slipped_on_its_way(rig, "a")
         home_deg = rig.truth().a_deg
         rig.motion.home()
         await rig.until(lambda: rig.truth().a_deg > home_deg + 0.5, 60, "the way off the switch")
