@@ -124,7 +124,8 @@ def test_a_count_that_was_lost_is_a_fault_until_the_trackers_role_has_homed_both
         # It may have set out already: what jumps while a stopped move runs out counts as motion.
         until_state(address, lambda seen: seen["mode"]["name"] == "hold" and not seen["tracker"]["moving"], 60, "rest")
         time.sleep(3.0)
-        firmware.control("count 0 4500")
+        # So far that a look seconds late, too, shows what no axis can have turned.
+        firmware.control("count 0 22500")
         until_state(address, lambda seen: "jumped" in (seen["tracker"]["doubt_why"] or ""), 60, "the doubt")
         assert heliocube("auto", "-c", config).returncode == 0
         until_state(address, lambda seen: seen["mode"]["name"] == "fault", 60, "the fault")
