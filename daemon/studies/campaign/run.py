@@ -198,7 +198,7 @@ class CampaignRun:
         elif name == "clock_step":
             watch.steps.note(value[0], watch.now_s)
         if fault.uncounts:
-            watch.reference.excused = True
+            watch.reference.excused, watch.reference.lost_s = True, watch.now_s
         if name.endswith("hall_loss"):
             watch.blind.add("a" if name[0] == "a" else "b")
         if fault.by_hand:

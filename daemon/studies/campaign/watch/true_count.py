@@ -25,6 +25,8 @@ class TrueCount:
     ----------
     excused
         A person, or a fault that nobody can see, answers for the unit's count.
+    lost_s
+        When a fault made the unit lose its count last: it then drives an axis that stood back to where it was sent.
     wrong_s
         Since when it has been wrong, or None.
     compared_s
@@ -34,6 +36,7 @@ class TrueCount:
     def __init__(self, fails: Callable[[str, str], None]) -> None:
         self._fails = fails
         self.excused = False
+        self.lost_s = float("-inf")
         self.wrong_s: float | None = None
         self.compared_s = float("-inf")
 

@@ -196,8 +196,8 @@ class TruthWatch:
 
     def disturbed(self, within_s: float) -> bool:
         """Tell whether a fault or a hand may have moved an axis lately."""
-        now_s = self.now_s
-        return now_s - max(self._self_moved_s, self.reach.since_s) < within_s or self.explained.by_hand(now_s)
+        now_s, since_s = self.now_s, max(self._self_moved_s, self.reach.since_s, self.reference.lost_s)
+        return now_s - since_s < within_s or self.explained.by_hand(now_s)
 
     def disturbs(self) -> None:
         """Take note that a fault begins or ends, or that a person gives a command."""

@@ -86,5 +86,11 @@ def test_each_promise_about_answers_can_be_seen_broken(events, lies, promises):
     assert promises <= found(events, Lying(**lies))
 
 
+def test_a_hold_that_was_seen_is_not_belied_by_a_count_that_is_lost_just_after_it():
+    settles = replace(GOTO, value=(-10.0, 80.0))
+    hold, slip = Happening(200.0, "command", "hold"), Happening(200.05, "fault", "b_slip")
+    assert found((settles, hold, slip), DirectDoor()) == set()
+
+
 def test_a_tracker_that_does_not_work_again_is_seen():
     assert "does-not-recover" in found((STOP,), Lying(auto=says(done=True)), heal=True)
