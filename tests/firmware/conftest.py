@@ -46,8 +46,10 @@ def powered_up(lock_step):
 
 
 @pytest.fixture
-def start_firmware(tmp_path):
+def start_firmware(tmp_path, monkeypatch):
     """Start a powered-up, provisioned unit on a pseudo-terminal, its axes at the angles given."""
+    # It tells its status every 3 s of its own time, which goes slower the busier the machine is.
+    monkeypatch.setattr("drivers.positioners.pozsol.positioner._STATUS_SHOWS_S", 20.0)
     started = []
 
     def start(a_deg=0.0, b_deg=90.0, **how):

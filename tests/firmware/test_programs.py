@@ -119,7 +119,7 @@ def test_a_count_that_was_lost_is_a_fault_until_the_trackers_role_has_homed_both
     firmware = start_firmware(-46.0, 20.0)
     with tracker(firmware, tmp_path, 240) as (config, address):
         until_state(address, lambda seen: seen["tracker"]["connected"], 40, "the connection")
-        # On a busy machine the command may end before it has seen rest; here that is waited for.
+        # On a busy machine a command may end before it has seen what it waits for; here that is waited for.
         assert heliocube("hold", "-c", config).returncode in (ExitCode.GOOD, ExitCode.NOT_SEEN)
         # It may have set out already: what jumps while a stopped move runs out counts as motion.
         until_state(address, lambda seen: seen["mode"]["name"] == "hold" and not seen["tracker"]["moving"], 60, "rest")
@@ -130,13 +130,13 @@ def test_a_count_that_was_lost_is_a_fault_until_the_trackers_role_has_homed_both
         assert heliocube("auto", "-c", config).returncode == 0
         until_state(address, lambda seen: seen["mode"]["name"] == "fault", 60, "the fault")
         homed = heliocube("home", "-c", config)
-        assert homed.returncode == 0, homed.stderr
+        assert homed.returncode in (ExitCode.GOOD, ExitCode.NOT_SEEN), homed.stderr
         until_state(address, lambda seen: seen["tracker"]["homing"], 60, "the reference run")
         until_state(address, lambda seen: not seen["tracker"]["homing"], 120, "its end")
         # It is over before it has been judged.
         seen = until_state(address, lambda seen: not seen["tracker"]["concerns"], 60, "what it settles")
         assert "reference" not in [alarm["name"] for alarm in seen["alarms"]]
         assert seen["mode"]["name"] != "fault"
-        assert heliocube("hold", "-c", config).returncode == 0
-        shown = state(address)["tracker"]["pose"]
+        assert heliocube("hold", "-c", config).returncode in (ExitCode.GOOD, ExitCode.NOT_SEEN)
+        shown = until_state(address, lambda seen: not seen["tracker"]["moving"], 60, "rest again")["tracker"]["pose"]
         assert firmware.pose_deg() == pytest.approx((shown["a_deg"], shown["b_deg"]), abs=0.5)
