@@ -309,7 +309,7 @@ class Guard:
                 await task
 
     def _judge(self, before: Telemetry | None, telemetry: Telemetry) -> None:
-        stray = self.watch.update(telemetry)
+        stray = self.watch.update(telemetry, self._clock.monotonic())
         told = telemetry.homing and telemetry.status_monotonic_s > self._judged_s + _STATUS_LATE_S
         # On the way of a move of ours the bit alone says nothing: it may be that of the other axis' motion.
         own_run = told and not self.watch.on_its_way

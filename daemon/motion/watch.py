@@ -136,13 +136,17 @@ class Watch:
         self.rest(telemetry)
         self._homing, self._shown = frozenset((axis,)), False
 
-    def update(self, telemetry: Telemetry) -> Stray | None:
-        """Take in the newest telemetry; return what it shows that no order explains."""
+    def update(self, telemetry: Telemetry, known_s: float | None = None) -> Stray | None:
+        """Take in the newest telemetry; return what it shows that no order explains.
+
+        `known_s` is when it had come [s], None for its own time: a drive that is asked may show where it is by then.
+        """
         self._note_standstill(telemetry)
         before, self._last = self._last, telemetry
         if self._rest is None or before is None:
             return None
-        if not self._homing and (leap := _leap(before, telemetry, by_angles=self._axes_are_angles)):
+        took_s = (telemetry.time_monotonic_s if known_s is None else known_s) - before.time_monotonic_s
+        if not self._homing and (leap := _leap(before, telemetry, took_s, by_angles=self._axes_are_angles)):
             self._gaps = [math.inf, math.inf]
             self._rest = telemetry
             return Stray(leap, telemetry.time_monotonic_s, jump=True)
@@ -207,8 +211,8 @@ def _near(here: tuple[float, float], there: tuple[float, float], within: float) 
     return abs(here[0] - there[0]) <= within and abs(here[1] - there[1]) <= within
 
 
-def _leap(before: Telemetry, after: Telemetry, *, by_angles: bool) -> str | None:
-    most_deg = _JUMP_DEG_PER_S * max(after.time_monotonic_s - before.time_monotonic_s, _SHORTEST_LOOK_S)
+def _leap(before: Telemetry, after: Telemetry, took_s: float, *, by_angles: bool) -> str | None:
+    most_deg = _JUMP_DEG_PER_S * max(took_s, _SHORTEST_LOOK_S)
     see = _angles if by_angles else _positions
     if _near(see(before), see(after), most_deg):
         return None

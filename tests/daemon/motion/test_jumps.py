@@ -1,7 +1,11 @@
 """A count that jumps, from the bytes on the wire to the rule of motion: a jump is told as one, and no motion is."""
 
+import asyncio
+from dataclasses import replace
+
 import pytest
 
+from daemon.base.records import MoveOutcome, Target
 from daemon.motion.watch import Watch
 from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
 from drivers.positioners.pozsol.link import LinkState
@@ -9,6 +13,7 @@ from drivers.positioners.pozsol.table import FieldTable
 from drivers.positioners.pozsol.watch import PositionerWatch
 from drivers.positioners.pozsol.wire import TokenStream
 from drivers.settings import PositionerSettings
+from tests.support.hand_positioner import HandPositioner, run_motion
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
@@ -73,3 +78,30 @@ def test_what_moves_right_after_a_jump_is_told(moves):
         assert len(told) > 1, cut
         assert not any(stray.jump for stray in told[1:]), (cut, told)
         assert "moved from" in told[1].text
+
+
+class LatePositioner(HandPositioner):
+    """One whose answer to every third look takes three seconds, and shows where it stands by then."""
+
+    async def read_telemetry(self):
+        asked_s = self._clock.monotonic()
+        if self.looks % 3 == 2:
+            await asyncio.sleep(3.0)
+        return replace(await super().read_telemetry(), time_monotonic_s=asked_s)
+
+
+def test_what_an_axis_turned_while_an_answer_was_awaited_is_no_jump():
+    async def scenario(rig):
+        rig.motion.order(Target(-40.0, 60.0, "test"))
+        await rig.until(lambda: rig.moves and rig.moves[-1].outcome is MoveOutcome.ARRIVED, 120.0)
+        assert not rig.told
+
+    run_motion(scenario, make=LatePositioner)
+
+
+def test_a_count_that_jumps_while_an_answer_is_awaited_is_one():
+    async def scenario(rig):
+        rig.unit.put(40.0, 60.0)
+        await rig.until(lambda: "the count jumped from A +0.0" in (rig.motion.doubt or ""))
+
+    run_motion(scenario, make=LatePositioner)
