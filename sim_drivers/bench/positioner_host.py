@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.positioners.pozsol.wire import SEPARATOR
+from drivers.positioners.pozsol.wire import COMMAND_SPACING_S, SEPARATOR
 from sim_drivers.bench.pty_port import PtyPort
 from sim_drivers.pozsol.core import PositionerCore
 
 SCREEN_EVERY_S = 0.02
 BANNER = b"\r\nPOZSOL36A1 ready\r\n"
 """What the simulated unit prints after a restart; whether a real one prints anything is not known."""
+_HELD_UP_S = 0.04
 
 
 class PositionerHost:
@@ -21,6 +22,9 @@ class PositionerHost:
 
     The first screen after the port has been opened is an old one, held since the last user left, and it comes one
     period late: a user has that long to switch the echo off. Whatever is echoed later is taken for a command.
+
+    Of two commands that are read at once the unit hears one. Where that is because the machine held this process up,
+    they are handed over one by one, as they were sent: a real unit is not held up by other programs.
 
     Parameters
     ----------
@@ -57,6 +61,7 @@ class PositionerHost:
         self._boots_until_s: float | None = None
         self._frozen = False
         self._drops = self._corruptions = 0
+        self._awake_s = self._free_s = now()
 
     async def run(self) -> None:
         """Stream until cancelled."""
@@ -64,6 +69,7 @@ class PositionerHost:
         while True:
             due_s = max(due_s + SCREEN_EVERY_S, self._now())
             await asyncio.sleep(due_s - self._now())
+            self._awake_s = self._now()
             if not self._frozen:
                 self._stream()
 
@@ -122,7 +128,24 @@ class PositionerHost:
     def _take(self, data: bytes) -> None:
         if self._boots_until_s is not None:
             return
-        at = data.find(SEPARATOR)
-        if 0 <= at < len(data) - 1:
-            self.received[data[at + 1]] += 1
-        self.core.feed(data, self._now())
+        now_s = self._now()
+        held_up = now_s - self._awake_s > _HELD_UP_S
+        for packet in _commands(data) if held_up else [data]:
+            wait_s = self._free_s - now_s
+            if wait_s > 0.0:
+                asyncio.get_running_loop().call_later(wait_s, self._hand_over, packet)
+            else:
+                self._hand_over(packet)
+            if held_up or wait_s > 0.0:
+                self._free_s = max(self._free_s, now_s) + COMMAND_SPACING_S
+
+    def _hand_over(self, packet: bytes) -> None:
+        at = packet.find(SEPARATOR)
+        if 0 <= at < len(packet) - 1:
+            self.received[packet[at + 1]] += 1
+        self.core.feed(packet, self._now())
+
+
+def _commands(data: bytes) -> list[bytes]:
+    first, *others = data.split(b"%c" % SEPARATOR)
+    return [packet for packet in (first, *(b"%c%b" % (SEPARATOR, other) for other in others)) if packet]

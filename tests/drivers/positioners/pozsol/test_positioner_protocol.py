@@ -151,6 +151,30 @@ def test_listening_identifies_and_a_move_is_confirmed_followed_and_stopped(posit
     asyncio.run(scene())
 
 
+def test_a_simulated_unit_loses_no_command_because_the_machine_held_it_up(positioner_host):
+    async def scene():
+        async with positioner_host() as host:
+            positioner = positioner_on(host.port.link)
+            await positioner.open()
+            await positioner.stop()
+            await asyncio.sleep(0.2)
+            other = os.open(host.port.link, os.O_WRONLY | os.O_NOCTTY)
+            for field, place in ((Field.A_DESTINATION, 150), (Field.B_DESTINATION, 200)):
+                os.write(other, wire.encode_command(field, place))
+                # The unit lives in this process.
+                time.sleep(0.1)  # noqa: ASYNC251
+            os.close(other)
+
+            async def taken():
+                seen = await positioner.read_telemetry()
+                return (seen.destination_a, seen.destination_b) == pytest.approx((150.0, 200.0), abs=1.0)
+
+            await until(taken, 10.0)
+            await positioner.close()
+
+    asyncio.run(scene())
+
+
 @pytest.mark.parametrize("how", ["stop", "halt"])
 def test_a_stop_goes_out_at_once_and_a_move_that_was_being_sent_goes_no_further(positioner_host, how):
     async def scene():
