@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 
-from drivers.errors import ConnectError, RefusedError
+from drivers.errors import ConnectError, IdentityError, RefusedError
 from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
 from drivers.positioners.pozsol.link import SerialLine, open_port
 from drivers.positioners.pozsol.positioner import PozsolPositioner
@@ -123,7 +123,7 @@ async def opened(positioner, within_s=120.0):
     while True:
         try:
             return await positioner.open()
-        except ConnectError:
+        except (ConnectError, IdentityError):
             if time.monotonic() >= deadline_s:
                 raise
 

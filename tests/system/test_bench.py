@@ -213,7 +213,10 @@ def test_a_bench_of_pyranometers_is_driven_by_the_file_that_it_writes(start_benc
     bench = start_bench("--cube", "modbus-pyranometers", "--weather", "clear", "--start", "2022-06-21T12:00Z")
     assert check_file(bench.config).instruments.cube.line == str(bench.directory / "cube")
     bench.ask("pyranometer", "south", "status", "8")
-    done = heliocube("probe", "cube", "--config", bench.config, "--addresses", "1-4", "--clear")
+    # A busy machine lets an answer wait for longer than a sensor does.
+    patient = bench.config.with_name("patient.toml")
+    patient.write_text(bench.config.read_text().replace("answer_within_s = 0.3", "answer_within_s = 5.0"))
+    done = heliocube("probe", "cube", "--config", patient, "--addresses", "1-4", "--clear")
     assert done.returncode == 0, done.stderr
     assert len(re.findall(r"address \d: SMP3 no. 2410\d .* W/m2", done.stdout)) == 4
     assert "error 9 cleared" in done.stdout
