@@ -14,7 +14,7 @@ from sim_drivers.pozsol.core import PositionerCore
 SCREEN_EVERY_S = 0.02
 BANNER = b"\r\nPOZSOL36A1 ready\r\n"
 """What the simulated unit prints after a restart; whether a real one prints anything is not known."""
-_HELD_UP_S = 0.04
+_MOST_AT_ONCE = 3
 
 
 class PositionerHost:
@@ -23,8 +23,9 @@ class PositionerHost:
     The first screen after the port has been opened is an old one, held since the last user left, and it comes one
     period late: a user has that long to switch the echo off. Whatever is echoed later is taken for a command.
 
-    Of two commands that are read at once the unit hears one. Where that is because the machine held this process up,
-    they are handed over one by one, as they were sent: a real unit is not held up by other programs.
+    Of two commands that come at once the unit hears one. A busy machine lets a pseudo-terminal wait, and two or three
+    that were sent in good time are read at once: they are handed over one by one. More than that is an echo, and comes
+    as it is.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ class PositionerHost:
         self._boots_until_s: float | None = None
         self._frozen = False
         self._drops = self._corruptions = 0
-        self._awake_s = self._free_s = now()
+        self._free_s = now()
 
     async def run(self) -> None:
         """Stream until cancelled."""
@@ -69,7 +70,6 @@ class PositionerHost:
         while True:
             due_s = max(due_s + SCREEN_EVERY_S, self._now())
             await asyncio.sleep(due_s - self._now())
-            self._awake_s = self._now()
             if not self._frozen:
                 self._stream()
 
@@ -128,15 +128,18 @@ class PositionerHost:
     def _take(self, data: bytes) -> None:
         if self._boots_until_s is not None:
             return
-        now_s = self._now()
-        held_up = now_s - self._awake_s > _HELD_UP_S
-        for packet in _commands(data) if held_up else [data]:
+        now_s, packets = self._now(), _commands(data)
+        if len(packets) > _MOST_AT_ONCE or self._free_s - now_s > _MOST_AT_ONCE * COMMAND_SPACING_S:
+            self._hand_over(data)
+            return
+        for packet in packets:
             wait_s = self._free_s - now_s
             if wait_s > 0.0:
                 asyncio.get_running_loop().call_later(wait_s, self._hand_over, packet)
             else:
                 self._hand_over(packet)
-            if held_up or wait_s > 0.0:
+            # One alone comes when it comes: what is sent too soon after another is lost.
+            if len(packets) > 1 or wait_s > 0.0:
                 self._free_s = max(self._free_s, now_s) + COMMAND_SPACING_S
 
     def _hand_over(self, packet: bytes) -> None:
