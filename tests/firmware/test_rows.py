@@ -11,8 +11,8 @@ from sim_drivers.pozsol.setup import A_ACTUATOR, Actuator, Setup
 from solar.frames import Angles
 from tests.firmware.peer import Firmware, Simulated
 
-STOP, HOME_A, HOME_B, CLEAR = b"$9s\r", b"$95\r", b"$96\r", b"$\x880\r"
-A_OUT, A_IN, A_HOMING, B_HOMING, A_LOW = 1 << 11, 1 << 12, 1 << 13, 1 << 17, 1 << 19
+STOP, HOME_A, HOME_B, CLEAR, OWN_TRACKING = b"$9s\r", b"$95\r", b"$96\r", b"$\x880\r", b"$8Y\r"
+A_OUT, A_IN, A_HOMING, B_HOMING, A_LOW, OWN = 1 << 11, 1 << 12, 1 << 13, 1 << 17, 1 << 19, 1 << 25
 MOTION = A_OUT | A_IN | A_HOMING | B_HOMING | 1 << 15 | 1 << 16
 
 
@@ -197,6 +197,24 @@ def test_a_reference_run_ends_beyond_its_switch_with_the_count_anew(lock_step):
             assert look.status == A_LOW
             assert look.destination_mm[0] == look.position_mm[0]
             assert after(unit, CLEAR, 100).status == A_LOW
+    finally:
+        firmware.close()
+
+
+def test_own_tracking_that_comes_on_in_a_reference_run_lets_it_end_and_moves_nothing_meanwhile(lock_step):
+    firmware = Firmware(lock_step, -50.0, 60.0)
+    try:
+        for unit in (firmware.twin(), firmware):
+            after(unit, HOME_A, 1000)
+            before = unit.look()
+            look = after(unit, OWN_TRACKING, 500)
+            assert look.status == before.status | OWN
+            assert (look.motion, look.position_mm[1]) == ((-1, 0), before.position_mm[1])
+            assert look.destination_mm[1] != before.destination_mm[1]
+            unit.step(4000)
+            look = unit.look()
+            assert look.position_mm == pytest.approx((-0.39, before.position_mm[1]), abs=0.05)
+            assert (look.motion, look.status) == ((0, 0), A_LOW | OWN)
     finally:
         firmware.close()
 
