@@ -38,7 +38,8 @@ class Listener:
     async def next(self) -> list[str]:
         """Return what there is to send, after a while nothing."""
         try:
-            await asyncio.wait_for(self._news.wait(), _BEAT_S)
+            async with asyncio.timeout(_BEAT_S):
+                await self._news.wait()
         except TimeoutError:
             return []
         self._news.clear()

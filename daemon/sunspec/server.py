@@ -142,7 +142,8 @@ class SunSpecServer:
                         if not pace.admit(self._clock.monotonic()):
                             await asyncio.sleep(_PAUSE_S * self._speed)
                         writer.write(framing.reply(asked, await self._answer(asked, host)))
-                        await asyncio.wait_for(writer.drain(), _IDLE_S * self._speed)
+                        async with asyncio.timeout(_IDLE_S * self._speed):
+                            await writer.drain()
         finally:
             self._asked_s.pop(writer, None)
             if task is not None:
@@ -161,7 +162,8 @@ class SunSpecServer:
         return True
 
     async def _more(self, reader: asyncio.StreamReader) -> bytes:
-        return await asyncio.wait_for(reader.read(_CHUNK), _IDLE_S * self._speed)
+        async with asyncio.timeout(_IDLE_S * self._speed):
+            return await reader.read(_CHUNK)
 
     async def _answer(self, asked: Asked, host: str) -> bytes:
         pdu = asked.request.pdu
