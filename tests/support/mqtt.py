@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import json
 import logging
+import math
 from datetime import UTC, datetime
 from random import Random
 
@@ -64,7 +65,9 @@ class Observer:
     async def say(self, topic, payload=b"", retain=False):
         if not isinstance(payload, bytes | str):
             payload = json.dumps(payload)
-        await self.client.publish(topic, payload, qos=1, retain=retain, timeout=10 * SPEED)
+        # Without a limit of its own the library swallows no cancellation, as `asyncio.wait_for` of Python 3.11 may.
+        async with asyncio.timeout(10 * SPEED):
+            await self.client.publish(topic, payload, qos=1, retain=retain, timeout=math.inf)
 
     def on(self, topic):
         return [message for message in self.heard if message.topic.value == topic]
