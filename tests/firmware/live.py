@@ -17,13 +17,24 @@ A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
 
 
-# As the peer's own program, but for the status: after power-up nobody has cleared it.
-_NOT_CLEARED = """
+# As the peer's own program, but for two things: packets are spaced in the unit's own time, since of two that a busy
+# machine hands over late one is lost, and a parameter with it; and the status need not be cleared after power-up.
+_PROGRAM = """
 import sys
+import time
 sys.path.insert(0, sys.argv.pop(1))
 from fw import LiveUnit, provision
-unit = LiveUnit(sys.argv[1], sys.argv[2])
-provision(unit, float(sys.argv[3]), float(sys.argv[4]), clear=False)
+
+
+class Patient(LiveUnit):
+    def step(self, ms):
+        until_ms = self.state()["ms"] + ms
+        while self.state()["ms"] < until_ms:
+            time.sleep(0.01)
+
+
+unit = Patient(sys.argv[1], sys.argv[2])
+provision(unit, float(sys.argv[3]), float(sys.argv[4]), clear=sys.argv[5] == "cleared")
 print("up", flush=True)
 for line in sys.stdin:
     print(*unit.cmd(line.strip()), flush=True)
@@ -36,9 +47,9 @@ class LiveFirmware:
 
     def __init__(self, link, a_deg, b_deg, *, cleared=True):
         self.link = link
-        program = [str(FIRMWARE / "serve.py")] if cleared else ["-B", "-c", _NOT_CLEARED, str(FIRMWARE)]
+        begins = "cleared" if cleared else "as after power-up"
         self._process = subprocess.Popen(
-            [sys.executable, *program, BUILD, str(link), str(a_deg), str(b_deg)],
+            [sys.executable, "-B", "-c", _PROGRAM, str(FIRMWARE), BUILD, str(link), str(a_deg), str(b_deg), begins],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
