@@ -23,9 +23,9 @@ class PositionerHost:
     The first screen after the port has been opened is an old one, held since the last user left, and it comes one
     period late: a user has that long to switch the echo off. Whatever is echoed later is taken for a command.
 
-    Of two commands that come at once the unit hears one. A busy machine lets a pseudo-terminal wait, and two or three
-    that were sent in good time are read at once: they are handed over one by one. More than that is an echo, and comes
-    as it is.
+    Of two commands within 20 ms a unit hears one. A busy machine lets a pseudo-terminal wait, and what was sent in good
+    time is read at once or in quick succession: here commands are handed over one by one, at the distance that the unit
+    asks for. More than three that wait are an echo, and come as they are.
 
     Parameters
     ----------
@@ -138,9 +138,7 @@ class PositionerHost:
                 asyncio.get_running_loop().call_later(wait_s, self._hand_over, packet)
             else:
                 self._hand_over(packet)
-            # One alone comes when it comes: what is sent too soon after another is lost.
-            if len(packets) > 1 or wait_s > 0.0:
-                self._free_s = max(self._free_s, now_s) + COMMAND_SPACING_S
+            self._free_s = max(self._free_s, now_s) + COMMAND_SPACING_S
 
     def _hand_over(self, packet: bytes) -> None:
         at = packet.find(SEPARATOR)

@@ -151,7 +151,8 @@ def test_listening_identifies_and_a_move_is_confirmed_followed_and_stopped(posit
     asyncio.run(scene())
 
 
-def test_a_simulated_unit_loses_no_command_because_the_machine_held_it_up(positioner_host):
+@pytest.mark.parametrize("together", [True, False])
+def test_a_simulated_unit_loses_no_command_because_the_machine_held_it_up(positioner_host, together):
     async def scene():
         async with positioner_host() as host:
             positioner = positioner_on(host.port.link)
@@ -161,8 +162,11 @@ def test_a_simulated_unit_loses_no_command_because_the_machine_held_it_up(positi
             other = os.open(host.port.link, os.O_WRONLY | os.O_NOCTTY)
             for field, place in ((Field.A_DESTINATION, 150), (Field.B_DESTINATION, 200)):
                 os.write(other, wire.encode_command(field, place))
-                # The unit lives in this process.
-                time.sleep(0.1)  # noqa: ASYNC251
+                if together:
+                    # The unit lives in this process.
+                    time.sleep(0.1)  # noqa: ASYNC251
+                else:
+                    await asyncio.sleep(0.003)
             os.close(other)
 
             async def taken():
