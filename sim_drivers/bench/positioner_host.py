@@ -126,8 +126,6 @@ class PositionerHost:
             self.lost_screens += 1
 
     def _take(self, data: bytes) -> None:
-        if self._boots_until_s is not None:
-            return
         now_s, packets = self._now(), _commands(data)
         if len(packets) > _MOST_AT_ONCE or self._free_s - now_s > _MOST_AT_ONCE * COMMAND_SPACING_S:
             self._hand_over(data)
@@ -141,6 +139,8 @@ class PositionerHost:
             self._free_s = max(self._free_s, now_s) + COMMAND_SPACING_S
 
     def _hand_over(self, packet: bytes) -> None:
+        if self._frozen or self._boots_until_s is not None:
+            return
         at = packet.find(SEPARATOR)
         if 0 <= at < len(packet) - 1:
             self.received[packet[at + 1]] += 1

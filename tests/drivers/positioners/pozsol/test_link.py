@@ -126,7 +126,7 @@ def test_a_port_with_echo_does_harm_and_the_driver_avoids_it(positioner_host):
             host.received.clear()
             positioner = positioner_on(host.port.link)
             await positioner.open()
-            await move(positioner, 5.0, 80.0)
+            await positioner.move_to(5.0, 80.0)
             assert set(host.received) == {Field.ACTION, Field.A_DESTINATION, Field.B_DESTINATION}
             mode = termios.tcgetattr(positioner._line._reader.port._port.fileno())
             mode[3] |= termios.ECHO
@@ -159,7 +159,7 @@ def test_a_banner_in_mid_run_is_a_restart_that_loses_link_and_reference(position
         async with positioner_host() as host:
             positioner = positioner_on(host.port.link, banner=BANNER.decode().strip())
             await positioner.open()
-            await move(positioner, 5.0, 80.0)
+            await positioner.move_to(5.0, 80.0)
             # The banner alone: the reset mark of the status comes up to three seconds later, or never.
             host.port.send(BANNER)
             await until(lambda: _lost(positioner, "has restarted: it prints its banner"))
