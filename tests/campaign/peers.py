@@ -14,6 +14,7 @@ from pathlib import Path
 
 from sim_drivers.bench.client import request
 from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR
+from tests.firmware.live import command
 from tests.support import forks
 from tests.support.addresses import free_port
 
@@ -116,7 +117,7 @@ class FirmwareUnit:
     def __init__(self, folder, config, where, build="micro"):
         link = folder / "positioner"
         self._process = subprocess.Popen(
-            [sys.executable, where / "serve.py", build, link, "0", "60"],
+            command(link, 0.0, 60.0, where=where, build=build),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

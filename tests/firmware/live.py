@@ -42,14 +42,19 @@ unit.close()
 """
 
 
+def command(link, a_deg, b_deg, *, cleared=True, where=FIRMWARE, build=BUILD):
+    """Return what to run for a unit on a pseudo-terminal: it says "up", and takes lines of control from then on."""
+    begins = "cleared" if cleared else "as after power-up"
+    return [sys.executable, "-B", "-c", _PROGRAM, str(where), build, str(link), str(a_deg), str(b_deg), begins]
+
+
 class LiveFirmware:
     """One unit, with its truth and its cable in hand."""
 
     def __init__(self, link, a_deg, b_deg, *, cleared=True):
         self.link = link
-        begins = "cleared" if cleared else "as after power-up"
         self._process = subprocess.Popen(
-            [sys.executable, "-B", "-c", _PROGRAM, str(FIRMWARE), BUILD, str(link), str(a_deg), str(b_deg), begins],
+            command(link, a_deg, b_deg, cleared=cleared),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
