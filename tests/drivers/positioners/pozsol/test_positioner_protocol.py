@@ -19,7 +19,6 @@ from drivers.transcript import no_tap
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import Setup
 from solar.frames import Angles
-from tests.firmware.live import move
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
@@ -137,7 +136,7 @@ def test_listening_identifies_and_a_move_is_confirmed_followed_and_stopped(posit
             assert not host.received
             await positioner.disable_autonomy()
             assert not host.received
-            await move(positioner, -20.0, 60.0)
+            await positioner.move_to(-20.0, 60.0)
 
             async def arrived():
                 seen = await positioner.read_telemetry()
@@ -185,13 +184,13 @@ def test_a_stop_goes_out_at_once_and_a_move_that_was_being_sent_goes_no_further(
         async with positioner_host() as host:
             positioner = positioner_on(host.port.link)
             await positioner.open()
-            moving = asyncio.create_task(positioner.move_to(-30.0, 50.0))
+            move = asyncio.create_task(positioner.move_to(-30.0, 50.0))
             await until(lambda: it_is(host.received[Field.A_DESTINATION] == 1))
             # One stop was spent on the first packet of the connection, which is lost.
             assert host.received[Field.ACTION] == 1
             await getattr(positioner, how)()
             with pytest.raises(RefusedError, match="a stop came in between"):
-                await moving
+                await move
             await until(lambda: it_is(host.received[Field.ACTION] >= 2))
             assert host.received[Field.B_DESTINATION] == 0
 
