@@ -14,14 +14,16 @@ from sim_drivers.pozsol.core import PositionerCore
 SCREEN_EVERY_S = 0.02
 BANNER = b"\r\nPOZSOL36A1 ready\r\n"
 """What the simulated unit prints after a restart; whether a real one prints anything is not known."""
+ECHO_OFF_WITHIN_S = 0.25
 _MOST_AT_ONCE = 3
 
 
 class PositionerHost:
     """The unit behind its port.
 
-    The first screen after the port has been opened is an old one, held since the last user left, and it comes one
-    period late: a user has that long to switch the echo off. Whatever is echoed later is taken for a command.
+    The first screen after the port has been opened is an old one, held since the last user left. It comes a period
+    later, and not before the user has switched the echo off, so that a user whom a busy machine keeps waiting does no
+    harm; a user who leaves it on gets it after a quarter of a second. Whatever is echoed then is taken for a command.
 
     Of two commands within 20 ms a unit hears one. A busy machine lets a pseudo-terminal wait, and what was sent in good
     time is read at once or in quick succession: here commands are handed over one by one, at the distance that the unit
@@ -58,6 +60,7 @@ class PositionerHost:
         self._random = random
         self._held: bytes | None = None
         self._user = False
+        self._echo_until_s = now()
         self.boots_at_open_s: float | None = None
         self._boots_until_s: float | None = None
         self._frozen = False
@@ -110,9 +113,13 @@ class PositionerHost:
             return
         if not self._user:
             self._user = True
+            self._echo_until_s = self._now() + ECHO_OFF_WITHIN_S
             if self.boots_at_open_s is not None:
                 self.restart(self.boots_at_open_s)
             return
+        if self._now() < self._echo_until_s and self.port.echoes:
+            return
+        self._echo_until_s = self._now()
         screen, self._held = self._held or self.core.next_screen(self._now()), None
         if self._drops:
             self._drops -= 1

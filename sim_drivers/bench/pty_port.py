@@ -17,6 +17,7 @@ from pathlib import Path
 
 LOOK_EVERY_S = 0.01
 _CHUNK = 4096
+_LOCAL_MODES = 3
 
 
 class _Taken(Enum):
@@ -57,6 +58,11 @@ class PtyPort:
         poll = select.poll()
         poll.register(self._master, select.POLLIN)
         return not any(events & (select.POLLHUP | select.POLLERR) for _, events in poll.poll(0))
+
+    @property
+    def echoes(self) -> bool:
+        """Whether what is sent to the user comes back."""
+        return self._master is not None and bool(termios.tcgetattr(self._master)[_LOCAL_MODES] & termios.ECHO)
 
     def plug(self) -> None:
         """Make the port appear; does nothing if it is there."""

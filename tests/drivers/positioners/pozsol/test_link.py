@@ -113,26 +113,32 @@ def test_a_port_without_modem_lines_is_used_and_said_to_have_none(positioner_hos
     asyncio.run(scene())
 
 
-def test_a_port_with_echo_does_harm_and_the_driver_avoids_it(positioner_host):
+def test_a_port_with_echo_does_harm(positioner_host):
     async def scene():
         async with positioner_host() as host:
             victim = os.open(host.port.link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-            await until(lambda: it_is(host.received[Field.BOARD] + host.received[Field.A_ANGLE] > 0))
-            os.close(victim)
-            await until(lambda: it_is(not host.port.in_use))
-            await until(lambda: it_is(not host.port._reading))
-            # What the victim's echo has left behind is taken in; the port keeps its mode for whoever comes next.
-            await asyncio.sleep(0.1)
-            host.received.clear()
+            try:
+                await until(lambda: it_is(host.received[Field.BOARD] + host.received[Field.A_ANGLE] > 0))
+            finally:
+                os.close(victim)
+
+    asyncio.run(scene())
+
+
+def test_the_driver_lets_no_echo_happen_and_sees_one_that_is_switched_on(positioner_host):
+    async def scene():
+        async with positioner_host() as host:
             positioner = positioner_on(host.port.link)
             await positioner.open()
             await positioner.move_to(5.0, 80.0)
-            assert set(host.received) == {Field.ACTION, Field.A_DESTINATION, Field.B_DESTINATION}
-            mode = termios.tcgetattr(positioner._line._reader.port._port.fileno())
+            received = set(host.received)
+            port = positioner._line._reader.port._port.fileno()
+            mode = termios.tcgetattr(port)
             mode[3] |= termios.ECHO
-            termios.tcsetattr(positioner._line._reader.port._port.fileno(), termios.TCSANOW, mode)
+            termios.tcsetattr(port, termios.TCSANOW, mode)
             await until(lambda: _lost(positioner, "echo"))
             await positioner.close()
+            assert received == {Field.ACTION, Field.A_DESTINATION, Field.B_DESTINATION}
 
     asyncio.run(scene())
 
