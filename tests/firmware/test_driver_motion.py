@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from drivers.errors import LinkLostError, RefusedError
-from tests.firmware.live import A, B, clear, driver_on, move, opened, standstill_after_s, until
+from tests.firmware.live import A, B, clear, driver_on, move, opened, standstill_after_s, taken, until
 
 # Braking takes a third of a second; the rest is for a machine on which emulator and driver wait for their turn.
 STANDS_WITHIN_S = 2.0
@@ -182,7 +182,7 @@ def test_own_tracking_is_switched_off_and_what_it_drove_is_stopped(start_firmwar
             return (await positioner.read_telemetry()).autonomous
 
         await until(on)
-        await positioner.disable_autonomy()
+        await taken(positioner.disable_autonomy)
         assert not (await positioner.read_telemetry()).autonomous
         assert await standstill_after_s(firmware, time.monotonic()) < 0.1
         await positioner.close()

@@ -76,7 +76,8 @@ class Player(threading.Thread):
                     os.write(self._master, screen)
                 over.wait(0.02)
                 try:
-                    data += os.read(self._master, 64)
+                    # A busy machine hands over late, and together, what was sent in good time.
+                    data += os.read(self._master, 64 if piece is None else len(piece.data) - len(data))
                 except BlockingIOError:
                     continue
                 if piece is not None and len(data) >= len(piece.data):
