@@ -24,6 +24,7 @@ Arguments = TypeVarTuple("Arguments")
 _DEADLOCK_AFTER_S = 10.0
 _LOOK_EVERY_ROUNDS = 16
 _RESOLUTION_S = 1e-9
+_LONGEST_TURN_S = 1.0
 _TIDY_TIMERS = 100
 _LOOK_FOR_GARBAGE_AFTER = (100_000, 20, 20)
 # What `asyncio.sleep` has called when its time is over, and nothing else has.
@@ -53,25 +54,50 @@ class _DelegatingSelector(selectors.BaseSelector):
 
 
 class _ScaledSelector(_DelegatingSelector):
-    def __init__(self, speed: float) -> None:
+    def __init__(self, loop: "ScaledTimeLoop") -> None:
         super().__init__()
-        self._speed = speed
+        self._loop = loop
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        return self._real.select(None if timeout is None else timeout / self._speed)
+        loop = self._loop
+        due_s = math.inf if timeout is None else loop.time() + timeout
+        events = self._real.select(None if timeout is None else max(due_s - loop.wanted_s(), 0.0) / loop.speed)
+        loop.begin_turn(due_s)
+        return events
 
 
 class ScaledTimeLoop(asyncio.SelectorEventLoop):
-    """An event loop whose clock runs `speed` times as fast as the machine's."""
+    """An event loop whose clock runs `speed` times as fast as the machine's.
+
+    A tenth of a second for which a busy machine lets the program wait would be six at 60 times real speed, longer than
+    a device may be silent. So such time does not pass in one leap: it is made up for as fast as the program can, from
+    timer to timer, and no turn of the loop takes more than a second of it.
+
+    Attributes
+    ----------
+    speed
+        How many of its seconds pass in one of the machine's.
+    """
 
     def __init__(self, speed: float) -> None:
-        self._speed = speed
+        self.speed = speed
         self._start_s = time.monotonic()
-        super().__init__(_ScaledSelector(speed))
+        # Both in one, for threads ask for the time as well.
+        self._turn = self._start_s, self._start_s
+        super().__init__(_ScaledSelector(self))
 
     def time(self) -> float:
         """Scaled seconds, equal to the machine's monotonic clock at construction."""
-        return self._start_s + (time.monotonic() - self._start_s) * self._speed
+        begun_s, begun_real_s = self._turn
+        return begun_s + min((time.monotonic() - begun_real_s) * self.speed, _LONGEST_TURN_S)
+
+    def wanted_s(self) -> float:
+        """Return what the time would be if the program had always run when it was to."""
+        return self._start_s + (time.monotonic() - self._start_s) * self.speed
+
+    def begin_turn(self, at_most_s: float) -> None:
+        """Let the time be what it should be, and no more than that of the timer that was waited for."""
+        self._turn = min(self.wanted_s(), at_most_s), time.monotonic()
 
 
 class _Beat(NamedTuple):

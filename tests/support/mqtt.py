@@ -94,7 +94,7 @@ def _read(payload):
 async def until(condition, what, within_s=WITHIN_S):
     """Wait for a condition, in the machine's time, and return what it found."""
     loop = asyncio.get_running_loop()
-    deadline = loop.time() + within_s * getattr(loop, "_speed", 1.0)
+    deadline = loop.time() + within_s * getattr(loop, "speed", 1.0)
     while not (found := condition()):
         assert loop.time() < deadline, f"{what} did not come within {within_s} s"
         await asyncio.sleep(0.02)

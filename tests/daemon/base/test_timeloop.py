@@ -2,6 +2,8 @@
 
 import asyncio
 import gc
+import itertools
+import math
 import socket
 import time
 from contextvars import ContextVar
@@ -95,6 +97,29 @@ def test_a_scaled_minute_passes_in_a_moment():
 
     with asyncio.Runner(loop_factory=lambda: ScaledTimeLoop(6000.0)) as runner:
         assert runner.run(minute()) >= 60.0
+
+
+def test_scaled_time_that_the_machine_was_away_passes_in_small_steps_and_is_made_up_for():
+    async def seconds():
+        loop = asyncio.get_running_loop()
+        seen, began_s = [loop.time()], time.monotonic()
+        # Half a minute in which nothing else runs.
+        loop.call_soon(time.sleep, 0.5)
+        behind_s = math.inf
+        while len(seen) < 20 or behind_s > 5.0:
+            assert len(seen) < 20_000, f"{behind_s:.0f} s are not made up for"
+            await asyncio.sleep(1.0)
+            behind_s = 60.0 * (time.monotonic() - began_s) - (loop.time() - seen[0])
+            assert behind_s >= -0.5, "it does not run ahead"
+            seen.append(loop.time())
+        return seen
+
+    with asyncio.Runner(loop_factory=lambda: ScaledTimeLoop(60.0)) as runner:
+        seen = runner.run(seconds())
+    # Each wait may begin late by a second, and end so.
+    steps = [after - before for before, after in itertools.pairwise(seen)]
+    assert min(steps) >= 0.999
+    assert max(steps) <= 3.0
 
 
 def test_what_is_called_every_second_comes_between_the_timers_until_it_is_ended():
