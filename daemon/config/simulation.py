@@ -39,7 +39,9 @@ class SimulationSettings(Section):
         examples=["2022-10-14T06:00:00Z"],
         description="Start of the simulated clock. Left out: now at speed 1, else a bright October morning of 2022.",
     )
-    speed: Positive = Field(60.0, le=1000, description="How many times faster than real time.")
+    speed: Positive = Field(
+        60.0, le=1000, description="How many times faster than real time; a machine too slow for it takes longer."
+    )
     anchor_utc: AwareDatetime | None = Field(
         None,
         examples=["2026-01-01T12:00:00Z"],
