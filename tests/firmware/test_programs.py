@@ -97,11 +97,12 @@ def until_state(address, condition, within_s, what):
 
 def home(config, address):
     """Order a reference run, and again as a person would where the unit lost a command, until nothing is in doubt."""
-    deadline_s, again_s = time.monotonic() + 240.0, 0.0
+    deadline_s, again_s, shown = time.monotonic() + 240.0, 0.0, False
     while (seen := state(address)) is None or seen["tracker"]["concerns"]:
         now_s = time.monotonic()
         assert now_s < deadline_s, f"the reference run: {seen}"
         if seen is None or seen["tracker"]["homing"]:
+            shown = shown or seen is not None
             # It is over before it has been judged.
             again_s = now_s + 10.0
         elif now_s >= again_s:
@@ -109,6 +110,7 @@ def home(config, address):
             assert homed.returncode in (ExitCode.GOOD, ExitCode.NOT_SEEN), homed.stderr
             again_s = time.monotonic() + 10.0
         time.sleep(0.3)
+    assert shown, "a reference run that nobody was shown"
     return seen
 
 
