@@ -43,29 +43,36 @@ def attitude(yaw_deg: float, tilt_deg: float, tilt_azimuth_deg: float, latitude_
     return Attitude(yaw_deg, float(tilt_deg * equatorward), float(tilt_deg * np.sin(azimuth)))
 
 
-def rotation(turned: Attitude, latitude_deg: float) -> Array:
-    """Return the matrix, shape (3, 3), that carries directions in the cube to directions at the site.
+def rotation(turned: ArrayLike, latitude_deg: float) -> Array:
+    """Return the matrices, shape (..., 3, 3), that carry directions in the cube to directions at the site.
 
     R = R_lean R_yaw. R_lean turns in the plane of the vertical k and the horizontal direction h of the lean, by the
-    tilt t: R_lean = 1 + sin t (h k' - k h') + (cos t - 1)(h h' + k k'), which is Rodrigues' formula in components.
+    tilt t: R_lean = 1 + sin t (h k' - k h') + (cos t - 1)(h h' + k k'), which is Rodrigues' formula in components. With
+    the lean l = t h it needs no h: sin t h = l sin(t)/t, and (cos t - 1) h h' = -l l' (sin(t/2) / (t/2))^2 / 2.
+
+    Parameters
+    ----------
+    turned
+        One attitude, or many, shape (..., 3), in the order of `Attitude`.
     """
-    clockwise = np.radians(turned.yaw_deg) * (1.0 if latitude_deg >= 0 else -1.0)
+    clockwise, equator, east = np.moveaxis(np.radians(np.asarray(turned, dtype=np.float64)), -1, 0)
+    if latitude_deg < 0:
+        clockwise = -clockwise
     cosine, sine = np.cos(clockwise), np.sin(clockwise)
-    yaw = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    tilt = np.radians(turned.tilt_deg)
-    if tilt == 0.0:
-        return yaw
-    h = np.array([turned.lean_equator_deg, turned.lean_east_deg, 0.0]) / turned.tilt_deg
-    k = np.array([0.0, 0.0, 1.0])
-    across = np.outer(h, k) - np.outer(k, h)
-    along = np.outer(h, h) + np.outer(k, k)
-    lean = np.eye(3) + np.sin(tilt) * across + (np.cos(tilt) - 1.0) * along
-    return np.asarray(lean @ yaw, dtype=np.float64)
+    tilt = np.hypot(equator, east)
+    along, across = -0.5 * np.sinc(tilt / (2.0 * np.pi)) ** 2, np.sinc(tilt / np.pi)
+    ii, ij, jj = 1.0 + along * equator * equator, along * equator * east, 1.0 + along * east * east
+    rows = [
+        [ii * cosine - ij * sine, ii * sine + ij * cosine, across * equator],
+        [ij * cosine - jj * sine, ij * sine + jj * cosine, across * east],
+        [-across * (equator * cosine - east * sine), -across * (equator * sine + east * cosine), np.cos(tilt)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
-def face_normals(turned: Attitude, latitude_deg: float) -> Array:
-    """Return the faces' unit normals R n at the site, shape (4, 3): east, south, west, zenith; R of `rotation`."""
-    return np.asarray(FACE_NORMALS @ rotation(turned, latitude_deg).T, dtype=np.float64)
+def face_normals(turned: ArrayLike, latitude_deg: float) -> Array:
+    """Return the faces' unit normals R n at the site, shape (..., 4, 3): east, south, west, zenith; R of `rotation`."""
+    return np.asarray(FACE_NORMALS @ np.swapaxes(rotation(turned, latitude_deg), -1, -2), dtype=np.float64)
 
 
 def face_orientations(turned: Attitude, latitude_deg: float) -> tuple[Array, Array]:
