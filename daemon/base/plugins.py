@@ -60,7 +60,13 @@ def load(group: str, name: str) -> ModuleType:
 
 
 def _points(group: str) -> EntryPoints:
-    return cast("EntryPoints", _all_points(tuple(sys.path)).select(group=group))
+    return _points_along(group, tuple(sys.path))
+
+
+# Looking through all of them takes nine tenths of the time in which settings are built.
+@lru_cache
+def _points_along(group: str, search_path: tuple[str, ...]) -> EntryPoints:
+    return cast("EntryPoints", _all_points(search_path).select(group=group))
 
 
 @lru_cache
