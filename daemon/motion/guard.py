@@ -15,6 +15,7 @@ from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.records import Event, Pose, Record, Target
 from daemon.motion.alarms import Currents, show
+from daemon.motion.deafness import Deafness
 from daemon.motion.place import KeptPlace
 from daemon.motion.reference import Doubts
 from daemon.motion.watch import Stray, Watch
@@ -28,8 +29,6 @@ T = TypeVar("T")
 
 LOOK_MOVING_S = 0.5
 # Pauses between the tries to stop a positioner that does not listen; they never end while it moves.
-_DEAF_AFTER_S = 5.0
-_DEAF_LOOKS = 2
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 4.0
 # Within this time a positioner has told of buttons and restarts, however slow its status is.
 _STATUS_WITHIN_S = 4.0
@@ -95,7 +94,9 @@ class Guard:
         self._publish = publish
         self._alarms = alarms
         self._polled = polled
-        self.watch = Watch(expected)
+        self.watch = watch = Watch(expected)
+        # Three steps of a position that is rounded.
+        self._deafness = Deafness(watch.same_place, 3.0 * expected.resolution() / expected.slowest_deg_per_s)
         self._currents = Currents(expected.current_alarm_a)
         self._own_moves: tuple[str, ...] = ()
         self._reported_pose: Pose | None = None
@@ -107,7 +108,6 @@ class Guard:
         self._under_inquiry: str | None = None
         self._halted_for: tuple[str, ...] = ()
         self._alarmed: tuple[object, ...] = ()
-        self._deaf_looks = 0
         self._telemetry: Telemetry | None = None
         self._read: Telemetry | None = None
         self._pose: Pose | None = None
@@ -274,13 +274,9 @@ class Guard:
         return explained
 
     async def _poll_halt(self, start_s: float) -> None:
-        before, telemetry = self.telemetry, await self.poll(moving=True)
+        telemetry = await self.poll(moving=True)
         # Whoever presses a button moves the axis against any stop.
-        from_s = max(start_s, self._pressed_s) + _DEAF_AFTER_S
-        late = before is not None and before.time_monotonic_s > from_s and not self.watch.same_place(before, telemetry)
-        # A host that was busy for seconds has seen nothing: it takes looks in a row that show motion.
-        self._deaf_looks = self._deaf_looks + 1 if late else 0
-        if self._deaf_looks >= _DEAF_LOOKS:
+        if self._deafness.shows(telemetry, max(start_s, self._pressed_s)):
             text = "the positioner does not obey stop: switch off the supply of its motors"
             self.doubts.note("deaf", f"{text}; {_CLEAR}")
 

@@ -143,7 +143,7 @@ class MotionRig:
             self.unit,
             LIMITS,
             MotionSettings(**settings),
-            PositionerSettings(**expected),
+            expected,
             self.clock,
             Random(1),
             self.records.append,
@@ -194,7 +194,7 @@ async def asleep(rig):
 def run_motion(scenario, *, folder=None, expected=None, polling=OFTEN, connects=True, make=HandPositioner, **settings):
     """Run an async function that is given the rig, beside motion, and return the rig."""
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
-        rig = MotionRig(runner.get_loop(), settings, expected or {}, folder, polling, make)
+        rig = MotionRig(runner.get_loop(), settings, expected or PositionerSettings(), folder, polling, make)
 
         async def beside():
             running = asyncio.create_task(rig.motion.run())

@@ -2,11 +2,13 @@
 
 import asyncio
 import itertools
+from dataclasses import replace
 
 import pytest
 
 from daemon.base.records import Target
-from tests.support.hand_positioner import DEAF_S, run_motion
+from drivers.settings import PositionerSettings
+from tests.support.hand_positioner import DEAF_S, HandPositioner, run_motion
 
 
 def test_a_positioner_that_does_not_obey_is_told_after_five_seconds_and_stopped_again_and_again():
@@ -91,3 +93,39 @@ def test_one_look_that_shows_motion_late_is_no_deafness():
         assert "deaf-to-stop" not in rig.raised
 
     run_motion(scenario)
+
+
+class CoarseSettings(PositionerSettings):
+    def resolution(self):
+        return 1.0
+
+
+class CoarsePositioner(HandPositioner):
+    """Turns at 2 deg/s like the other, and tells whole degrees only: from one look to the next it may seem to stand."""
+
+    async def read_telemetry(self):
+        seen = await super().read_telemetry()
+        whole = {name: float(round(getattr(seen, name))) for name in ("a_deg", "b_deg", "position_a", "position_b")}
+        return replace(seen, **whole)
+
+
+def test_a_slow_axis_whose_position_is_coarse_is_found_deaf_too():
+    async def scenario(rig):
+        rig.unit.is_deaf = True
+        rig.unit.drive(45.0, 60.0)
+        rig.motion.freeze("ana")
+        await rig.until(lambda: "deaf-to-stop" in rig.raised, 14.0)
+
+    run_motion(scenario, expected=CoarseSettings(), make=CoarsePositioner)
+
+
+def test_a_positioner_that_has_stood_long_since_is_not_deaf():
+    async def scenario(rig):
+        rig.unit.is_deaf = True
+        rig.motion.freeze("ana")
+        for place in range(4):
+            await asyncio.sleep(16.0)
+            rig.unit.put(place % 2 * 3.0, 60.0)
+        assert "deaf-to-stop" not in rig.raised, "shaken once in a while"
+
+    run_motion(scenario, expected=CoarseSettings(), make=CoarsePositioner)

@@ -1,0 +1,42 @@
+"""Whether a positioner that is told to stop moves on."""
+
+from collections.abc import Callable
+
+from drivers.interfaces import Telemetry
+
+_AFTER_S = 5.0
+# A host that was busy for seconds has seen nothing: it takes looks in a row that show motion.
+_LOOKS = 2
+_STILL_S = 3.0
+
+
+class Deafness:
+    """Judges the looks at a positioner between a stop and its standstill.
+
+    Each is compared with the one at which the axes had last been seen elsewhere and not with the last one: from one look
+    to the next a slow axis whose position is coarse shows no motion.
+
+    Parameters
+    ----------
+    same_place
+        Tells whether neither axis moved between two looks.
+    still_s
+        Seconds in which the slowest motion that matters has left a place, by what positions are rounded to.
+    """
+
+    def __init__(self, same_place: Callable[[Telemetry, Telemetry], bool], still_s: float) -> None:
+        self._same_place = same_place
+        self._still_s = max(still_s, _STILL_S)
+        self._place: Telemetry | None = None
+        self._looks = 0
+
+    def shows(self, seen: Telemetry, stop_s: float) -> bool:
+        """Take in a look; return whether the axes have moved on for more than 5 s after the monotonic time `stop_s`."""
+        place = self._place
+        if place is None or place.time_monotonic_s <= stop_s + _AFTER_S:
+            self._place, self._looks = seen, 0
+        elif not self._same_place(place, seen):
+            self._place, self._looks = seen, self._looks + 1
+        elif seen.time_monotonic_s - place.time_monotonic_s > self._still_s:
+            self._looks = 0
+        return self._looks >= _LOOKS
