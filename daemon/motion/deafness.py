@@ -13,8 +13,8 @@ _STILL_S = 3.0
 class Deafness:
     """Judges the looks at a positioner between a stop and its standstill.
 
-    Each is compared with the one at which the axes had last been seen elsewhere and not with the last one: from one look
-    to the next a slow axis whose position is coarse shows no motion.
+    Each is compared with the one that showed the axes elsewhere last, and not with the one before: from one look to the
+    next a slow axis whose position is coarse shows no motion.
 
     Parameters
     ----------

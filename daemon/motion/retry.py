@@ -6,6 +6,8 @@ from daemon.base.alarms.alarms import Alarms
 
 _STOW_PAUSES_S = (60.0, 120.0, 300.0, 600.0)
 _OTHER_FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0)
+# Of moves that end with the link, in a row: a cable that is pulled once or twice is no failure of the move.
+_LOSSES = 3
 
 
 class Retries:
@@ -24,25 +26,40 @@ class Retries:
         self._first_pause_s = first_pause_s
         self._stows = 0
         self._others = 0
+        self._losses = 0
         self._stow_failed_s = self._other_failed_s = -math.inf
         self.text: str | None = None
 
     def failed(self, now_s: float, text: str, *, stow: bool) -> bool:
         """Take note of a failure; return whether it is worth a warning: the first, second, fourth, eighth ... are."""
-        self.text = text
-        self._alarms.set("move-failed", f"{'the stow' if stow else 'a move'} failed and is tried again: {text}")
         if stow:
             self._stows += 1
             self._stow_failed_s = now_s
         else:
             self._others += 1
             self._other_failed_s = now_s
-        count = self._stows + self._others
+        return self._tell(text, self._stows + self._others, stow=stow)
+
+    def lost(self, now_s: float, text: str, *, stow: bool) -> bool:
+        """Take note of a move that ended with the link: from the third in a row on as of any other failure.
+
+        A stow is told and has no pause: each time it may get a little nearer.
+        """
+        self._losses += 1
+        if self._losses < _LOSSES:
+            return False
+        if stow:
+            return self._tell(text, self._losses - _LOSSES + 1, stow=True)
+        return self.failed(now_s, text, stow=stow)
+
+    def _tell(self, text: str, count: int, *, stow: bool) -> bool:
+        self.text = text
+        self._alarms.set("move-failed", f"{'the stow' if stow else 'a move'} failed and is tried again: {text}")
         return count & (count - 1) == 0
 
     def forget(self) -> None:
         """Begin anew: a move has arrived, or a person has looked."""
-        self._stows = self._others = 0
+        self._stows = self._others = self._losses = 0
         self._stow_failed_s = self._other_failed_s = -math.inf
         self.text = None
         self._alarms.set("move-failed", None)

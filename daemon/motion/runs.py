@@ -106,9 +106,11 @@ class Runs:
         outcome, why = MoveOutcome.LINK_LOST, target.why
         try:
             outcome, why = await self._attempt(target, start)
-        except BaseException as error:
-            if not isinstance(error, DeviceError):
-                outcome = MoveOutcome.INTERRUPTED
+        except DeviceError as error:
+            self._count(outcome, error.message)
+            raise
+        except BaseException:
+            outcome = MoveOutcome.INTERRUPTED
             raise
         finally:
             end = self._guard.pose or start
@@ -136,9 +138,9 @@ class Runs:
             self._retries.forget()
         elif outcome is not MoveOutcome.INTERRUPTED:
             text = f"the last move failed ({outcome}): {why}"
-            level = logging.WARNING
-            if not self._retries.failed(self._clock.monotonic(), text, stow=self._stow):
-                level = logging.DEBUG
+            count = self._retries.lost if outcome is MoveOutcome.LINK_LOST else self._retries.failed
+            is_told = count(self._clock.monotonic(), text, stow=self._stow)
+            level = logging.WARNING if is_told else logging.DEBUG
             log.log(level, "move failed: %s", why, extra={"fields": {"outcome": outcome}})
 
     async def _attempt(self, target: Target, start: Pose) -> tuple[MoveOutcome, str]:

@@ -73,7 +73,8 @@ _ALL = (
     _kind(
         "move-failed",
         Severity.CRITICAL,
-        "a move or a stow was given up after `motion.attempts` tries; ends with a move that arrives",
+        "a move or a stow was given up after `motion.attempts` tries, or the link was lost in three moves in a row; "
+        "ends with a move that arrives",
         "the tracker is not where it should be, maybe not stowed; it is tried again with growing pauses",
         "look for ice, something in the way, a slack cable, the unit's supply; the alarm's text says how it failed",
         latched=True,

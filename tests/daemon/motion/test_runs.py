@@ -332,3 +332,20 @@ def test_the_last_attempt_that_stalls_ends_with_a_halt_too():
         assert rig.unit.sent[-2:] == [("move", 20.0, 60.0, "a"), "halt"]
 
     run_motion(scenario, attempts=1)
+
+
+def test_a_link_that_drops_at_every_move_is_a_failed_move_from_the_third_on():
+    async def scenario(rig):
+        rig.unit.refuses["move"] = LinkLostError("hand", "does not answer")
+        for count in (1, 2, 3):
+            assert "move-failed" not in rig.raised
+            await rig.until(lambda: rig.motion.connected and rig.motion.stands_since_s is not None)
+            rig.motion.order(Target(10.0, 60.0, "go"))
+            await rig.until(lambda count=count: len(rig.moves) == count)
+        assert [move.outcome for move in rig.moves] == [MoveOutcome.LINK_LOST] * 3
+        text = "the last move failed (link-lost): does not answer"
+        assert rig.raised["move-failed"] == f"a move failed and is tried again: {text}"
+        await rig.until(lambda: rig.motion.connected)
+        assert rig.motion.doubt == text, "it waits for the end of the pause"
+
+    run_motion(scenario, retry_after_s=100.0)
