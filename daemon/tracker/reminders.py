@@ -17,6 +17,8 @@ log = logging.getLogger("heliocube.control")
 
 # A unit that restarts, or a cable that is put back, is found again sooner.
 _DOWN_AFTER_S = 60.0
+# A bad contact lets it answer for a moment now and then, in which nothing gets to its place.
+_BACK_AFTER_S = 15.0
 # A cube that restarts, and a cloud that makes the zenith face dark, are over sooner.
 _WITHOUT_READINGS_S = 900.0
 
@@ -48,6 +50,7 @@ class Reminders:
         self._fallback_s: float | None = None
         self._without_readings = False
         self._answered_s = clock.monotonic()
+        self._connected_s: float | None = None
 
     def remind(self, wishes: Wishes, *, sun_known: bool) -> None:
         """Remind where it is time; where the clock is in doubt the sun's position is not used."""
@@ -64,12 +67,18 @@ class Reminders:
     def watch(self, motion: MotionState, mode: Mode, why: str, *, sun_known: bool) -> None:
         """Raise what lasts: a positioner that does not answer, readings that are not good."""
         now_s = self._clock.monotonic()
-        if motion.connected:
-            self._answered_s = now_s
-            self._alarms.set("positioner-down", None)
+        if not motion.connected:
+            self._connected_s = None
+        elif self._connected_s is None:
+            self._connected_s = now_s
+        if self._connected_s is not None:
+            if now_s - self._connected_s >= _BACK_AFTER_S:
+                self._answered_s = now_s
+                self._alarms.set("positioner-down", None)
         elif now_s - self._answered_s >= _DOWN_AFTER_S:
             reason = motion.outage.reason or "its driver has not come back from opening it"
-            self._alarms.set("positioner-down", f"the positioner has not answered for a minute or more: {reason}")
+            text = f"for a minute or more the positioner has not answered, or only for moments: {reason}"
+            self._alarms.set("positioner-down", text)
         if mode is not Mode.FALLBACK:
             self._fallback_s = None
         elif self._fallback_s is None:

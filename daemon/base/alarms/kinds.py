@@ -96,7 +96,7 @@ _ALL = (
     _kind(
         "positioner-down",
         Severity.CRITICAL,
-        "for 60 s the positioner has not answered",
+        "for 60 s the positioner has not answered, or only for moments; ends when it has answered for 15 s",
         "the tracker is neither moved nor stowed",
         "cable, supply, adapter; the service connects by itself within some ten seconds",
     ),

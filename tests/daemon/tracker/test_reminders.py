@@ -68,9 +68,37 @@ def test_a_positioner_that_has_not_answered_for_a_minute_is_told():
     desk.later(59.0)
     assert desk.watched() == {}
     desk.later(1.0)
-    assert desk.watched() == {"positioner-down": "the positioner has not answered for a minute or more: unplugged"}
+    told = {"positioner-down": "for a minute or more the positioner has not answered, or only for moments: unplugged"}
+    assert desk.watched() == told
     desk.motion.connected = True
+    assert desk.watched() == told
+    desk.later(14.0)
+    assert desk.watched() == told, "it may be gone again at once"
+    desk.later(1.0)
     assert desk.watched() == {}
+    desk.later(100.0)
+    desk.watched()
+    desk.motion.connected = False
+    desk.later(59.0)
+    assert desk.watched() == {}, "it has answered until then"
+
+
+def test_a_bad_contact_that_lets_it_answer_for_a_moment_now_and_then_is_told():
+    desk = Desk()
+    desk.watched()
+    for _ in range(2):
+        desk.motion.connected = False
+        desk.watched()
+        desk.later(25.0)
+        desk.watched()
+        desk.motion.connected = True
+        desk.watched()
+        desk.later(4.0)
+        assert desk.watched() == {}
+    desk.motion.connected = False
+    assert desk.watched() == {}
+    desk.later(2.0)
+    assert set(desk.watched()) == {"positioner-down"}
 
 
 def test_a_positioner_whose_driver_never_comes_back_from_opening_it_is_told():
