@@ -15,7 +15,7 @@ async def finish(motion: Motion, clock: Clock, within_s: float) -> str | None:
     Parameters
     ----------
     motion
-        Its `run` has to go on meanwhile: it repeats the stop.
+        Its `run` has to go on meanwhile: it repeats the stop, also after the link was lost.
     clock
         The service's time.
     within_s
@@ -23,15 +23,21 @@ async def finish(motion: Motion, clock: Clock, within_s: float) -> str | None:
     """
     start_s = clock.monotonic()
     motion.end("the service ends")
+    unsent = ""
     try:
         async with asyncio.timeout(within_s):
-            await motion.stop()
+            try:
+                await motion.stop()
+            except DeviceError as error:
+                unsent = f"stop could not be sent ({error})"
+                if motion.pose is None or motion.was_at_rest:
+                    return _last_known(motion, clock, unsent)
+                # What was under way goes on, and is stopped as soon as the link is back.
             while not _stands(motion, start_s):  # noqa: ASYNC110 - telemetry is polled, and nobody tells of it
                 await asyncio.sleep(_LOOK_EVERY_S)
     except TimeoutError:
-        return _last_known(motion, clock, "stop was sent, and no telemetry has shown the axes standing since")
-    except DeviceError as error:
-        return _last_known(motion, clock, f"stop could not be sent ({error})")
+        sent = "stop was sent, and no telemetry has shown the axes standing since"
+        return _last_known(motion, clock, sent if motion.connected else unsent or sent)
     return None
 
 

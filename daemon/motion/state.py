@@ -121,6 +121,11 @@ class MotionState:
         return self.target is not None or self.homing
 
     @property
+    def was_at_rest(self) -> bool:
+        """Whether it stood, with nothing ordered, when it was seen last."""
+        return self._guard.rested is not None
+
+    @property
     def pressed(self) -> bool:
         """Whether a button is pressed at the unit, by its latest status: somebody is there."""
         telemetry = self._guard.judged

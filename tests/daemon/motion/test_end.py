@@ -82,7 +82,33 @@ def test_a_stop_that_cannot_be_sent_is_told_with_what_was_seen_last():
         said = await ended(rig)
         assert said.startswith(
             "stop could not be sent (hand: does not answer); last seen 30 s ago at A +0.0, B 60.0 deg"
-        )
+        ), "at once, for nothing was under way"
+
+    run_motion(scenario)
+
+
+def test_a_move_that_goes_on_while_the_link_is_down_is_stopped_when_it_is_back():
+    async def scenario(rig):
+        rig.motion.order(Target(40.0, 60.0, "far"))
+        await asyncio.sleep(3.0)
+        rig.unit.is_lost = True
+        asyncio.get_running_loop().call_later(1.0, setattr, rig.unit, "is_lost", False)
+        assert await ended(rig, 8.0) is None
+        assert rig.unit.place()[0] < 20.0
+        assert rig.motion.stands_since_s is not None
+
+    run_motion(scenario)
+
+
+def test_a_move_that_goes_on_while_the_link_is_down_for_long_is_told_as_one_that_was_not_stopped():
+    async def scenario(rig):
+        rig.motion.order(Target(40.0, 60.0, "far"))
+        await asyncio.sleep(3.0)
+        rig.unit.is_lost = True
+        start_s = rig.clock.monotonic()
+        said = await ended(rig, 8.0)
+        assert rig.clock.monotonic() - start_s == pytest.approx(8.0, abs=0.1)
+        assert said.startswith("stop could not be sent (hand: does not answer); last seen 9 s ago at A +")
 
     run_motion(scenario)
 
