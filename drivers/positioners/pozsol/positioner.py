@@ -100,6 +100,7 @@ class PozsolPositioner:
         self._nothing_sent = True
         self._sent_s = -math.inf
         self._stops = 0
+        self._has_not: dict[str, frozenset[int]] = {}
 
     async def open(self) -> PositionerIdentity:
         """Connect and identify by listening alone; takes up to one turn of the slow screens, 3.3 s, and any restart."""
@@ -107,7 +108,7 @@ class PozsolPositioner:
         try:
             await self._line.open()
             identity = await self._identify()
-            await self._wait_for_setup()
+            await self._wait_for_setup(identity.serial)
         except BaseException:
             await self.close()
             raise
@@ -280,11 +281,15 @@ class PozsolPositioner:
                 raise IdentityError(_DEVICE, f"sends something, but not the fields {names} of a positioner")
             await asyncio.sleep(_LOOK_EVERY_S)
 
-    async def _wait_for_setup(self) -> None:
-        """Wait for the screens that tell how the unit is set; older units may not have all of them."""
-        deadline_s = self._now() + _SETUP_WITHIN_S
-        while True:
-            if self._listen()[0].keys() >= SETUP_FIELDS or self._now() >= deadline_s:
+    async def _wait_for_setup(self, serial: str) -> None:
+        """Wait for the screens that tell how the unit is set; older units may not have all of them.
+
+        What one has not is waited for once: after a loss of the link an axis may run until the opening is over.
+        """
+        deadline_s, wanted = self._now() + _SETUP_WITHIN_S, SETUP_FIELDS - self._has_not.get(serial, frozenset())
+        while missing := wanted - self._listen()[0].keys():
+            if self._now() >= deadline_s:
+                self._has_not[serial] = missing
                 return
             await asyncio.sleep(_LOOK_EVERY_S)
 
