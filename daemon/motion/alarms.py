@@ -14,6 +14,9 @@ _STARTS_WITHIN_S = 1.0
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 2.0, 64.0
 # So long without a high current before the next one is told anew.
 _OVER_AFTER_S = 3600.0
+# What a person switches on at the unit the service has switched off by then.
+_STAYS_ON_S = 15.0
+OWN_MODE = "a mode of the positioner's own is on: sun tracking, wind or snow"
 
 
 class Currents:
@@ -104,18 +107,48 @@ class Currents:
         return None
 
 
+class OwnMode:
+    """Whether a mode of the positioner's own stays on although the service switches it off.
+
+    Attributes
+    ----------
+    text
+        What to tell, or None.
+    """
+
+    def __init__(self) -> None:
+        self._since_s: float | None = None
+        self.text: str | None = None
+
+    def update(self, telemetry: Telemetry) -> None:
+        """Take in the newest telemetry."""
+        if not telemetry.autonomous:
+            self._since_s = self.text = None
+        elif self._since_s is None:
+            self._since_s = telemetry.time_monotonic_s
+        elif telemetry.time_monotonic_s - self._since_s >= _STAYS_ON_S:
+            self.text = f"{OWN_MODE}; it cannot be switched off from here, and nothing is moved: do it at the unit"
+
+
 def _by_name(telemetry: Telemetry) -> tuple[tuple[str, float], tuple[str, float]]:
     return ("A", telemetry.a_motor_current_a), ("B", telemetry.b_motor_current_a)
 
 
 def show(
-    alarms: Alarms, doubts: Doubts, identity: PositionerIdentity | None, telemetry: Telemetry, currents: Currents
+    alarms: Alarms,
+    doubts: Doubts,
+    identity: PositionerIdentity | None,
+    telemetry: Telemetry,
+    currents: Currents,
+    own_mode: OwnMode,
 ) -> None:
     """Raise and end the alarms that follow from what is known of the positioner."""
     alarms.set("unexplained-motion", doubts.incident_of("motion"))
     alarms.set("deaf-to-stop", doubts.incident_of("deaf"))
     alarms.set("positioner-setup", "; ".join(identity.setup_conflicts) or None if identity else None)
-    faults = (*(fault_text(name) for name in telemetry.faults), *doubts.vanished)
+    faults = [*(fault_text(name) for name in telemetry.faults), *doubts.vanished]
+    if own_mode.text is not None:
+        faults.append(own_mode.text)
     alarms.set("positioner-fault", "; ".join(faults) or None)
     alarms.set("reference", doubts.reference)
     alarms.set("motor-current", currents.text)

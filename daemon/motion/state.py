@@ -3,6 +3,7 @@
 from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage
 from daemon.base.records import Move, Pose, Target
+from daemon.motion.alarms import OWN_MODE
 from daemon.motion.guard import Guard
 from daemon.motion.reference import fault_text
 from daemon.motion.retry import Retries
@@ -89,7 +90,7 @@ class MotionState:
         if telemetry.faults:
             return f"the positioner reports {', '.join(telemetry.faults)}"
         if telemetry.autonomous:
-            return "the positioner's own sun tracking is on"
+            return OWN_MODE
         return None
 
     @property

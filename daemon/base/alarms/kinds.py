@@ -65,7 +65,7 @@ _ALL = (
     _kind(
         "positioner-fault",
         Severity.CRITICAL,
-        "the positioner reports a fault, or one went away before anybody had seen it",
+        "the positioner reports a fault, one went away before anybody had seen it, or a mode of its own stays on",
         "nothing moves while the fault is on; after one that vanished nothing but a stow",
         "find the cause at the mechanics, then `heliocube clear`, or `heliocube home` after a lost reference",
         latched=True,

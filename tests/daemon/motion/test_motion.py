@@ -228,9 +228,17 @@ def test_own_tracking_is_switched_off_and_the_axes_are_halted():
         rig.unit.refuses["disable_autonomy"] = RefusedError("hand", "stays on")
         rig.unit.says["autonomous"] = True
         await asyncio.sleep(1.0)
-        assert rig.motion.blocked == "the positioner's own sun tracking is on"
-        with pytest.raises(RefusedError, match="own sun tracking is on"):
+        assert rig.motion.blocked == "a mode of the positioner's own is on: sun tracking, wind or snow"
+        with pytest.raises(RefusedError, match="a mode of the positioner's own is on"):
             rig.motion.order(Target(0.0, 90.0, "storm"), stow=True)
+        await asyncio.sleep(10.0)
+        assert "positioner-fault" not in rig.raised, "it may only just have been switched on"
+        await rig.until(lambda: "positioner-fault" in rig.raised, 8.0)
+        assert rig.raised["positioner-fault"].endswith("and nothing is moved: do it at the unit")
+        rig.unit.refuses.clear()
+        await rig.until(lambda: rig.motion.blocked is None, 3.0)
+        assert rig.alarms.acknowledge("ana")
+        assert "positioner-fault" not in rig.raised
 
     run_motion(scenario, connects=False)
 
