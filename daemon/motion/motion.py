@@ -181,15 +181,8 @@ class Motion(MotionState):
     def clear_faults(self, shown: tuple[str, ...] | None = None) -> None:
         """Ask the unit to clear its marks without a reference run, and forgive what a person was shown.
 
-        Parameters
-        ----------
-        shown
-            The `concerns` that the person has seen; None for those of this moment.
-
-        Raises
-        ------
-        RefusedError
-            There is no telemetry.
+        That is the `concerns` that the person has seen; None for those of this moment. Raises `RefusedError` without
+        telemetry.
         """
         if not self.connected:
             raise RefusedError("positioner", "cannot be cleared: no telemetry")
@@ -223,6 +216,7 @@ class Motion(MotionState):
             return
         if why is not None and self._guard.frozen is None:
             self.rest()
+            self._drop_clear("a stop came")
             self._guard.halt_wanted = True
         self._guard.frozen = why
 
@@ -300,9 +294,12 @@ class Motion(MotionState):
         self._guard.lost()
         self._wanted = None
         self._home_wanted = False
+        self._drop_clear("the positioner was lost")
+
+    def _drop_clear(self, why: str) -> None:
         if self._clear_wanted is not None:
             self._clear_wanted = None
-            self._report("nothing was cleared: the positioner was lost first")
+            self._report(f"nothing was cleared: {why} first")
 
     async def _close(self) -> None:
         self._note_readiness()

@@ -156,6 +156,22 @@ def test_a_clear_that_is_refused_is_told_and_forgives_nothing():
     run_motion(scenario)
 
 
+def test_a_clear_that_waits_is_dropped_by_a_stop_and_told():
+    async def scenario(rig):
+        rig.unit.says["reference_doubt"] = "the count jumped"
+        await asyncio.sleep(2.0)
+        rig.motion.order(Target(0.0, 90.0, "storm"), stow=True)
+        await rig.until(lambda: rig.motion.target is not None)
+        rig.motion.clear_faults()
+        rig.motion.freeze("ana")
+        assert rig.told[-1] == "nothing was cleared: a stop came first"
+        await asyncio.sleep(5.0)
+        assert rig.motion.doubt == "the count jumped"
+        assert not [sent for sent in rig.unit.sent if sent[0] == "clear"]
+
+    run_motion(scenario)
+
+
 @pytest.mark.parametrize("shown", [True, False])
 def test_a_clear_forgives_a_failed_move_that_was_shown(shown):
     async def scenario(rig):
