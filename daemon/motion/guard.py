@@ -282,13 +282,18 @@ class Guard:
             text = "the positioner does not obey stop: switch off the supply of its motors"
             self.doubts.note("deaf", f"{text}; {_CLEAR}")
 
-    async def attended(self, call: Coroutine[Any, Any, T]) -> T:
-        """Return what a call of the driver returns; look while it takes its time, and stop what strays."""
+    async def attended(self, call: Coroutine[Any, Any, T], ends: Callable[[], bool] = lambda: False) -> T:
+        """Return what a call of the driver returns; look while it takes its time, and stop what strays.
+
+        Where `ends` says that it is to end, a stop ends it: the call is refused then.
+        """
 
         async def poll_and_quell() -> None:
             await self.poll(moving=self.homing)
             if self.stray is not None:
                 await self.quell()
+            elif ends():
+                await self._positioner.stop()
 
         return await self._beside(call, poll_and_quell)
 

@@ -293,7 +293,7 @@ class Runs:
         guard.clearing = True
         try:
             clear = partial(self._positioner.clear_faults, forgive=False)
-            await guard.attended(self._unless_interrupted(clear))
+            await guard.attended(self._unless_interrupted(clear), self.is_interrupted)
             guard.doubts.cleared()
         finally:
             guard.clearing = False
@@ -315,7 +315,8 @@ class Runs:
         guard = self._guard
         before = await guard.poll(moving=True)
         guard.watch.expect_homing(axis, before)
-        await guard.attended(self._unless_interrupted(partial(self._positioner.home, axis)))
+        home = partial(self._positioner.home, axis)
+        await guard.attended(self._unless_interrupted(home), self.is_interrupted)
         begun_s = self._clock.monotonic()
         while True:
             telemetry = await guard.poll(moving=True)

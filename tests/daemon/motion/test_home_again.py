@@ -7,7 +7,7 @@ import pytest
 from daemon.base.records import Mode, Target
 from daemon.service.operator import CommandError, Operator
 from drivers.positioners.pozsol.wire import Field
-from tests.support.motion import drive, moves_for
+from tests.support.motion import commands_sent, drive, moves_for, targets
 from tests.support.phases import at_rest, quiet, told
 
 MET = "met its end switch where its count was"
@@ -178,5 +178,19 @@ def test_a_fault_while_an_axis_leaves_its_switch_ends_the_run_as_soon_as_it_show
         await rig.until(lambda: not rig.motion.homing, 8, "the end of the run")
         assert "it reports b_overcurrent" in told(rig)[-1]
         assert "homing was not finished" in rig.motion.doubt
+
+    run_rig(scenario, motion={"rehome": "operator"})
+
+
+def test_a_stow_does_not_wait_for_an_axis_to_leave_its_switch(run_rig, monkeypatch):
+    async def scenario(rig):
+        await quiet(rig)
+        stood = await stuck_on_its_way(rig)
+        rig.motion.home()
+        await rig.until(lambda: rig.truth().b_deg > stood + 0.5, 120, "axis B leaving its switch")
+        sent = commands_sent(rig, monkeypatch)
+        rig.wind_m_s = 25.0
+        await rig.until(lambda: targets(sent), 2.5, "the way to the stow position")
+        assert "homing was stopped before its end" in told(rig)
 
     run_rig(scenario, motion={"rehome": "operator"})
