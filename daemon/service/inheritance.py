@@ -15,6 +15,7 @@ from daemon.base.errors import UserError
 from daemon.base.state import StateFolder
 from daemon.motion import reference
 from daemon.received import today
+from daemon.store.place import is_claimed
 from daemon.tracker import budget, law_file, stow_watch, wishes
 from daemon.tracker.stow_watch import SafetyFile
 from daemon.tracker.wishes import PROGRAM, Wish, Wishes, WishFile
@@ -71,7 +72,7 @@ def left_behind(directory: Path, trackers: Sequence[str], own: Path) -> str | No
     found = []
     for folder in sorted({path.parent for name in _IN_FORCE for path in directory.glob(f"*/{name}")}):
         # Another service may have its folder here: it is at work there itself.
-        if folder.name not in trackers and _is_newer(folder, own) and not (folder / ".tracker-in-use").exists():
+        if folder.name not in trackers and _is_newer(folder, own) and not is_claimed(folder, "tracker"):
             found += _in_force(folder)
     return f"no tracker is named so any more, but {'; '.join(found)}: {_REMEDY}" if found else None
 

@@ -58,6 +58,35 @@ def claimed(directory: Path | None, roles: tuple[str, ...]) -> Iterator[None]:
         yield
 
 
+def is_claimed(directory: Path, role: str) -> bool:
+    """Tell whether a service of a role is at work in a folder: the file that it locks there outlives it."""
+    if sys.platform == "win32":
+        return False
+    import fcntl  # noqa: PLC0415 - not there on Windows
+
+    try:
+        descriptor = os.open(_lock_file(directory, role), os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        # It is somebody else's.
+        return True
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        # Some network disks have no locks.
+        return False
+    finally:
+        os.close(descriptor)
+    return False
+
+
+def _lock_file(directory: Path, role: str) -> Path:
+    return directory / f".{role}-in-use"
+
+
 @contextlib.contextmanager
 def _held(directory: Path, role: str) -> Iterator[None]:
     if sys.platform == "win32":
@@ -67,7 +96,7 @@ def _held(directory: Path, role: str) -> Iterator[None]:
     import fcntl  # noqa: PLC0415 - not there on Windows
 
     try:
-        descriptor = os.open(directory / f".{role}-in-use", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        descriptor = os.open(_lock_file(directory, role), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError:
         yield
         return

@@ -131,14 +131,20 @@ def test_a_name_that_is_given_back_after_the_stop_releases_nothing_of_it(run_rig
     run_rig(held, store=store, tracker=[{"name": "east"}])
 
 
-def test_another_service_whose_folder_is_inside_holds_nobody(run_rig, tmp_path):
-    with claimed(tmp_path / "other", ("tracker",)):
-        (tmp_path / "other" / "operator.json").write_text('{"stop": {"why": "repair"}}')
-
+def test_another_service_whose_folder_is_inside_holds_nobody_while_it_is_at_work(run_rig, tmp_path):
     async def works(rig):
         await rig.until_mode(Mode.TRACKING, 120)
 
-    run_rig(works, store={"directory": tmp_path})
+    async def held(rig):
+        await rig.until_mode(Mode.HOLD, 120)
+        assert "'other' is still stopped: repair" in rig.control.why
+
+    with claimed(tmp_path / "other", ("tracker",)):
+        (tmp_path / "other" / "operator.json").write_text('{"stop": {"why": "repair"}}')
+        run_rig(works, store={"directory": tmp_path}, tracker=[{"name": "east"}])
+    before_s = time.time() - 3600.0
+    os.utime(tmp_path / "east" / "started.json", (before_s, before_s))
+    run_rig(held, store={"directory": tmp_path}, tracker=[{"name": "east"}])
 
 
 @pytest.mark.parametrize("what", ["storm", "doubt", "motion", "unreadable"])
