@@ -94,7 +94,7 @@ def _in_force(folder: Path) -> list[str]:
         # Its own reason may name such folders, and would be told once more with each name.
         asked = asked.model_copy(update={"hold": Wish(why="nobody has looked yet", by=PROGRAM)})
     storm = SafetyFile(state).load()
-    seen = (*((storm,) if storm else ()), *reference.kept_doubts(state))
+    seen = (*((storm.text,) if storm else ()), *reference.kept_doubts(state))
     return [
         *(f"in {folder} '{folder.name}' is still {text}" for text in asked.gone_in(Wishes())),
         *(f"{folder} keeps of '{folder.name}': {text}" for text in seen),

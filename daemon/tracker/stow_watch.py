@@ -6,7 +6,8 @@ A service that is killed in a storm must not come back tracking because its sens
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
+from typing import NamedTuple
 
 from pydantic import BaseModel, ConfigDict
 
@@ -31,6 +32,24 @@ class KeptSafety(BaseModel):
     since_utc: str
 
 
+class StormBefore(NamedTuple):
+    """Why the tracker was stowed before a restart.
+
+    Attributes
+    ----------
+    text
+        In a sentence.
+    stowing
+        The reasons by their sources, as they were kept.
+    since_utc
+        Since when, or None where nobody knows.
+    """
+
+    text: str
+    stowing: Mapping[str, str]
+    since_utc: str | None
+
+
 class SafetyFile:
     """State of safety in a small file beside the store; in a folder without a directory it lives in memory only.
 
@@ -44,20 +63,24 @@ class SafetyFile:
         self._file = StateFile(folder, FILE_NAME, KeptSafety, log, "the storm")
         self._file.reserve()
 
-    def load(self) -> str | None:
+    def load(self) -> StormBefore | None:
         """Return why the tracker was stowed when the file was written, or None; what cannot be read counts as stow."""
         try:
             kept = self._file.load()
         except UnreadableStateError as error:
             log.warning("%s: it counts as stow", error)
-            return f"{error}: nobody knows whether the tracker was stowed before the restart"
+            text = f"{error}: nobody knows whether the tracker was stowed before the restart"
+            return StormBefore(text, {FILE_NAME: text}, None)
         if kept is None or not kept.stowing:
             return None
-        return f"stowed before the restart, since {kept.since_utc}: {'; '.join(kept.stowing.values())}"
+        reasons = "; ".join(dict.fromkeys(kept.stowing.values()))
+        return StormBefore(
+            f"stowed before the restart, since {kept.since_utc}: {reasons}", kept.stowing, kept.since_utc
+        )
 
-    def save(self, stowing: dict[str, str], utc_s: float) -> None:
+    def save(self, stowing: dict[str, str], since_utc: str) -> None:
         """Have the file replaced as a whole; no disk hinders the stow."""
-        self._file.save(KeptSafety(stowing=stowing, since_utc=iso_utc(utc_s)))
+        self._file.save(KeptSafety(stowing=stowing, since_utc=since_utc))
 
 
 class StowWatch:
@@ -85,11 +108,10 @@ class StowWatch:
         self._kept: Set[str] | None = None
         self._gust_m_s = math.nan
         self._pending = {source.name for source in self._sources}
-        before = file.load()
-        if before is not None and self._sources:
-            log.warning("stow goes on: %s", before)
+        self._before = file.load()
+        if self._before is not None:
             for source in self._sources:
-                source.resume(before, clock.monotonic())
+                source.resume(self._before.text, clock.monotonic())
 
     @property
     def watched(self) -> bool:
@@ -148,6 +170,8 @@ class StowWatch:
                 self._wake()
             return begins
 
+        if self._before is not None and self._sources:
+            log.warning("stow goes on: %s", self._before.text)
         end = call_every(_POLL_EVERY_S, poll)
         try:
             poll()
@@ -156,6 +180,12 @@ class StowWatch:
             end()
 
     def _keep(self, found: dict[str, str]) -> None:
-        if self._sources:
-            self._file.save(found, self._clock.utc())
         self._kept = found.keys()
+        if not self._sources:
+            return
+        before, since_utc = self._before, iso_utc(self._clock.utc())
+        if before is not None and before.text in found.values():
+            # What was kept is kept as it was: in its sentence it would be one more restart old, and longer, each time.
+            found = {**before.stowing, **{name: why for name, why in found.items() if why != before.text}}
+            since_utc = before.since_utc or since_utc
+        self._file.save(found, since_utc)

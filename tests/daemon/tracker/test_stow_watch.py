@@ -172,3 +172,28 @@ def test_whoever_waits_is_woken_within_a_second_when_stow_begins_and_only_then()
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         assert runner.run(scenario()) == pytest.approx([11.0, 1013.0], abs=0.6)
+
+
+def test_a_storm_is_kept_as_it_was_however_often_the_service_restarts_in_it(tmp_path):
+    rig = Rig(tmp_path)
+    rig.look(0, roof=20, field=18)
+    kept = (tmp_path / "safety.json").read_text()
+    for restart in range(1, 6):
+        rig = Rig(tmp_path, utc=1.7e9 + 60 * restart)
+        (reason,) = rig.look(0)
+        assert reason == (
+            "stowed before the restart, since 2023-11-14T22:13:20.000Z:"
+            " wind 20.0 m/s, stow from 15 m/s; wind 18.0 m/s, stow from 15 m/s"
+        )
+        assert (tmp_path / "safety.json").read_text() == kept
+    rig.look(5, field=25)
+    assert Rig(tmp_path).look(0)[0].endswith("Z: wind 20.0 m/s, stow from 15 m/s; wind 18.0 m/s, stow from 15 m/s")
+
+
+def test_what_cannot_be_read_stays_a_reason_over_restarts(tmp_path):
+    (tmp_path / "safety.json").write_text("{")
+    (first,) = Rig(tmp_path).look(0)
+    assert "nobody knows whether the tracker was stowed before the restart" in first
+    for _ in range(3):
+        (again,) = Rig(tmp_path).look(0)
+    assert again == f"stowed before the restart, since 2023-11-14T22:13:20.000Z: {first}"
