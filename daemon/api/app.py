@@ -172,7 +172,8 @@ class Api:
             down += [f"{part}{of}: {why}" for part, why in _down(tracker)]
         if seen.store is not None and seen.store.down_why is not None:
             down.append(f"store: {seen.store.down_why}")
-        down += [f"mqtt{_of(name, seen)}: {link.down_why}" for name, link in seen.links.items() if link.down_why]
+        for name, link in seen.links.items():
+            down += [f"mqtt{_of(name, seen)}: {why}" for why in (link.down_why, *link.troubles) if why]
         found = {
             "ok": not troubles,
             "troubles": troubles,

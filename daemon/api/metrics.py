@@ -163,6 +163,8 @@ def _tracker(found: _Families, seen: TrackerState) -> None:
 def _stow_source(found: _Families, source: StowStatus, name: str) -> None:
     of = {"tracker": name, "source": source.name}
     found.gauge("stow_wanted", "1 while a source wants the tracker stowed.", float(source.why is not None), **of)
+    about = "1 while a source of stow has not been heard for longer than it may be silent."
+    found.gauge("stow_source_silent", about, float(source.silent), **of)
     if math.isfinite(source.age_s):
         found.gauge("stow_source_age_seconds", "Time since a source of stow was last heard.", source.age_s, **of)
     if math.isfinite(source.speed_m_s):

@@ -112,6 +112,7 @@ class SafeStow:
         self._heard_safe = False
         self._last_unsafe = False
         self._safe_s: float | None = None
+        self._begun_s: float | None = None
         self._unsafe_s = -math.inf
         self._why: str | None = None
 
@@ -143,7 +144,7 @@ class SafeStow:
         """Return why the tracker must be stowed at this monotonic time, or None."""
         settings = self._settings
         if self._safe_s is None:
-            self._safe_s = now_s
+            self._safe_s = self._begun_s = now_s
         if self._heard_safe:
             self._safe_s = now_s
         elif self.heard_s is None:
@@ -162,10 +163,12 @@ class SafeStow:
 
     def status(self, now_s: float) -> StowStatus:
         """Return how it stood at the last poll."""
+        last_s = self.heard_s if self.heard_s is not None else self._begun_s
         return StowStatus(
             self.name,
             self._why,
             math.inf if self.heard_s is None else now_s - self.heard_s,
+            silent=last_s is not None and now_s - last_s > self._settings.stale_s,
             release_in_s=release_in_s(self._why, now_s - self._unsafe_s, self._settings.stow_at_least_s),
         )
 

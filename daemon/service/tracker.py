@@ -130,7 +130,7 @@ class Tracker:
         sources: list[StowSource] = [*stow_sources]
         if rig.wind_speed_m_s is not None:
             sources.append(WindStow(settings.safety, rig.wind_speed_m_s))
-        self.stow_watch = StowWatch(sources, SafetyFile(folder), clock, self._decide_again)
+        self.stow_watch = StowWatch(sources, SafetyFile(folder), clock, self.alarms, self._decide_again)
         self.motion = Motion(
             instruments.positioner,
             settings.limits.limits(),

@@ -23,6 +23,8 @@ class StowStatus(NamedTuple):
         source that measures no wind.
     release_in_s
         How long it must go on being calm before it lets the tracker go; NaN while it does not stow.
+    silent
+        Whether it has not been heard for longer than it may be silent: it stows for that.
     """
 
     name: str
@@ -32,6 +34,7 @@ class StowStatus(NamedTuple):
     stow_from_m_s: float = math.nan
     release_below_m_s: float = math.nan
     release_in_s: float = math.nan
+    silent: bool = False
 
 
 class StowSource(Protocol):
@@ -111,10 +114,13 @@ class WindStow:
         if self._why is not None and self._heard_s == -math.inf:
             # Calm begins to count when the sensor has been heard, and not at a restart.
             self._strong_s = now_s
-        silent_s = now_s - max(self._heard_s, self._begun_s)
+        silent_s = self._silent_s(now_s)
         if silent_s > safety.wind_stale_s:
             self._stow(now_s, f"no wind reading for {silent_s:.0f} s")
         return self._why
+
+    def _silent_s(self, now_s: float) -> float:
+        return now_s - max(self._heard_s, now_s if self._begun_s is None else self._begun_s)
 
     def status(self, now_s: float) -> StowStatus:
         """Return how it stood at the last poll."""
@@ -127,6 +133,7 @@ class WindStow:
             stow_from_m_s=safety.stow_wind_m_s,
             release_below_m_s=safety.release_wind_m_s,
             release_in_s=release_in_s(self._why, now_s - self._strong_s, safety.stow_at_least_s),
+            silent=self._silent_s(now_s) > safety.wind_stale_s,
         )
 
     def resume(self, why: str, now_s: float) -> None:

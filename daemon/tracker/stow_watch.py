@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from pydantic import BaseModel, ConfigDict
 
+from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock, iso_utc
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.base.timeloop import call_every
@@ -94,17 +95,26 @@ class StowWatch:
         Keeps what they said over a restart.
     clock
         The service's time.
+    alarms
+        Where a source that is silent is raised.
     wake
         Called when one begins to stow, so that nobody waits for the next tick.
     """
 
     def __init__(
-        self, sources: Sequence[StowSource], file: SafetyFile, clock: Clock, wake: Callable[[], None] = lambda: None
+        self,
+        sources: Sequence[StowSource],
+        file: SafetyFile,
+        clock: Clock,
+        alarms: Alarms,
+        wake: Callable[[], None] = lambda: None,
     ) -> None:
         self._sources = tuple(sources)
         self._file = file
         self._clock = clock
+        self._alarms = alarms
         self._wake = wake
+        self._silent: list[str] | None = None
         self._kept: Set[str] | None = None
         self._gust_m_s = math.nan
         self._pending = {source.name for source in self._sources}
@@ -127,11 +137,17 @@ class StowWatch:
                 found[source.name] = why
         if found.keys() != self._kept:
             self._keep(found)
+        silent = []
         for source in self._sources:
             status = source.status(now_s)
+            if status.silent:
+                silent.append(_of_silent(status))
             # What was read by this very poll; NaN is no reading.
             if status.age_s < _POLL_EVERY_S and not status.speed_m_s <= self._gust_m_s and status.speed_m_s >= 0.0:
                 self._gust_m_s = status.speed_m_s
+        if silent != self._silent:
+            self._silent = silent
+            self._alarms.set("stow-source-silent", "; ".join(silent) or None)
         return tuple(dict.fromkeys(found.values())) if found else ()
 
     def take_gust(self) -> float:
@@ -189,3 +205,8 @@ class StowWatch:
             found = {**before.stowing, **{name: why for name, why in found.items() if why != before.text}}
             since_utc = before.since_utc or since_utc
         self._file.save(found, since_utc)
+
+
+def _of_silent(status: StowStatus) -> str:
+    said = "has not been heard since the start of the service" if status.age_s == math.inf else "is silent"
+    return f"{status.name} {said}"

@@ -7,6 +7,7 @@ from types import ModuleType
 
 import pytest
 
+from daemon.base.alarms.alarms import Alarms
 from daemon.base.state import StateFolder
 from daemon.tracker.stow_watch import SafetyFile, StowWatch
 from tests.support import DOCS
@@ -40,7 +41,7 @@ def watch(example, tmp_path):
 
     def start(clock):
         source = example.FileStow(tmp_path / "warning", CALM_S)
-        return StowWatch([source], SafetyFile(StateFolder(tmp_path)), clock)
+        return StowWatch([source], SafetyFile(StateFolder(tmp_path)), clock, Alarms(clock, lambda _record: None))
 
     return start
 

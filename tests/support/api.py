@@ -55,11 +55,11 @@ class Caller:
         return await self("POST", f"/api/{name}", body, headers)
 
 
-def server_of(rig, settings, recent=None, store=None, hosts=()):
+def server_of(rig, settings, recent=None, store=None, hosts=(), links=None):
     """Return the local interface of a rig's service."""
     recent = Recent() if recent is None else recent
     operators = Operators(rig.service.trackers, 1.0, rig.service.cube_alarms)
-    api = Api(lambda: rig.see(recent, store), recent, operators, TOKEN, rig.clock, 1.0, hosts)
+    api = Api(lambda: rig.see(recent, store, links), recent, operators, TOKEN, rig.clock, 1.0, hosts)
     return ApiServer(settings, api, rig.clock, rig.bus.publish, 1.0)
 
 

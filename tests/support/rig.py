@@ -26,9 +26,9 @@ class ServiceRig(HandledRig):
     def keep_in(self, directory):
         return self.kept_in(directory)
 
-    def see(self, recent=None, store=None):
+    def see(self, recent=None, store=None, links=None):
         """Take a snapshot; `recent` knows what came over the bus, as far as a test wants to see of it."""
-        return snapshot(self.service, Recent() if recent is None else recent, 1.0, store, {})
+        return snapshot(self.service, Recent() if recent is None else recent, 1.0, store, links or {})
 
     def of(self, kind):
         return [record for record in self.records if isinstance(record, kind)]

@@ -122,6 +122,13 @@ _ALL = (
         'set mqtt.wind.topic or mqtt.safe.topic, or safety.without_wind_source = "accepted"',
     ),
     _kind(
+        "stow-source-silent",
+        Severity.WARNING,
+        "a wind sensor or the word of `mqtt.safe` has not been heard for longer than it may be silent",
+        "the tracker is stowed until it is heard again and calm",
+        "look after the sensor, its cable, the broker and the topic; `heliocube status` tells when it was heard",
+    ),
+    _kind(
         "reference",
         Severity.WARNING,
         "the reference of an axis is in doubt: a restart of the unit, a jump of its count, a failed reference run",

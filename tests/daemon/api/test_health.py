@@ -3,6 +3,9 @@
 import asyncio
 from pathlib import Path
 
+import pytest
+
+from daemon.service.status import LinkStatus
 from daemon.store.store import StoreStatus
 from tests.support.api import Caller, server_of
 from tests.support.phases import tracking
@@ -19,14 +22,22 @@ def test_health_is_bad_when_control_no_longer_looks(serve):
     serve(scenario)
 
 
-def test_health_names_a_store_that_is_down(run_rig):
+DISK_FULL = StoreStatus(Path("records"), 0, 5, 0, "the disk is full")
+BAD_WORD = "mqtt.wind of weather/roof cannot be used: 200 is no wind speed in m/s"
+LINK = LinkStatus("broker:1883", True, 0.0, None, 1, 0, 0, 0, 0, None, troubles=(BAD_WORD,))
+
+
+@pytest.mark.parametrize(
+    ("seen", "down"),
+    [({"store": DISK_FULL}, "store: the disk is full"), ({"links": {"tracker": LINK}}, f"mqtt: {BAD_WORD}")],
+)
+def test_health_names_what_does_not_work(run_rig, seen, down):
     async def scenario(rig):
-        down = StoreStatus(Path("records"), 0, 5, 0, "the disk is full")
         settings = rig.service.settings.api.model_copy(update={"listen": "127.0.0.1:0"})
-        server = server_of(rig, settings, store=down)
+        server = server_of(rig, settings, **seen)
         serving = asyncio.create_task(server.run())
         reply = await Caller(server).get("/healthz")
-        assert (reply.status, reply.json["down"]) == (200, ["store: the disk is full"])
+        assert (reply.status, reply.json["down"]) == (200, [down])
         serving.cancel()
         await asyncio.wait((serving,))
 

@@ -7,6 +7,7 @@ import re
 
 import pytest
 
+from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import LoopClock
 from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop
@@ -36,7 +37,8 @@ class Rig:
         self.speeds = {"roof": None, "field": None}
         sources = [WindStow(SAFETY, lambda name=name: self.speeds[name], name) for name in self.speeds]
         self.folder = StateFolder(directory)
-        self.watch = StowWatch(sources, SafetyFile(self.folder), self.clock)
+        self.alarms = Alarms(self.clock, lambda _record: None)
+        self.watch = StowWatch(sources, SafetyFile(self.folder), self.clock, self.alarms)
 
     def look(self, now, roof=math.nan, field=math.nan):
         self.clock.now = now
@@ -153,7 +155,13 @@ def test_whoever_waits_is_woken_within_a_second_when_stow_begins_and_only_then()
             return wind[name]
 
         sources = [WindStow(SAFETY, lambda name=name: read(name), name) for name in wind]
-        watch = StowWatch(sources, SafetyFile(StateFolder(None)), clock, lambda: woken.append(loop.time()))
+        watch = StowWatch(
+            sources,
+            SafetyFile(StateFolder(None)),
+            clock,
+            Alarms(clock, lambda _record: None),
+            lambda: woken.append(loop.time()),
+        )
         began_s = loop.time()
         running = asyncio.create_task(watch.run())
         await asyncio.sleep(10.5)
@@ -197,3 +205,19 @@ def test_what_cannot_be_read_stays_a_reason_over_restarts(tmp_path):
     for _ in range(3):
         (again,) = Rig(tmp_path).look(0)
     assert again == f"stowed before the restart, since 2023-11-14T22:13:20.000Z: {first}"
+
+
+def test_a_source_that_is_silent_for_its_time_is_an_alarm_until_it_is_heard():
+    def alarms():
+        return {alarm.name: alarm.text for alarm in rig.alarms.active}
+
+    rig = Rig()
+    for now in range(0, 301, 5):
+        rig.look(now, roof=3, field=None)
+        assert alarms() == {}
+    rig.look(301, roof=None)
+    assert alarms() == {"stow-source-silent": "field has not been heard since the start of the service"}
+    rig.look(601)
+    assert alarms()["stow-source-silent"] == "roof is silent; field has not been heard since the start of the service"
+    rig.look(605, roof=20, field=3)
+    assert alarms() == {}, "they are heard, and strong wind is no fault"
