@@ -164,7 +164,7 @@ class Api:
         """Answer whether the work goes on; a device that is down is named, and no reason for a restart."""
         seen = self._glance()
         troubles, longest_s = [], _STUCK_AFTER_S * max(self._speed, 1.0)
-        down = [f"cube: {seen.cube_down_why}"] if seen.cube_down_why else []
+        down = [f"cube: {seen.cube_trouble}"] if seen.cube_trouble else []
         for tracker in seen.trackers:
             of = _of(tracker.name, seen)
             if tracker.silent_s > longest_s:

@@ -8,7 +8,7 @@ from importlib.metadata import version
 from typing import Any
 
 from daemon.base.alarms.alarm import Alarm
-from daemon.base.records import FACES, IvCurve, Move, Pose, Quality, Scan, Target
+from daemon.base.records import FACES, IvCurve, Mode, Move, Pose, Quality, Scan, Target
 from daemon.bridge.refusals import Statistics
 from daemon.config.sections import SiteSettings
 from daemon.cube.calibration import CubeCalibration
@@ -159,6 +159,8 @@ class Snapshot:
         One line about a simulated sky, or None.
     scan, scan_stale_s, scans
         The newest, the age from which it is not used, and how many there were.
+    fallback_after_s
+        Without scans for so long the sun is followed by the ephemeris.
     has_cube, cube_down_why
         Whether this process reads a cube, and why it does not answer, or None.
     calibration
@@ -191,6 +193,7 @@ class Snapshot:
     scan: Scan | None
     scan_stale_s: float
     scans: int
+    fallback_after_s: float
     has_cube: bool
     cube_down_why: str | None
     calibration: CubeCalibration | None
@@ -206,6 +209,17 @@ class Snapshot:
     def scan_is_stale(self) -> bool:
         """Whether the newest scan has become too old to be used, or there is none."""
         return self.scan is None or not (self.time_monotonic_s - self.scan.time_monotonic_s <= self.scan_stale_s)
+
+    @property
+    def cube_trouble(self) -> str | None:
+        """Why there are no readings: the cube's own reason, or that none come from the process that reads it."""
+        if self.has_cube or not self.trackers:
+            return self.cube_down_why
+        if self.scan is None:
+            starting = all(each.control.mode is Mode.STARTING for each in self.trackers)
+            return None if starting else "no scan has come since the start of the service"
+        age_s = self.time_monotonic_s - self.scan.time_monotonic_s
+        return None if age_s <= self.fallback_after_s else f"no scan for {age_s:.0f} s"
 
     def face_quality(self, name: str) -> Quality:
         """Return what a face's reading is worth now: ``stale`` where it was good and has become too old."""
@@ -257,6 +271,7 @@ def snapshot(
         scan=recent.scan,
         scan_stale_s=settings.safety.scan_stale_s,
         scans=recent.scans,
+        fallback_after_s=settings.safety.fallback_after_s,
         has_cube=acquisition is not None,
         cube_down_why=acquisition.outage.reason if acquisition and acquisition.outage.is_down else None,
         calibration=service.calibration,

@@ -12,7 +12,7 @@ from daemon.config.settings import Settings
 from daemon.service.rig import Role
 from daemon.store.release_kept import CUBE_FILE_NAME, FILE_NAME, last_started
 
-_TOLD_ALREADY = ("no-wind-source", "nothing-kept")
+_TOLD_ALREADY = ("no-wind-source", "nothing-kept", "stow-source-silent")
 
 
 def asked(settings: Settings) -> list[Finding] | None:
@@ -20,10 +20,9 @@ def asked(settings: Settings) -> list[Finding] | None:
     if not settings.api.enabled:
         return None
     client = find_unarmed(None, settings.api.listen, {})
-    stale_s = max(settings.safety.wind_stale_s, settings.mqtt.safe.stale_s)
     try:
         state = client.state()
-        return [*program(settings, state["role"]), *service(state, client.health(), stale_s)]
+        return [*program(settings, state["role"]), *service(state, client.health())]
     except NoServiceError as error:
         if isinstance(error.__context__, ConnectionRefusedError):
             return None
@@ -37,15 +36,10 @@ def program(settings: Settings, role: str) -> Iterator[Finding]:
         yield Finding("service", f"still runs heliocube {started}", "restart it, so that it is what is installed")
 
 
-def service(state: dict[str, Any], health: dict[str, Any], stale_s: float) -> Iterator[Finding]:
+def service(state: dict[str, Any], health: dict[str, Any]) -> Iterator[Finding]:
     """Yield what the service says of its work, its instruments, the wind and the clock, and each alarm.
 
-    Parameters
-    ----------
-    state, health
-        The JSON of /api/state and of /healthz.
-    stale_s
-        From which silence on a source of the wind counts as not heard [s].
+    `state` and `health` are the JSON of /api/state and of /healthz.
     """
     modes = ", ".join(f"{_of(name, state)}{mode_words(own['mode'])}" for name, own in state["trackers"].items())
     simulated = "SIMULATED, " if state["simulated"] else ""
@@ -56,7 +50,7 @@ def service(state: dict[str, Any], health: dict[str, Any], stale_s: float) -> It
         yield _positioner(own, _subject("positioner", name, state))
         if own["load"] is not None:
             yield _load(own["load"], _subject("load", name, state))
-        yield _wind(own, _subject("wind source", name, state), _remedy("no-wind-source", name, state), stale_s)
+        yield _wind(own, _subject("wind source", name, state), _remedy("no-wind-source", name, state))
     for alarm in state["alarms"]:
         if alarm["name"] in _TOLD_ALREADY:
             continue
@@ -99,18 +93,20 @@ def _load(load: dict[str, Any], subject: str) -> Finding:
     return Finding(subject, load["identity"])
 
 
-def _wind(own: dict[str, Any], subject: str, missing: str | None, stale_s: float) -> Finding:
+def _wind(own: dict[str, Any], subject: str, missing: str | None) -> Finding:
     if missing is not None:
         return Finding(subject, "none", missing)
-    silent = [source["name"] for source in own["wind"] if source["age_s"] is None or source["age_s"] > stale_s]
-    heard = ", ".join(f"{source['name']}{_speed(source)}" for source in own["wind"] if source["name"] not in silent)
-    if silent:
-        return Finding(subject, f"{', '.join(silent)}: not heard", "see the sensor, the broker and mqtt.wind.topic")
-    return Finding(subject, heard or "none, and that is accepted")
+    sources = own["wind"]
+    text = "; ".join(_source(source) for source in sources) or "none, and that is accepted"
+    silent = any(source["age_s"] is None or source["silent"] for source in sources)
+    return Finding(subject, text, "see the sensor, the broker and mqtt.wind.topic" if silent else "")
 
 
-def _speed(source: dict[str, Any]) -> str:
-    return "" if source["speed_m_s"] is None else f" {source['speed_m_s']:.1f} m/s, {_age(source['age_s'])} ago"
+def _source(source: dict[str, Any]) -> str:
+    if source["age_s"] is None:
+        return f"{source['name']}: not heard"
+    speed = "" if source["speed_m_s"] is None else f"{source['speed_m_s']:.1f} m/s, "
+    return f"{source['name']}: {speed}{_age(source['age_s'])} ago{', it is silent' if source['silent'] else ''}"
 
 
 def _remedy(alarm: str, tracker: str, state: dict[str, Any]) -> str | None:

@@ -1,10 +1,14 @@
 """The health that a supervisor reads: when it is bad, and what is down."""
 
 import asyncio
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from daemon.base.records import Mode
+from daemon.service.recent import Recent
+from daemon.service.rig import Role
 from daemon.service.status import LinkStatus
 from daemon.store.store import StoreStatus
 from tests.support.api import Caller, server_of
@@ -40,5 +44,29 @@ def test_health_names_what_does_not_work(run_rig, seen, down):
         assert (reply.status, reply.json["down"]) == (200, [down])
         serving.cancel()
         await asyncio.wait((serving,))
+
+    run_rig(scenario)
+
+
+def test_health_of_a_tracker_names_scans_that_never_came(serve):
+    async def scenario(rig, call):
+        await asyncio.sleep(30)
+        assert (await call.get("/healthz")).json["down"] == [], "it has only just started"
+        await rig.until_mode(Mode.FALLBACK, 120)
+        assert (await call.get("/healthz")).json["down"] == ["cube: no scan has come since the start of the service"]
+
+    serve(scenario, role=Role.TRACKER)
+
+
+def test_a_cube_in_another_process_that_has_fallen_silent_is_in_trouble(run_rig):
+    async def scenario(rig):
+        recent = Recent()
+        rig.bus.subscribe(recent.note)
+        await tracking(rig)
+        seen = replace(rig.see(recent), has_cube=False)
+        assert seen.cube_trouble is None
+        later = replace(seen, time_monotonic_s=seen.scan.time_monotonic_s + 60.5)
+        assert later.cube_trouble == "no scan for 60 s"
+        assert replace(later, has_cube=True).cube_trouble is None, "of its own cube it knows the reason"
 
     run_rig(scenario)

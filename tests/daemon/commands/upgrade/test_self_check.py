@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import re
 import sqlite3
 
 import pytest
@@ -119,14 +120,14 @@ def test_a_running_service_is_asked_and_not_its_instruments(serve):
     async def scenario(rig, call):
         async def findings():
             await asyncio.sleep(2)
-            return list(service((await call.get("/api/state")).json, (await call.get("/healthz")).json, STALE_S))
+            return list(service((await call.get("/api/state")).json, (await call.get("/healthz")).json))
 
         await rig.until_mode(Mode.TRACKING, 120)
         found = await findings()
         assert not amiss(found)
         assert texts(found)["service"] == "runs as both: SIMULATED, tracking"
         assert texts(found)["positioner"].startswith("36A1 ")
-        assert texts(found)["wind source"].startswith("wind 3.0 m/s, ")
+        assert texts(found)["wind source"].startswith("wind: 3.0 m/s, ")
 
         rig.wind_m_s = None
         rig.cables.positioner.link_up = rig.cables.voltmeter.link_up = False
@@ -134,10 +135,10 @@ def test_a_running_service_is_asked_and_not_its_instruments(serve):
         await asyncio.sleep(2 * STALE_S)
         found = amiss(await findings())
         assert {"positioner", "cube", "wind source"} <= set(found)
-        assert found["wind source"].text == "wind: not heard"
+        assert re.fullmatch(r"wind: \d+ s ago, it is silent", found["wind source"].text)
         assert any(subject.startswith("alarm ") for subject in found)
 
-    serve(scenario)
+    serve(scenario, safety={"wind_stale_s": STALE_S})
 
 
 def test_a_service_that_was_not_restarted_after_an_upgrade_is_told(tmp_path):
