@@ -147,8 +147,8 @@ def replay(
     Returns
     -------
     One row per reading, a UTC index named ``time``: a_set, b_set, a, b [deg] (set, and where the tracker stands), mode,
-    law, dni_est, dhi_est [W/m2], albedo_est (estimates of the law `optimal`, NaN for others), simulated (always True,
-    as the tracker is).
+    law (of the last decision; NaN in modes that do not decide), dni_est, dhi_est [W/m2], albedo_est (estimates of the
+    law `optimal`, NaN for others), simulated (always True, as the tracker is).
 
     Raises
     ------

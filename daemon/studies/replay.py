@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from daemon.base.clock import LoopClock, iso_utc
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier
-from daemon.base.records import FACES, Bus, Event, FaceReading, Mode, Quality, Record, Scan
+from daemon.base.records import FACES, Bus, Decision, Event, FaceReading, Mode, ModeChange, Quality, Record, Scan
 from daemon.base.timeloop import VirtualTimeLoop, virtual_time
 from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
@@ -114,12 +114,19 @@ class _Log:
         self.qualities = bytearray()
         self.events: list[Event] = []
         self.modes: list[Mode] = []
+        self.laws: list[str] = []
+        self.law = ""
         self.learned: list[tuple[int, Any]] = []
 
     def note(self, record: Record) -> None:
         """Keep what the service tells; a subscriber of the bus."""
         if isinstance(record, Event):
             self.events.append(record)
+        elif isinstance(record, Decision):
+            # Not always the mode's own law: one that fails or has used up its share of the day gives way.
+            self.law = record.law
+        elif isinstance(record, ModeChange) and record.after not in (Mode.TRACKING, Mode.FALLBACK):
+            self.law = ""
 
 
 def _fitted(settings: Settings, rows: Sequence[RecordedScan]) -> Settings:
@@ -208,6 +215,7 @@ class _Feeder:
             control.receive(self._scan(number, row), self._clock.utc())
             log.angles.extend(self._angles())
             log.modes.append(control.mode)
+            log.laws.append(log.law)
             learned = control.pointing.law.learned
             if learned is not None and (not log.learned or log.learned[-1][1] is not learned):
                 log.learned.append((number, learned))
@@ -313,7 +321,6 @@ def _opened(path: Path, suffix: str) -> TextIO:
 def _write(file: TextIO, settings: Settings, rows: Sequence[RecordedScan], log: _Log, good: NDArray[np.bool_]) -> None:
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(COLUMNS)
-    laws = {Mode.TRACKING: log.pointing.chosen.name, Mode.FALLBACK: log.pointing.fallback.name}
     angles = np.frombuffer(log.angles).reshape(-1, 4)
     site = settings.site.place()
     for first in range(0, len(rows), _ROWS_AT_ONCE):
@@ -324,10 +331,10 @@ def _write(file: TextIO, settings: Settings, rows: Sequence[RecordedScan], log: 
         if log.learned:
             estimates = _estimates(log.pointing.law, faces, sun_direction(utc_s, *site), first, log.learned)
         for at, row in enumerate(some):
-            mode = log.modes[first + at]
+            mode, law = log.modes[first + at], log.laws[first + at]
             a_set, b_set, a, b = angles[first + at].tolist()
             texts = [f"{value:z.3f}" for value in (a_set, b_set, a, b)]
-            writer.writerow([iso_utc(row.time_utc_s), *texts, mode.value, laws.get(mode, ""), *estimates[at], "true"])
+            writer.writerow([iso_utc(row.time_utc_s), *texts, mode.value, law, *estimates[at], "true"])
 
 
 def _estimates(
