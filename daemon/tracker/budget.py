@@ -15,6 +15,7 @@ FILE_NAME = "day.json"
 _ALARM = "day-budget"
 _FOR_THE_SUN = 0.25
 """Of both limits: the sun's own day takes some 250 degrees and 100 moves, its afternoon half of that."""
+_SEE = "see motion.moves_per_day and motion.travel_per_day_deg"
 
 
 class Used(BaseModel):
@@ -85,7 +86,7 @@ class DayBudget:
         """Return why one more move of this length [deg] is too much, and tell it once a day; None if it is not."""
         if self.moves_left >= 1 and distance_deg <= self.travel_left_deg:
             return None
-        text = f"the laws have used up what they may move in a day: {self._account}"
+        text = f"the laws have used up what they may move in a day: {self._account}; {_SEE}"
         self._alarms.set(_ALARM, text)
         return text
 
@@ -95,13 +96,17 @@ class DayBudget:
         self.used = Used(day=used.day, travelled_deg=used.travelled_deg + distance_deg, moves=used.moves + 1)
         self._file.save(self.used)
         if self.is_for_the_sun:
-            self._alarms.set(_ALARM, f"the sun is followed by the clock for the rest of the day: {self._account}")
+            self._alarms.set(
+                _ALARM,
+                f"three quarters of what the laws may move in a day are used ({self._account}): the rest is kept for"
+                f" following the sun by the clock; {_SEE}",
+            )
 
     @property
     def _account(self) -> str:
         return (
             f"{self.used.moves} moves of {self._settings.moves_per_day}, {self.used.travelled_deg:.0f} deg of"
-            f" {self._settings.travel_per_day_deg:g}; see motion.moves_per_day and motion.travel_per_day_deg"
+            f" {self._settings.travel_per_day_deg:g}"
         )
 
     def _day_of(self, utc_s: float) -> int:

@@ -65,7 +65,7 @@ def test_the_last_move_and_the_last_degree_are_allowed_and_no_more(moves, each_d
 def test_the_last_quarter_of_either_is_kept_for_the_sun_and_that_is_told(moves, each_deg, kept):
     budget = Budget().spend(moves, each_deg)
     assert budget.is_for_the_sun == kept
-    assert [text[:37] for text in budget.texts] == ["the sun is followed by the clock for "] * kept
+    assert [text[:55] for text in budget.texts] == ["three quarters of what the laws may move in a day are u"] * kept
 
 
 def test_a_day_is_the_suns_and_begins_with_nothing_used():

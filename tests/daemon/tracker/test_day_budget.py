@@ -43,7 +43,9 @@ def test_no_law_moves_more_often_than_the_day_allows_and_that_is_told_once(run_r
 def test_the_last_quarter_of_the_day_s_travel_follows_the_sun_by_the_clock(run_rig):
     async def scenario(rig):
         await asyncio.sleep(4000)
-        assert alarms(rig)["day-budget"].startswith("the sun is followed by the clock for the rest of the day")
+        said = alarms(rig)["day-budget"]
+        assert said.startswith("three quarters of what the laws may move in a day are used (")
+        assert "of 110): the rest is kept for following the sun by the clock; see motion.moves_per_day" in said
         assert rig.mode is Mode.TRACKING
 
     rig = run_rig(scenario, law={"name": "sun-vector"}, motion={"travel_per_day_deg": 110.0}, **FEWER_SCANS)
