@@ -37,6 +37,11 @@ _PVLIB = (
     "The skies isotropic, haydavies and perez1990 agree with pvlib's above 5 deg of the sun's elevation; below it a"
     " horizontal plane keeps its GHI."
 )
+UNLIMITED = (
+    "There is no daily budget of moves and travel here: the service follows the sun by the clock once three quarters of"
+    " its motion.moves_per_day or motion.travel_per_day_deg are used, which concerns laws that turn to and fro under"
+    " broken clouds, such as mu-prime and sun-vector, and hardly optimal, which has a smaller budget of its own."
+)
 IDEAL = Drive(np.inf, 0.0, 1)
 _HEADS = ("law", "kWh/m2", "gain %", *DAY_TYPES, "share %", "worst clear", "deg/day", "return", "moves")
 _BY_TYPE = tuple(f"gain_{day_type}_pct" for day_type in DAY_TYPES)
@@ -179,7 +184,7 @@ def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *
         "Travel adds A and B from the night position on; the way back to it at night is in its own column. A day of"
         " which half is missing counts half."
     )
-    lines += [line for text in (travel, *_of_parts(weather)) for line in wrap(text, WIDTH)]
+    lines += [line for text in (travel, UNLIMITED, *_of_parts(weather)) for line in wrap(text, WIDTH)]
     for name in dict.fromkeys(row.sky for row in rows):
         lines += ["", f"sky {name}", *table([_HEADS, *(_cells(row) for row in rows if row.sky == name)])]
     return "\n".join(lines) + "\n"

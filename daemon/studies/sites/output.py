@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from daemon.studies.energy.benchmark import CSV_NUMBERS, EnergyRow, csv_cells
+from daemon.studies.energy.benchmark import CSV_NUMBERS, UNLIMITED, EnergyRow, csv_cells
 from daemon.studies.sites.study import Benchmark, SiteOutcome
 from daemon.studies.text_table import WIDTH, signed, table
 from solar.energy import DAY_TYPES
@@ -55,6 +55,7 @@ def as_text(outcomes: Sequence[SiteOutcome], benchmark: Benchmark) -> str:
             " their median over the lines, the least and the most, each with its site."
         ),
         f"Albedo {terms.albedo:g}; {terms.limits}; {moves}, one axis at a time.",
+        UNLIMITED,
     ]
     lines = [line for text in lines for line in wrap(text, WIDTH)]
     for sky in benchmark.skies:

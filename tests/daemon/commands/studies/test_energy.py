@@ -50,6 +50,7 @@ def test_it_writes_table_csv_and_picture(monkeypatch, short_weather, tmp_path, c
     assert energy(monkeypatch, short_weather, "--site", SITE, *asked) == 0
     out = capsys.readouterr().out
     assert "sky perez1993" in out
+    assert "There is no daily budget of moves and travel here: the service follows" in " ".join(out.split())
     assert (tmp_path / "o" / "energy.txt").read_text() == out
     rows = list(csv.DictReader((tmp_path / "o" / "energy.csv").read_text().splitlines()))
     assert [row["law"] for row in rows[:6]] == laws.split(",")
@@ -252,6 +253,7 @@ def test_a_site_that_cannot_be_used_is_listed_and_does_not_stop_the_others(monke
     assert bad["name"] == "bad"
     assert "bad.csv" in bad["refused"]
     assert (tmp_path / "o" / "energy-sites.png").read_bytes().startswith(b"\x89PNG")
+    assert "There is no daily budget" in (tmp_path / "o" / "energy-sites.txt").read_text()
 
 
 @pytest.mark.parametrize(
