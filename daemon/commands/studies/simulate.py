@@ -151,7 +151,9 @@ def tell_pages(paths: "Sequence[Path]", *, as_json: bool = False) -> None:
 
 
 def replay(
-    out: Annotated[Path, typer.Option(metavar="FILE", help="CSV file for the positions, one line per reading.")],
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="File for the positions, one line per reading: .csv or .csv.gz.")
+    ],
     faces: Annotated[
         Path | None,
         typer.Argument(metavar="FACES.csv", help="Readings: time,east,south,west,zenith; or .gz."),
@@ -184,6 +186,8 @@ def replay(
     settings = settings_of_one(settings, tracker)
     if faces is not None and out.exists() and faces.exists() and out.samefile(faces):
         raise UserError(f"--out: {out} is the file with the readings; name another")
+    if not out.name.lower().endswith((".csv", ".csv.gz")):
+        raise UserError(f"--out: {out} must end in .csv or .csv.gz")
     check_outputs([out], "--out", force=force)
     if faces is not None and not faces.is_file():
         raise UserError(f"there is no file {faces}: name a CSV file with the columns time,east,south,west,zenith")

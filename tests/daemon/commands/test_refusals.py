@@ -39,6 +39,8 @@ WRONG = {
     "simulate --out there --start 2022-10-12": "there/scans.csv " + THERE + "--out",
     "replay none.csv --out new.csv --site 48,2": "there is no file none.csv",
     "replay file --out new.csv --site 48": "'48' is not LAT,LON",
+    "replay file --out new.parquet --site 48,2": "--out: new.parquet must end in .csv or .csv.gz",
+    "replay file --out new.gz --site 48,2": "--out: new.gz must end in .csv or .csv.gz",
     "replay file --out there/out.csv --site 48,2": "there/out.csv " + THERE + "--out",
     "energy none.csv --site 48,2 --out new": "there is no weather file at none.csv",
     "energy file --site 48 --out new": "'48' is not LAT,LON",
