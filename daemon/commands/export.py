@@ -60,7 +60,7 @@ def export(
     kinds = [one.value for one in kind or []]
     ends_s = -math.inf if first is None else first.timestamp(), math.inf if last is None else last.timestamp()
     with readable(store_directory("export", store, config), lambda _: ends_s) as (directory, _):
-        rows = write_tables(directory, out, table_format.value, first, last, kinds, force=force)
+        rows = write_tables(directory, out, table_format.value, first, last, kinds, force=force, needs_records=True)
     if as_json:
         print_json({"tables": out, "format": table_format, "rows": rows})
         return

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
+from daemon.store.runs import require_records
 from daemon.store.schema import FILE_NAME, columns_of, open_for_reading, tracker_sql, unreadable
 from daemon.store.tables import COLUMNS, Column, Format, Row, TableWriter
 from solar.frames import azimuth_from_direction, normal_from_angles
@@ -47,6 +48,7 @@ def export(
     kinds: Collection[str],
     *,
     force: bool = False,
+    needs_records: bool = False,
 ) -> dict[str, int]:
     """Write what the store in `directory` holds from `start` up to, not including, `end`; return the rows of each kind.
 
@@ -66,14 +68,19 @@ def export(
         Of `KINDS`; none of them is all.
     force
         Whether tables that are there are replaced.
+    needs_records
+        Whether a span without a record of any kind is refused, before anything is written.
 
     Raises
     ------
     UserError
-        The span is empty or ends before it begins; there is no store; the tables cannot be written.
+        The span is empty or ends before it begins, or has no record; there is no store; the tables cannot be written.
     """
     if start is not None and end is not None and start >= end:
         raise UserError(f"--from {_text(start)} is not before --to {_text(end)}: exchange them")
+    span = -math.inf if start is None else start.timestamp(), math.inf if end is None else end.timestamp()
+    if needs_records:
+        require_records(directory / FILE_NAME, *span)
     chosen = [name for name in KINDS if name in kinds or not kinds]
     with closing(open_for_reading(directory / FILE_NAME)) as connection:
         try:
@@ -83,7 +90,7 @@ def export(
             columns: dict[type[Row], tuple[str, list[Column]]]
             columns = {table.row: (table.name, table.columns) for table in tables.values()}
             with TableWriter(out, table_format, columns, force=force) as writer:
-                return {name: table.copy(connection, writer, start, end) for name, table in tables.items()}
+                return {name: table.copy(connection, writer, span) for name, table in tables.items()}
         except sqlite3.Error as error:
             raise unreadable(directory / FILE_NAME, error) from None
 
@@ -103,11 +110,7 @@ class _Table:
         self._texts = [place for place, column in enumerate(own) if column.holds == "text"]
         self._truths = [place for place, column in enumerate(own) if column.holds == "bool"]
 
-    def copy(
-        self, connection: sqlite3.Connection, writer: TableWriter, start: datetime | None, end: datetime | None
-    ) -> int:
-        low = -math.inf if start is None else start.timestamp()
-        high = math.inf if end is None else end.timestamp()
+    def copy(self, connection: sqlite3.Connection, writer: TableWriter, span_utc_s: tuple[float, float]) -> int:
         there = columns_of(connection, self.name)
         if not there:
             return 0
@@ -117,7 +120,7 @@ class _Table:
             f"SELECT {names}, kept.run, runs.simulated, {tracker}, runs.latitude_deg FROM {self.name} AS kept "  # noqa: S608 - our own names
             "JOIN runs USING (run) WHERE kept.time >= ? AND kept.time < ? ORDER BY kept.time, kept.run, kept.number"
         )
-        cursor = connection.execute(query, (low, high))
+        cursor = connection.execute(query, span_utc_s)
         count = 0
         while rows := cursor.fetchmany(_ROWS_AT_ONCE):
             derived = _derived(self.name, self._stored, rows)

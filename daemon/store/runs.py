@@ -1,10 +1,13 @@
 """The runs of the service that a store has records of, and how far these reach."""
 
+import math
 import sqlite3
 from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
+from daemon.base.clock import iso_utc
+from daemon.base.errors import UserError
 from daemon.store.schema import RUN_COLUMNS, columns_of, open_for_reading, unreadable
 from daemon.store.store import Origin
 from daemon.store.tables import COLUMNS
@@ -58,3 +61,31 @@ def reach_of(path: Path) -> tuple[float, float] | None:
         except sqlite3.Error as error:
             raise unreadable(path, error) from None
     return (min(ends), max(ends)) if ends else None
+
+
+def require_records(path: Path, start_utc_s: float, end_utc_s: float) -> None:
+    """Raise `UserError` for a store without a record of any kind in a span, whose ends [s UTC] may be infinite."""
+    reach = reach_of(path)
+    if reach is None:
+        raise UserError(f"the store {path} holds nothing yet")
+    with closing(open_for_reading(path)) as connection:
+        try:
+            for name, _ in COLUMNS.values():
+                query = f"SELECT 1 FROM {name} WHERE time >= ? AND time < ? LIMIT 1"  # noqa: S608 - as above
+                if columns_of(connection, name) and connection.execute(query, (start_utc_s, end_utc_s)).fetchone():
+                    return
+        except sqlite3.Error as error:
+            raise unreadable(path, error) from None
+    raise UserError(nothing_in(start_utc_s, end_utc_s, str(path), reach))
+
+
+def nothing_in(
+    start_utc_s: float, end_utc_s: float, source: str, reach: tuple[float, float] | None, record: str = "record"
+) -> str:
+    """Return the sentence for a span, whose ends [s UTC] may be infinite, of which `source` has no `record`."""
+    ends = (("from", start_utc_s), ("to", end_utc_s))
+    span = "".join(f" {word} {iso_utc(at)[:16].replace('T', ' ')} UTC" for word, at in ends if math.isfinite(at))
+    have = ""
+    if reach is not None:
+        have = "; it has records from {} to {}".format(*(iso_utc(at)[:10] for at in reach))
+    return f"no {record}{span} in {source}{have}"

@@ -11,7 +11,7 @@ import pandas as pd
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Quality
 from daemon.store.export import KINDS, export
-from daemon.store.runs import StoredRun, reach_of, runs_of
+from daemon.store.runs import StoredRun, nothing_in, reach_of, runs_of
 from daemon.store.schema import FILE_NAME
 from daemon.studies.report.span import ReportSpan, Wanted, times
 from solar.ephemeris import Site
@@ -131,7 +131,7 @@ def from_store(
     span = wanted.span(runs[-1].origin.longitude_deg, now_utc_s)
     tables = _read_days(directory, span, progress)
     if not any(len(table) for table in tables.values()):
-        raise UserError(nothing_in(span, str(path), reach_of(path)))
+        raise UserError(nothing_in(span.start_utc_s, span.end_utc_s, str(path), reach_of(path)))
     with_records = {int(run) for table in tables.values() if "run" in table for run in table["run"].unique()}
     there = [run for run in runs if run.run in with_records]
     last = there[-1].origin
@@ -156,7 +156,7 @@ def of_tables(
     """Return the material of every tracker in tables; `UserError` for tables without a record in the span."""
     inside = within(tables, span)
     if not any(len(table) for table in inside.values()):
-        raise UserError(nothing_in(span, source, None))
+        raise UserError(nothing_in(span.start_utc_s, span.end_utc_s, source, None))
     return [
         Material(
             span=span,
@@ -212,15 +212,6 @@ def within(tables: dict[str, pd.DataFrame], span: ReportSpan) -> dict[str, pd.Da
     ends = (pd.Timestamp(at, unit="s", tz="UTC") for at in (span.start_utc_s, span.end_utc_s))
     first, last = ends
     return {kind: table[(table.index >= first) & (table.index < last)] for kind, table in tables.items()}
-
-
-def nothing_in(span: ReportSpan, source: str, reach: tuple[float, float] | None, record: str = "record") -> str:
-    """Return the sentence for a span of which `source` has no `record`."""
-    first, last = (f"{times(at, None)[0]:%Y-%m-%d %H:%M} UTC" for at in (span.start_utc_s, span.end_utc_s))
-    have = ""
-    if reach is not None:
-        have = "; it has records from {:%Y-%m-%d} to {:%Y-%m-%d}".format(*(times(at, None)[0] for at in reach))
-    return f"no {record} from {first} to {last} in {source}{have}"
 
 
 def _read_days(directory: Path, span: ReportSpan, progress: Callable[[float], None]) -> dict[str, pd.DataFrame]:

@@ -10,9 +10,10 @@ from matplotlib import rc_context
 
 from daemon.base.errors import UserError
 from daemon.config.settings import Settings
+from daemon.store.runs import nothing_in
 from daemon.studies.inputs import parse_site
 from daemon.studies.report.asked import format_of_tables
-from daemon.studies.report.material import Material, from_tables, nothing_in, of_tables, reach_of_tables
+from daemon.studies.report.material import Material, from_tables, of_tables, reach_of_tables
 from daemon.studies.report.motion import motion_of
 from daemon.studies.report.pictures import PICTURES, Drawing
 from daemon.studies.report.span import Wanted
@@ -57,7 +58,9 @@ def material_of_tables(
 def draw(material: Material, names: Sequence[str], paths: Sequence[Path], zone: tzinfo | None) -> None:
     """Draw pictures to files; raises `UserError` for one that has nothing to show, and for a file."""
     if "power" in names and not len(material.tables["curves"]):
-        raise UserError("power: " + nothing_in(material.span, material.source, None, "I-V curve"))
+        span = material.span
+        nothing = nothing_in(span.start_utc_s, span.end_utc_s, material.source, None, "I-V curve")
+        raise UserError(f"power: {nothing}")
     drawing = Drawing(material, light_of(material), motion_of(material), zone)
     for name, path in zip(names, paths, strict=True):
         figure = PICTURES[name].draw(drawing)

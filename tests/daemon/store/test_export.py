@@ -17,6 +17,7 @@ import pytest
 
 from daemon.base.records import Event, Pose
 from daemon.store.export import export
+from daemon.store.schema import FILE_NAME
 from daemon.store.tables import TableWriter
 from solar.frames import angles_from_direction, direction_from_azimuth
 from tests.daemon.store.test_store import ORIGIN, keep
@@ -138,6 +139,26 @@ def test_an_export_that_cannot_be_meant_is_one_sentence_and_code_2(heliocube, tm
     assert (code, out) == (2, "")
     assert err == f"heliocube: {sentence.format(store=tmp_path)}\n"
     assert not (tmp_path / "out").exists()
+
+
+def test_an_export_of_a_span_without_any_record_is_refused_and_nothing_is_written(heliocube, keep, tmp_path):
+    folder, out = keep(Event(T0, 1, "test", "alone")), tmp_path / "out"
+    asked = ("export", "--store", folder, "--out", out)
+    day = f"{datetime.fromtimestamp(T0, UTC):%Y-%m-%d}"
+    have = f"in {folder / FILE_NAME}; it has records from {day} to {day}"
+    spans = {
+        ("--to", "1999-01-02"): "to 1999-01-02 00:00 UTC",
+        ("--from", "1999-01-01", "--to", "1999-01-02T12:30Z"): "from 1999-01-01 00:00 UTC to 1999-01-02 12:30 UTC",
+    }
+    for span, words in spans.items():
+        code, _, err = heliocube(*asked, *span)
+        assert (code, err) == (2, f"heliocube: no record {words} {have}\n")
+    assert not out.exists()
+    code, said, _ = heliocube(*asked, "--kind", "curves")
+    assert (code, said) == (0, f"written to {out}: 0 curves\n"), "a kind without a record is an empty table"
+    code, _, err = heliocube("export", "--store", keep(folder=tmp_path / "new"), "--out", tmp_path / "none")
+    assert (code, err) == (2, f"heliocube: the store {tmp_path / 'new' / FILE_NAME} holds nothing yet\n")
+    assert not (tmp_path / "none").exists()
 
 
 def test_an_export_finds_the_store_by_the_configuration(heliocube, keep, tmp_path, monkeypatch):
