@@ -48,6 +48,7 @@ from daemon.commands.studies.simulate import (
     replay,
     report,
     tell_pages,
+    without_page,
 )
 from daemon.commands.upgrade import command as upgrade_command
 from daemon.studies.inputs import instant, of_several, settings_for, site_values
@@ -239,7 +240,8 @@ def simulate(
     else:
         tell_pages(pages)
     if summary.interrupted_utc_s is not None:
-        raise InterruptedEarlyError(f"interrupted: the tables end at {iso_utc(summary.interrupted_utc_s)[:19]}Z")
+        end = iso_utc(summary.interrupted_utc_s)[:19]
+        raise InterruptedEarlyError(f"interrupted: the tables end at {end}Z{without_page(report_to)}")
 
 
 app.add_typer(dashboard.app)

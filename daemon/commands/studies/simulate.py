@@ -117,7 +117,6 @@ def draw_pictures(paths: "Sequence[Path]", settings: "Settings", tables: Path, z
     """Draw light, angles and what the plane received, from the tables of a simulation."""
     from daemon.studies.report.plot import draw, material_of_tables
 
-    paths[0].parent.mkdir(parents=True, exist_ok=True)
     draw(material_of_tables(tables, None, settings, None, None), _PICTURES, paths, zone)
 
 
@@ -139,6 +138,11 @@ def checked_report(
     names = [file_name(span_of(*span).name, name) for name, _ in settings.trackers]
     check_output(out, names, "--report", force=force)
     return local
+
+
+def without_page(report_to: Path | None) -> str:
+    """Return how the sentence about an interruption ends, where a page about the whole was wanted."""
+    return "" if report_to is None else ", and no page was written"
 
 
 def tell_pages(paths: "Sequence[Path]", *, as_json: bool = False) -> None:
@@ -221,4 +225,4 @@ def replay(
         say(f"{done} rows by {settings.law.driver} on a SIMULATED tracker: {out}")
         tell_pages(pages)
     if done < len(rows):
-        raise InterruptedEarlyError(f"interrupted: {done} of {len(rows)} rows are in {out}")
+        raise InterruptedEarlyError(f"interrupted: {done} of {len(rows)} rows are in {out}{without_page(report_to)}")

@@ -56,7 +56,7 @@ def material_of_tables(
 
 
 def draw(material: Material, names: Sequence[str], paths: Sequence[Path], zone: tzinfo | None) -> None:
-    """Draw pictures to files; raises `UserError` for one that has nothing to show, and for a file."""
+    """Draw pictures to files, their folders too; raises `UserError` for one that has nothing to show, or a file."""
     if "power" in names and not len(material.tables["curves"]):
         span = material.span
         nothing = nothing_in(span.start_utc_s, span.end_utc_s, material.source, None, "I-V curve")
@@ -67,6 +67,7 @@ def draw(material: Material, names: Sequence[str], paths: Sequence[Path], zone: 
         # On a page the picture has the page's colour behind it; a file has nothing.
         figure.patch.set_alpha(1.0)
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
             with rc_context({"svg.hashsalt": "heliocube", "svg.fonttype": "none"}):
                 metadata = {"Date": None} if path.suffix.lower() == ".svg" else {}
                 figure.savefig(path, dpi=_DPI, facecolor="white", metadata=metadata)

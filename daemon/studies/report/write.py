@@ -18,14 +18,10 @@ ENDING = ".html"
 def check_output(out: Path, names: Sequence[str], option: str, *, force: bool) -> None:
     """Raise `UserError` for a folder that cannot take files, and for one of these names that is there already.
 
-    Makes the folder if it is missing. To be called before the work whose results go there.
+    To be called before the work whose results go there; nothing is made or changed.
     """
     check_folder(out, option)
     check_outputs([out / name for name in names], option, force=force)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"{option}: {out} cannot be a folder: {error.strerror}") from None
 
 
 def file_name(span_name: str, tracker: str) -> str:
@@ -70,9 +66,10 @@ def write_reports(
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write a file whole or not at all; raises `UserError`."""
+    """Write a file whole or not at all, its folder made if it is missing; raises `UserError`."""
     part = path.with_name(f".{path.name}.part")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         part.write_text(text, encoding="utf-8")
         part.replace(path)
     except OSError as error:

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import signal
 import sys
 from html.parser import HTMLParser
 
@@ -194,7 +195,7 @@ def test_nothing_is_overwritten_unasked(heliocube, store, tmp_path):
     ],
 )
 def test_a_mistake_is_one_sentence(heliocube, store, tmp_path, arguments, message):
-    code, out, said = heliocube("report", "--store", store, "--out", tmp_path, *arguments)
+    code, out, said = heliocube("report", "--store", store, "--out", tmp_path / "new", *arguments)
     assert (code, out) == (2, "")
     assert message in said
     assert said.count("\n") == 1
@@ -244,9 +245,9 @@ def test_what_changed_in_the_configuration_is_said(heliocube, tmp_path):
 
 def test_pictures_of_a_store_and_of_exported_tables(heliocube, store, tmp_path):
     day = ("--store", store, "--day", "2022-10-14")
-    assert heliocube("plot", "light", "motion", *day, "--out", tmp_path / "day.png")[0] == 0
+    assert heliocube("plot", "light", "motion", *day, "--out", tmp_path / "new" / "day.png")[0] == 0
     for name in ("day-light.png", "day-motion.png"):
-        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+        assert (tmp_path / "new" / name).read_bytes().startswith(b"\x89PNG")
     assert heliocube("export", "--store", store, "--out", tmp_path / "tables")[0] == 0
     tables = ("--tables", tmp_path / "tables", "--site", "48.7,0,156")
     assert heliocube("plot", "angles", *tables, "--out", tmp_path / "angles.svg")[0] == 0
@@ -273,7 +274,7 @@ def test_a_damaged_table_is_one_sentence(heliocube, tmp_path):
             "'moon'; choose from light, angles, received, motion, wind, power",
         ),
         (("light", "--out", "x.gif"), "must end in .png or .svg"),
-        (("power", "--out", "x.png"), "power: no I-V curve from 2022-10-14 00:00 UTC to 2022-10-15 00:00 UTC in "),
+        (("power", "--out", "new/x.png"), "power: no I-V curve from 2022-10-14 00:00 UTC to 2022-10-15 00:00 UTC in "),
     ],
 )
 def test_a_picture_that_cannot_be_drawn_is_one_sentence(heliocube, store, tmp_path, monkeypatch, arguments, message):
@@ -310,6 +311,35 @@ def test_simulate_and_replay_write_the_same_page(heliocube, tmp_path):
     assert heliocube("replay", faces, *site, "--out", tmp_path / "q.csv", "--report", tmp_path / "again")[0] == 2
     assert again.stat().st_mtime_ns == before
     assert not (tmp_path / "q.csv").exists(), "it was refused before the work"
+
+
+@pytest.fixture
+def _ctrl_c_at_once(monkeypatch):
+    """Interrupt what shows its progress when it does so first, as a terminal does."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    asked = iter([True])
+    shown = "rich.progress.Progress.update"
+    monkeypatch.setattr(shown, lambda *_, **_more: next(asked, False) and signal.raise_signal(signal.SIGINT))
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("_ctrl_c_at_once")
+@pytest.mark.parametrize("command", ["simulate", "replay"])
+def test_after_an_interruption_there_is_no_page_and_no_folder_for_it(heliocube, tmp_path, command):
+    faces = tmp_path / "faces.csv"
+    faces.write_text(
+        "time,east,south,west,zenith\n2022-10-12T11:00Z,220,300,210,510\n2022-10-12T11:01Z,220,300,210,510"
+    )
+    asked = {
+        "simulate": ("--start", "2022-06-21T11:00Z", "--days", "0.02", "--out", tmp_path / "tables"),
+        "replay": (faces, "--site", "48.7176,2.2090,156", "--out", tmp_path / "p.csv"),
+    }
+    code, _, said = heliocube(command, *asked[command], "--report", tmp_path / "pages")
+    assert code == 130
+    assert said.splitlines()[-1].startswith("heliocube: interrupted: ")
+    assert said.endswith(", and no page was written\n")
+    assert not (tmp_path / "pages").exists()
 
 
 def test_the_page_of_a_replay_knows_what_the_service_did_not_believe(heliocube, tmp_path):
