@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 # In the first and the last year that Python knows, a zone or a longitude carries an instant beyond its calendar.
 YEARS = range(2, 9999)
+_SKIES = get_args(WeatherName)
 _PACKED = (".bz2", ".tar", ".tar.gz", ".xz", ".zip", ".zst")
 
 
@@ -51,18 +52,24 @@ def site_values(text: str) -> dict[str, Any]:
 
 def weather_choice(text: str) -> str | Path:
     """Return the built-in weather of that name, or the file."""
-    return text if text in get_args(WeatherName) else Path(text)
+    return text if text in _SKIES else Path(text)
 
 
-def check_weather_file(path: Path, *, or_built_in: bool = True) -> None:
+def check_weather_file(path: Path, built_in: Sequence[str] = _SKIES) -> None:
     """Raise `UserError` where there is no such file, before anything is loaded that could read it.
 
-    Built-in skies are named in it where the command takes them.
+    Of the built-in skies those are named in it that the command takes.
     """
+    if path.is_dir():
+        raise UserError(f"{path} is a folder: name a file of measured weather in it")
     if not path.is_file():
-        known = ", ".join(get_args(WeatherName))
-        hint = f", and it is none of the built-in skies {known}" if or_built_in else ": name a file of measured weather"
-        raise UserError(f"there is no weather file at {path}{hint}")
+        if built_in == _SKIES:
+            raise UserError(
+                f"there is no weather file at {path}, and it is none of the built-in skies {', '.join(_SKIES)}"
+            )
+        known = f"{path} is a built-in sky that this command does not take"
+        what = known if str(path) in _SKIES else f"there is no weather file at {path}"
+        raise UserError(f"{what}: name {' or '.join(('a file of measured weather', *built_in))}")
     check_packing(path)
 
 

@@ -125,7 +125,7 @@ def energy(
         raise UserError("energy needs weather files and their --site LAT,LON, or a table of sites, --sites FILE")
     place = parse_site(site)
     for path in weather:
-        check_weather_file(path, or_built_in=False)
+        check_weather_file(path, built_in=())
     if losses:
         if prices is not None:
             raise UserError("--losses tells no money: leave out --peak-kw and the prices")

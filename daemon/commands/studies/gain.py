@@ -85,7 +85,7 @@ def gain(
     elif plot_kind is not None:
         raise UserError("--plot-kind needs a file to draw in; add --plot FILE")
     if weather not in (None, "clear") and lat_range is None:
-        check_weather_file(Path(weather), or_built_in=False)
+        check_weather_file(Path(weather), built_in=("clear",))
     from daemon.studies.gain import output, request
     from daemon.studies.gain.evaluate import evaluate, evaluate_points
 
