@@ -6,6 +6,7 @@ import numpy as np
 
 from daemon.base.records import FACES
 from daemon.studies.report.material import Material
+from solar.compare import longest_gap_s
 from solar.ephemeris import sun_direction
 from solar.frames import Array
 from solar.received import Received, insolation, received
@@ -143,7 +144,7 @@ def module_kwh(material: Material, start_utc_s: float, end_utc_s: float) -> tupl
     utc_s = material.times_of("curves")
     inside = (utc_s >= start_utc_s) & (utc_s < end_utc_s)
     power = np.where(curves["quality"] == "ok", material.column("curves", "pmpp_w"), np.nan)
-    return insolation(utc_s[inside], power[inside])
+    return insolation(utc_s[inside], power[inside], longest_gap_s(utc_s[inside]))
 
 
 def daylight_s(material: Material, start_utc_s: float, end_utc_s: float) -> float:
