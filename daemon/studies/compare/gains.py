@@ -16,11 +16,9 @@ from daemon.studies.text_table import signed, table
 from solar.compare import ChainBias, energy_wh, gain_pct, longest_gap_s
 from solar.ephemeris import DAY_S, Site, solar_days, sun_position
 from solar.frames import Array
-from solar.skies.sky_periods import sky_periods
+from solar.skies.sky_periods import LOWEST_SUN_DEG, sky_periods
 
 WHOLE_DAY = "day"
-# Lower, the light of a clear sky is mostly diffuse, and the diffuse fraction tells nothing.
-LOWEST_SUN_DEG = 7.0
 
 
 @dataclass(frozen=True, slots=True)

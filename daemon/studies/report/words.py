@@ -8,10 +8,13 @@ from daemon.studies.report.material import Material
 from daemon.studies.report.motion import RecordedMotion
 from daemon.studies.report.span import times
 from daemon.studies.report.told import AlarmSpan
-from daemon.studies.report.yields import RecordedLight, Yield
+from daemon.studies.report.yields import RecordedLight, Yield, daylight_s
 from solar.ephemeris import DAY_S
+from solar.skies.sky_periods import LOWEST_SUN_DEG
 
 NO_FIGURE = "–"
+# Less is none with one decimal.
+_LEAST_TOLD_H = 0.05
 
 
 def number(value: float, digits: int = 1, sign: bool = False) -> str:
@@ -57,12 +60,14 @@ def summary(
 
 
 def _sky(material: Material, light: RecordedLight, gained: Yield) -> str:
-    hours: dict[str, float] = {}
+    span = material.span
+    hours = dict.fromkeys(("clear", "variable", "overcast"), 0.0)
     for period in light.periods():
-        hours[period.kind] = hours.get(period.kind, 0.0) + (period.end_utc_s - period.start_utc_s) / 3600.0
-    kinds = ", ".join(
-        f"{number(hours[kind])} h {kind}" for kind in ("clear", "variable", "overcast") if hours.get(kind)
-    )
+        hours[period.kind] += (period.end_utc_s - period.start_utc_s) / 3600.0
+    high_h = daylight_s(material, span.start_utc_s, span.end_utc_s, LOWEST_SUN_DEG) / 3600.0
+    hours["not known"] = high_h - sum(hours.values())
+    hours[f"with the sun below {LOWEST_SUN_DEG:g} deg"] = gained.daylight_s / 3600.0 - high_h
+    kinds = ", ".join(f"{number(length_h)} h {kind}" for kind, length_h in hours.items() if length_h >= _LEAST_TOLD_H)
     seen = f": {kinds}" if kinds else ""
     level = gained.faces_kwh_m2[3] if gained.faces_kwh_m2 else math.nan
     return (

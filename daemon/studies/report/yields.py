@@ -10,7 +10,7 @@ from solar.compare import longest_gap_s
 from solar.ephemeris import sun_direction
 from solar.frames import Array
 from solar.received import Received, insolation, received
-from solar.skies.sky_periods import Period, diffuse_fraction_of_faces, sky_periods
+from solar.skies.sky_periods import LOWEST_SUN_DEG, Period, diffuse_fraction_of_faces, sky_periods
 
 USUAL_ALBEDO = 0.2
 DAYLIGHT_EVERY_S = 60.0
@@ -53,9 +53,9 @@ class RecordedLight:
         return slice(int(first), int(last))
 
     def periods(self) -> list[Period]:
-        """Return the clear, overcast and variable periods while the sun is up."""
-        up = self.sun[:, 2] > 0.0
-        return sky_periods(self.utc_s[up], self.diffuse_fraction[up])
+        """Return the clear, overcast and variable periods, while the sun is high enough to tell them."""
+        told = self.sun[:, 2] >= np.sin(np.radians(LOWEST_SUN_DEG))
+        return sky_periods(self.utc_s[told], self.diffuse_fraction[told])
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,10 +147,11 @@ def module_kwh(material: Material, start_utc_s: float, end_utc_s: float) -> tupl
     return insolation(utc_s[inside], power[inside], longest_gap_s(utc_s[inside]))
 
 
-def daylight_s(material: Material, start_utc_s: float, end_utc_s: float) -> float:
-    """Return how long the sun is up between two instants [s]."""
+def daylight_s(material: Material, start_utc_s: float, end_utc_s: float, lowest_deg: float = 0.0) -> float:
+    """Return how long the sun is higher than `lowest_deg` between two instants [s]."""
     middles = np.arange(start_utc_s + DAYLIGHT_EVERY_S / 2.0, end_utc_s, DAYLIGHT_EVERY_S)
-    return float(np.count_nonzero(_suns(middles, material)[:, 2] > 0.0)) * DAYLIGHT_EVERY_S
+    higher = _suns(middles, material)[:, 2] > np.sin(np.radians(lowest_deg))
+    return float(np.count_nonzero(higher)) * DAYLIGHT_EVERY_S
 
 
 def sun_up(material: Material, utc_s: Array) -> Array:

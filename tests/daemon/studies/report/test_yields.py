@@ -1,14 +1,22 @@
-"""What a report counts together: the module's energy."""
+"""What a report counts together: the module's energy, and the hours of each sky."""
+
+import re
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from daemon.base.records import FACES
 from daemon.studies.report.material import of_tables
+from daemon.studies.report.page import findings_of
 from daemon.studies.report.span import ReportSpan
+from daemon.studies.report.words import summary
 from daemon.studies.report.yields import module_kwh
-from solar.ephemeris import DAY_S, Site
+from solar.calibration.selection import clear_sky_ghi
+from solar.energy import build_sky, faces_under, lay_out
+from solar.ephemeris import DAY_S, Site, sun_direction
 
+SITE = Site(48.7, 0.0, 0.0)
 T0 = 1655164800.0
 """2022-06-14T00:00Z."""
 EMPTY = pd.DataFrame(index=pd.DatetimeIndex([], tz="UTC", name="time"))
@@ -20,7 +28,7 @@ def material(**tables):
     (found,) = of_tables(
         {kind: tables.get(kind, EMPTY) for kind in kinds},
         ReportSpan(T0, T0 + DAY_S, "day"),
-        Site(48.7, 0.0, 0.0),
+        SITE,
         "here",
         "tables",
     )
@@ -44,3 +52,35 @@ def test_a_curve_does_not_stand_for_the_hours_in_which_none_was_measured():
     utc_s = utc_s[(utc_s < T0 + 11 * 3600.0) | (utc_s >= T0 + 13 * 3600.0)]
     _, known_s = module_kwh(material(curves=table(utc_s, quality="ok", pmpp_w=250.0)), T0, T0 + DAY_S)
     assert known_s == pytest.approx(2 * 3600.0 + 150.0)
+
+
+def clear_day():
+    """Return the scans of a day without a cloud, one a minute."""
+    minutes = T0 + np.arange(0.0, DAY_S, 60.0)
+    utc_s = minutes[sun_direction(minutes, *SITE)[:, 2] > 0.0]
+    _, dni, dhi = clear_sky_ghi(SITE, utc_s)
+    weather = lay_out(utc_s, dni, dhi, SITE)
+    readings = faces_under(build_sky(weather, "isotropic"), 0.2)
+    return table(
+        weather.utc_s,
+        **{f"{face}_w_m2": readings[:, number] for number, face in enumerate(FACES)},
+        **{f"{face}_quality": "ok" for face in FACES},
+    )
+
+
+def told_of_the_sky(scans):
+    found = findings_of(material(scans=scans), None)
+    sky, *_ = summary(found.material, found.light, found.gained, found.motion, found.quality, found.alarms)
+    daylight, *hours = (float(text) for text in re.findall(r"([\d.]+) h\b", sky))
+    assert sum(hours) == pytest.approx(daylight, abs=0.11)
+    return sky
+
+
+def test_a_clear_day_is_told_as_clear_beside_the_hours_of_a_low_sun():
+    assert "h of daylight: 14.3 h clear, 1.8 h with the sun below 7 deg;" in told_of_the_sky(clear_day())
+
+
+def test_daylight_without_scans_is_told_as_not_known():
+    scans = clear_day()
+    hours = (scans.index.hour >= 10) & (scans.index.hour < 13)
+    assert ": 11.3 h clear, 3.0 h not known, 1.8 h with the sun below 7 deg;" in told_of_the_sky(scans[~hours])
