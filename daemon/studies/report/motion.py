@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from daemon.base.records import Mode
 from daemon.studies.report.material import Material
-from daemon.studies.report.yields import DAYLIGHT_EVERY_S, held, sun_up
+from daemon.studies.report.yields import DAYLIGHT_EVERY_S, held, newest, sun_up
 from solar.ephemeris import DAY_S
 from solar.frames import Array
 
@@ -102,6 +102,19 @@ def motion_of(material: Material) -> RecordedMotion:
     )
 
 
+def set_points_of(material: Material, angle: str) -> tuple[Array, Array]:
+    """Return when an angle was given a set point [s UTC] and which [deg], each of shape (n,).
+
+    Every move gives one. Before the first move of a span it is the target of the first decision: on an overcast day the
+    tracker may lie where it should without a move until the evening.
+    """
+    utc_s, values = material.times_of("moves"), material.column("moves", f"target_{angle}")
+    decided_utc_s, targets = material.times_of("decisions"), material.column("decisions", f"target_{angle}")
+    if decided_utc_s.size and not np.any(utc_s <= decided_utc_s[0]):
+        return np.insert(utc_s, 0, decided_utc_s[0]), np.insert(values, 0, targets[0])
+    return utc_s, values
+
+
 def _travel(material: Material, angle: str) -> Array:
     way: Array = np.abs(material.column("moves", f"end_{angle}") - material.column("moves", f"from_{angle}"))
     return np.nan_to_num(way)
@@ -166,10 +179,10 @@ def _at_set_point(material: Material, stretches: tuple[Stretch, ...]) -> tuple[f
     span = material.span
     utc_s = np.arange(span.start_utc_s + DAYLIGHT_EVERY_S / 2.0, span.end_utc_s, DAYLIGHT_EVERY_S)
     counts = (sun_up(material, utc_s) > 0.0) & ~_while(stretches, utc_s, _OTHERS_WANT)
-    set_points = [held(material, "moves", f"target_{angle}", utc_s, DAY_S) for angle in ("a_deg", "b_deg")]
+    set_points = [newest(*set_points_of(material, angle), utc_s, DAY_S) for angle in ("a_deg", "b_deg")]
     stands = [held(material, "poses", angle, utc_s, SILENT_S) for angle in ("a_deg", "b_deg")]
     apart = np.maximum(*(np.abs(wanted - is_at) for wanted, is_at in zip(set_points, stands, strict=True)))
-    # Before the first move of a span nobody knows where it was sent.
+    # Before the first decision or move of a span nobody knows where it was sent.
     counts &= np.isfinite(set_points[0])
     if not counts.any():
         return np.nan, np.nan, np.nan

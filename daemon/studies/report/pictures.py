@@ -16,8 +16,8 @@ from daemon.base.records import FACES
 from daemon.studies.report.asked import NAMES
 from daemon.studies.report.availability import longest_interval_s
 from daemon.studies.report.material import Material
-from daemon.studies.report.motion import NOT_RECORDED, SILENT_S, RecordedMotion
-from daemon.studies.report.yields import RecordedLight, Yield, held
+from daemon.studies.report.motion import NOT_RECORDED, SILENT_S, RecordedMotion, set_points_of
+from daemon.studies.report.yields import RecordedLight, Yield, newest
 from daemon.studies.stamp import stamped
 from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Array, angles_within
@@ -110,8 +110,8 @@ def angles_picture(drawing: Drawing) -> Figure:
         sun = _sun_angles(drawing)
         for axes, angle, path in zip(panels, ("a", "b"), sun[1:], strict=True):
             axes.plot(_dates(sun[0]), path, color=ORANGE, linestyle="--", label="sun, within the limits")
-            if len(material.tables["moves"]):
-                axes.step(*_set_points(drawing, angle), where="post", color=SKY, linewidth=3.0, label="set")
+            if set_points_of(material, f"{angle}_deg")[0].size:
+                axes.step(*_set_points(drawing, f"{angle}_deg"), where="post", color=SKY, linewidth=3.0, label="set")
             poses = material.column("poses", f"{angle}_deg")
             axes.plot(*_thinned(material.times_of("poses"), poses, SILENT_S), color=INK, label="actual")
             axes.margins(y=0.08)
@@ -327,14 +327,15 @@ def _thinned(utc_s: Array, values: Array, pause_s: float) -> tuple[NDArray[np.da
 
 
 def _set_points(drawing: Drawing, angle: str) -> tuple[NDArray[np.datetime64], Array]:
-    """Return where each move sent an angle; it holds until the next one, and is NaN while nothing was recorded."""
-    material, name = drawing.material, f"target_{angle}_deg"
+    """Return the set points of an angle; each holds until the next one, and is NaN while nothing was recorded."""
+    material = drawing.material
+    given_utc_s, set_points = set_points_of(material, angle)
     silent = [stretch for stretch in drawing.motion.stretches if stretch.mode == NOT_RECORDED]
     begins = np.array([stretch.start_utc_s for stretch in silent])
     ends = np.array([*(stretch.end_utc_s for stretch in silent), material.span.end_utc_s])
-    utc_s = np.concatenate([material.times_of("moves"), begins, ends])
-    again = held(material, "moves", name, ends, np.inf)
-    values = np.concatenate([material.column("moves", name), np.full(begins.shape, np.nan), again])
+    utc_s = np.concatenate([given_utc_s, begins, ends])
+    again = newest(given_utc_s, set_points, ends, np.inf)
+    values = np.concatenate([set_points, np.full(begins.shape, np.nan), again])
     order = np.argsort(utc_s, kind="stable")
     return _dates(utc_s[order]), values[order]
 

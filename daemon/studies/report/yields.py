@@ -161,7 +161,11 @@ def sun_up(material: Material, utc_s: Array) -> Array:
 
 def held(material: Material, kind: str, name: str, utc_s: Array, holds_s: float) -> Array:
     """Return a column's newest value at each instant [s]; NaN before the first and once it is older than `holds_s`."""
-    times, values = material.times_of(kind), material.column(kind, name)
+    return newest(material.times_of(kind), material.column(kind, name), utc_s, holds_s)
+
+
+def newest(times: Array, values: Array, utc_s: Array, holds_s: float) -> Array:
+    """Return the newest of the values of rising times [s] at each instant, as :func:`held` does."""
     if not times.size:
         return np.full(utc_s.shape, np.nan)
     place = np.searchsorted(times, utc_s, side="right") - 1

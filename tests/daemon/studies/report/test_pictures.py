@@ -87,6 +87,25 @@ def test_a_set_point_ends_with_the_records(drawing):
     assert x[last] == pytest.approx(date2num(np.datetime64(int(T0 + 18 * 3600 - EVERY_S), "s")), abs=1e-6)
 
 
+@pytest.mark.parametrize("moved", [True, False])
+def test_before_the_first_move_the_set_point_is_the_target_of_the_first_decision(moved):
+    found = material()
+    decided = T0 + np.array([6.5, 7.0, 15.0]) * 3600.0
+    found.tables["decisions"] = table(decided, mode="tracking", target_a_deg=[-12.0, -10.0, -10.0], target_b_deg=60.0)
+    if not moved:
+        found.tables["moves"] = found.tables["moves"][:0]
+    motion = motion_of(found)
+    # From 6:30 to sunset at 17:11; the poses of 9:59 hold for a quarter of an hour, and those of 14:00 are the next.
+    known_min = 225 + 191
+    assert motion.deviation_deg == pytest.approx(2.0 * 30 / known_min if moved else 2.0, rel=0.01)
+    assert motion.available_pct == pytest.approx(100.0 * known_min / 641, rel=0.01)
+    figure = PICTURES["angles"].draw(Drawing(found, light_of(found), motion, None))
+    (line,) = (line for line in figure.axes[0].lines if line.get_label() == "set")
+    first = np.flatnonzero(np.isfinite(line.get_ydata()))[0]
+    assert line.get_ydata()[first] == -12.0
+    assert line.convert_xunits(line.get_xdata(orig=True))[first] == date2num(np.datetime64(int(decided[0]), "s"))
+
+
 def test_a_picture_in_a_file_has_a_white_ground(tmp_path):
     draw(material(), ["wind"], [tmp_path / "wind.png"], None)
     pixels = imread(tmp_path / "wind.png")
