@@ -10,11 +10,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.transforms import Bbox, BboxBase
 
 from daemon.studies.energy.benchmark import EnergyRow
-from daemon.studies.energy.names import FIXED
+from daemon.studies.energy.names import BOUND, FIXED
 from daemon.studies.stamp import stamped
 from solar.energy import DAY_TYPES
+from solar.frames import Array
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -23,49 +25,42 @@ if TYPE_CHECKING:
 _COLOURS = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7", "#000000")
 # What is left of a colour in grey.
 _HATCHES = ("", "//", "\\\\", "..", "xx", "++", "--")
-_BOUND = "0.65"
+_GREY = "0.65"
 _MARKERS = ("o", "s", "^", "D", "v")
 _LINES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 _GAIN_TICKS = (-5, -2, -1, -0.5, 0, 0.5, 1, 2, 5, 10, 20, 50, 100)
-_MOVING_WORST_PCT = -5.0
+_WORST_BAR_PCT = -5.0
 _LOWEST_SHARE_PCT = -60.0
+# In a narrower panel hundredths of a degree would look like wear.
+_NARROWEST_DEG = 50.0
+_MARK_PX = 6.0
 
 
 def plot(rows: Sequence[EnergyRow], path: Path, *, simulated: bool = False) -> None:
-    """Draw both panels to a PNG file; laws that lose more than 5 % (planes that never move) get no bars."""
-    figure = Figure(figsize=(12.0, 5.6), layout="constrained")
+    """Draw both panels to a PNG file."""
+    picture(rows, simulated=simulated).savefig(path)
+
+
+def picture(rows: Sequence[EnergyRow], *, simulated: bool = False) -> Figure:
+    """Return both panels; what loses more than 5 % has no bar, and a plane that never moves no mark."""
+    figure = Figure(figsize=(12.0, 5.6), dpi=120, layout="constrained")
     stamped(figure, simulated, "SIMULATED WEATHER")
     FigureCanvasAgg(figure)
     bars, wear = figure.subplots(1, 2)
-    laws = list(dict.fromkeys(_law_of(row) for row in rows if _is_drawn(row)))
-    colours = {law: _COLOURS[index % len(_COLOURS)] for index, law in enumerate(laws)} | {"bound": _BOUND}
-    hatches = {law: _HATCHES[index % len(_HATCHES)] for index, law in enumerate(laws)} | {"bound": ""}
-    _draw_bars(bars, [row for row in rows if row.sky == rows[0].sky], colours, hatches)
-    left_out: list[str] = []
     skies = list(dict.fromkeys(row.sky for row in rows))
+    with_bar = [row for row in rows if row.sky == skies[0] and _has_bar(row)]
+    with_mark = [row for row in rows if _has_mark(row)]
+    drawn = {_law_of(row) for row in (*with_bar, *with_mark)}
+    laws = [law for law in dict.fromkeys(map(_law_of, rows)) if law in drawn and law != BOUND]
+    colours = {law: _COLOURS[index % len(_COLOURS)] for index, law in enumerate(laws)} | {BOUND: _GREY}
+    hatches = {law: _HATCHES[index % len(_HATCHES)] for index, law in enumerate(laws)} | {BOUND: ""}
+    _draw_bars(bars, skies[0], with_bar, colours, hatches)
     for index, name in enumerate(skies):
-        left_out += _draw_wear(wear, [row for row in rows if row.sky == name], colours, index)
-    _name_laws(wear, [row for row in rows if _is_drawn(row) and not row.law.startswith(FIXED)])
-    wear.axhline(100.0, color=_BOUND, linewidth=1.5)
-    wear.axhline(0.0, color="black", linewidth=0.8)
-    wear.margins(x=0.12, y=0.08)
-    wear.set_xlim(left=0.0)
-    wear.set_ylim(top=108.0)
-    wear.annotate(
-        "the bound", (0.02, 100.0), xycoords=("axes fraction", "data"), xytext=(0, 3), textcoords="offset points"
-    )
-    wear.set_xlabel("travel, A and B added [deg/day]")
-    wear.set_ylabel("share of what the bound gains [%]")
-    wear.set_title("Harvest against wear")
-    wear.grid(alpha=0.3)
-    if left_out:
-        wear.annotate(
-            f"below {_LOWEST_SHARE_PCT:g} %: {', '.join(dict.fromkeys(left_out))}",
-            (0.02, 0.02),
-            xycoords="axes fraction",
-        )
+        _draw_marks(wear, [row for row in with_mark if row.sky == name], colours, index)
+    _finish_wear(wear, with_mark, rows)
+    named = [law for law in (*laws, BOUND) if law in drawn]
     shown: list[Artist] = [
-        Patch(facecolor=colours[law], hatch=hatches[law], edgecolor="white", label=law) for law in (*laws, "bound")
+        Patch(facecolor=colours[law], hatch=hatches[law], edgecolor="white", label=law) for law in named
     ]
     if len(skies) > 1:
         shown += [
@@ -79,15 +74,21 @@ def plot(rows: Sequence[EnergyRow], path: Path, *, simulated: bool = False) -> N
             )
             for index, name in enumerate(skies)
         ]
-    figure.legend(handles=shown, loc="outside lower center", ncols=min(len(shown), 7), frameon=False)
-    figure.savefig(path, dpi=120)
+    if shown:
+        figure.legend(handles=shown, loc="outside lower center", ncols=min(len(shown), 7), frameon=False)
+    # The names find their places once the layout has given the panel its own.
+    figure.draw_without_rendering()
+    _name_laws(wear, with_mark)
+    return figure
 
 
-def _is_drawn(row: EnergyRow) -> bool:
+def _has_bar(row: EnergyRow) -> bool:
+    return row.gain_pct > _WORST_BAR_PCT and (":" not in row.law or row.law.startswith(FIXED))
+
+
+def _has_mark(row: EnergyRow) -> bool:
     moves = np.isfinite(row.travel_deg_per_day) and not row.law.startswith(FIXED)
-    return bool(
-        row.law != "bound" and (row.gain_pct > _MOVING_WORST_PCT or (moves and row.share_pct > _LOWEST_SHARE_PCT))
-    )
+    return bool(moves and row.share_pct >= _LOWEST_SHARE_PCT)
 
 
 def _law_of(row: EnergyRow) -> str:
@@ -95,8 +96,9 @@ def _law_of(row: EnergyRow) -> str:
     return row.law if row.law.startswith(FIXED) else row.law.partition(":")[0]
 
 
-def _draw_bars(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str], hatches: Mapping[str, str]) -> None:
-    shown = [row for row in rows if row.gain_pct > _MOVING_WORST_PCT and ":" not in row.law]
+def _draw_bars(
+    axes: Axes, sky: str, shown: Sequence[EnergyRow], colours: Mapping[str, str], hatches: Mapping[str, str]
+) -> None:
     width = 0.8 / max(len(shown), 1)
     # A type of which there was no day has no gain.
     heights = np.array([(*row.gain_by_type_pct, row.gain_pct) for row in shown]).reshape(-1, len(DAY_TYPES) + 1)
@@ -117,23 +119,15 @@ def _draw_bars(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str]
     axes.minorticks_off()
     axes.axhline(0.0, color="black", linewidth=0.8)
     axes.set_ylabel("gain over ideal chronometric [%]\n(linear up to 1, logarithmic beyond)")
-    axes.set_title(f"Gain by type of day, sky {rows[0].sky}")
+    axes.set_title(f"Gain by type of day, sky {sky}")
     axes.grid(axis="y", alpha=0.3)
     axes.set_axisbelow(True)
 
 
-def _draw_wear(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str], sky: int) -> list[str]:
-    """Draw each law's point, or its line over the parameter that was tried; return the laws that lie too low."""
-    lines: dict[str, list[tuple[float, float]]] = {}
-    left_out = []
-    for row in rows:
-        if not np.isfinite(row.travel_deg_per_day) or row.law.startswith(FIXED):
-            continue
-        if row.share_pct < _LOWEST_SHARE_PCT:
-            left_out.append(row.law)
-        else:
-            lines.setdefault(_law_of(row), []).append((row.travel_deg_per_day, row.share_pct))
-    for law, points in lines.items():
+def _draw_marks(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str], sky: int) -> None:
+    """Draw each law's point, or its line over the parameter that was tried."""
+    for law in dict.fromkeys(map(_law_of, rows)):
+        points = [(row.travel_deg_per_day, row.share_pct) for row in rows if _law_of(row) == law]
         axes.plot(
             *zip(*sorted(points), strict=True),
             color=colours[law],
@@ -141,12 +135,53 @@ def _draw_wear(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str]
             linestyle=_LINES[sky % len(_LINES)],
             markersize=6,
         )
-    return left_out
+
+
+def _finish_wear(axes: Axes, with_mark: Sequence[EnergyRow], rows: Sequence[EnergyRow]) -> None:
+    """Give the panel its lines, limits and words, and say below it what has no mark in it."""
+    axes.axhline(100.0, color=_GREY, linewidth=1.5)
+    axes.axhline(0.0, color="black", linewidth=0.8)
+    axes.margins(y=0.08)
+    right = max(1.12 * max((row.travel_deg_per_day for row in with_mark), default=0.0), _NARROWEST_DEG)
+    axes.set_xlim(-0.04 * right, right)
+    axes.set_ylim(top=108.0)
+    axes.annotate(
+        "the bound", (0.02, 100.0), xycoords=("axes fraction", "data"), xytext=(0, 3), textcoords="offset points"
+    )
+    low = dict.fromkeys(row.law for row in rows if row.share_pct < _LOWEST_SHARE_PCT)
+    still = dict.fromkeys(row.law for row in rows if row.law.startswith(FIXED) and row.law not in low)
+    without = [
+        f"{why}: {', '.join(laws)}"
+        for why, laws in ((f"below {_LOWEST_SHARE_PCT:g} %", low), ("never moves", still))
+        if laws
+    ]
+    axes.set_xlabel("\n".join(["travel, A and B added [deg/day]", *(["; ".join(without)] if without else [])]))
+    axes.set_ylabel("share of what the bound gains [%]")
+    axes.set_title("Harvest against wear")
+    axes.grid(alpha=0.3)
 
 
 def _name_laws(axes: Axes, rows: Sequence[EnergyRow]) -> None:
-    """Write each law's name above its marks of all skies."""
-    for law in dict.fromkeys(map(_law_of, rows)):
-        points = [(row.travel_deg_per_day, row.share_pct) for row in rows if _law_of(row) == law]
-        travel, share = np.nanmean([x for x, _ in points]), max(y for _, y in points)
-        axes.annotate(law, (travel, share), xytext=(0, 8), textcoords="offset points", ha="center")
+    """Write each law's name above or below its marks of all skies, where nothing else is."""
+    frame = axes.get_window_extent()
+    marks = axes.transData.transform(np.reshape([(row.travel_deg_per_day, row.share_pct) for row in rows], (-1, 2)))
+    taken = [Bbox([mark - _MARK_PX, mark + _MARK_PX]) for mark in marks]
+    taken += [text.get_window_extent() for text in axes.texts]
+    laws = np.array([_law_of(row) for row in rows])
+    for law in dict.fromkeys(laws.tolist()):
+        name = axes.text(0.0, 0.0, law, ha="center", va="center")
+        places = _beside(marks[laws == law], name.get_window_extent(), frame, len(rows))
+        free = (box for box in places if not any(box.overlaps(other) for other in taken))
+        taken.append(next(free, places[0]))
+        x, y = axes.transData.inverted().transform(taken[-1].corners().mean(axis=0))
+        name.set_position((x, y))
+
+
+def _beside(marks: Array, size: BboxBase, frame: BboxBase, lines: int) -> list[Bbox]:
+    """Return the places of a name of some size above and below its marks [pixels], inside the frame, nearest first."""
+    width, height = size.width, size.height
+    x = np.clip(marks[:, 0].mean(), frame.x0 + 0.55 * width, frame.x1 - 0.55 * width)
+    away = height * (1.1 + np.arange(lines + 1))
+    found = [y for step in away for y in (marks[:, 1].max() + step, marks[:, 1].min() - step)]
+    inside = [y for y in found if frame.y0 + 0.55 * height < y < frame.y1 - 0.55 * height]
+    return [Bbox.from_bounds(x - width / 2.0, y - height / 2.0, width, height) for y in inside or found]

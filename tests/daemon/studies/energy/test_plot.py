@@ -1,0 +1,91 @@
+"""What the benchmark's picture shows of each law, and that its words can be read."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from daemon.studies.energy.benchmark import EnergyRow
+from daemon.studies.energy.plot import picture
+
+
+def row(law, gain_pct, share_pct, travel_deg_per_day=np.nan, sky="perez1990"):
+    return EnergyRow(
+        sky, law, 5.0, gain_pct, (gain_pct, np.nan, np.nan, np.nan), share_pct, gain_pct, travel_deg_per_day, 0.0, 1.0
+    )
+
+
+BOUND = row("bound", 33.15, 100.0)
+OVERCAST = (
+    row("fixed:35", 21.0, 63.3, 35.0),
+    row("chronometric", 0.0, 0.0, 261.0),
+    row("flat", 33.14, 99.9, 0.0),
+    row("mu-prime", 33.05, 99.7, 53.0),
+    row("optimal", 33.01, 99.6, 4.0),
+    row("sun-vector", 30.58, 92.2, 303.0),
+    BOUND,
+)
+CLEAR = (
+    row("fixed:35", -26.0, -61000.0, 35.0),
+    row("chronometric", 0.0, -2.0, 262.0),
+    row("flat", -56.0, -130000.0, 0.0),
+    row("optimal", 0.03, 73.4, 233.0),
+    row("sun-vector", -0.01, -14.9, 279.0),
+    row("bound", 0.04, 100.0),
+)
+STILL = (row("flat", 33.14, 99.9, 0.0), row("optimal", 33.01, 99.6, 0.05))
+
+
+DAYS = {"overcast": OVERCAST, "clear": CLEAR, "still": STILL}
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    """The picture of each day, drawn once."""
+    return {name: picture(rows) for name, rows in DAYS.items()}
+
+
+def legend(figure):
+    return [text.get_text() for text in figure.legends[0].get_texts()] if figure.legends else []
+
+
+def colours(axes):
+    return {bar.get_facecolor() for bar in axes.patches}
+
+
+def test_each_name_of_the_legend_has_a_bar_of_its_colour(pictures):
+    figure = pictures["overcast"]
+    names = [row.law for row in OVERCAST]
+    assert legend(figure) == names
+    assert {patch.get_facecolor() for patch in figure.legends[0].get_patches()} == colours(figure.axes[0])
+    assert len(colours(figure.axes[0])) == len(names)
+
+
+def test_the_legend_has_nothing_that_is_not_drawn(pictures):
+    assert legend(pictures["clear"]) == ["chronometric", "optimal", "sun-vector", "bound"]
+    assert legend(pictures["still"]) == ["flat", "optimal"], "the bound was not asked for"
+    assert legend(picture(CLEAR[:1])) == []
+
+
+def test_what_has_no_mark_in_the_panel_of_wear_is_named_below_it(pictures):
+    assert pictures["clear"].axes[1].get_xlabel().endswith("\nbelow -60 %: fixed:35, flat")
+    assert pictures["overcast"].axes[1].get_xlabel().endswith("\nnever moves: fixed:35")
+    both = picture((*OVERCAST, row("optimal:16", -2.0, -70.0, 100.0)))
+    assert both.axes[1].get_xlabel().endswith("\nbelow -60 %: optimal:16; never moves: fixed:35")
+
+
+@pytest.mark.parametrize("day", DAYS)
+def test_names_lie_inside_the_panel_of_wear_and_not_over_one_another(pictures, day):
+    axes = pictures[day].axes[1]
+    frame, words = axes.get_window_extent(), [text.get_window_extent() for text in axes.texts]
+    assert len(words) > 2
+    assert all(frame.x0 <= word.x0 and word.x1 <= frame.x1 for word in words)
+    assert all(frame.y0 <= word.y0 and word.y1 <= frame.y1 for word in words)
+    assert not any(one.overlaps(other) for one, other in combinations(words, 2))
+
+
+@pytest.mark.parametrize("day", DAYS)
+def test_the_panel_of_wear_has_room_left_of_nothing_and_never_shows_hundredths_of_a_degree(pictures, day):
+    left, right = pictures[day].axes[1].get_xlim()
+    assert left < -1.0
+    assert right >= 50.0
