@@ -71,7 +71,7 @@ def show(columns: Columns, console: Console, sky_label: str | None) -> None:
 
 def _compare(row: dict[str, float], console: Console, sky_label: str | None) -> None:
     when = f"day {row['n']:.0f}" if "n" in row else "the year"
-    _print(f"Latitude {row['phi_deg']:g} deg, {when}, in theory:", console)
+    _print(f"Latitude {row['phi_deg']:zg} deg, {when}, in theory:", console)
     _print("constant beam from sunrise to sunset, no atmosphere.", console)
     titles: tuple[str, ...] = ("against", "tilt", "azimuth", "K", "dual gains", "over static")
     if sky_label:
@@ -81,7 +81,7 @@ def _compare(row: dict[str, float], console: Console, sky_label: str | None) -> 
     _print_aligned([titles, *lines], console)
     for name, value in row.items():
         if name.endswith(("_abs", "_min")) or "_eq" in name or "_script" in name:
-            told = f"{value:.6g}" if np.isfinite(value) else "not defined here"
+            told = f"{value:z.6g}" if np.isfinite(value) else "not defined here"
             _print(f"{_in_words(name)}: {told}", console)
 
 
@@ -111,8 +111,8 @@ def _device(row: dict[str, float], device: Device, sky_label: str | None) -> tup
     ratio = _RATIO[device]
     tilt = row.get(f"beta_{device}_deg", row.get("beta_deg", np.nan))
     tilt = abs(tilt) if device is Device.VERTICAL else tilt
-    azimuth = "sun" if device is Device.VERTICAL else f"{row['lambda_deg']:g}"
-    cells = [_NAMES[device], f"{tilt:.1f}", azimuth, f"{row[ratio]:.4f}", _percent(row[ratio] - 1.0)]
+    azimuth = "sun" if device is Device.VERTICAL else f"{row['lambda_deg']:zg}"
+    cells = [_NAMES[device], f"{tilt:z.1f}", azimuth, f"{row[ratio]:.4f}", _percent(row[ratio] - 1.0)]
     suffixes = ("", "_sky") if sky_label else ("",)
     for suffix in suffixes:
         if suffix:

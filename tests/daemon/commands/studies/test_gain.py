@@ -35,6 +35,13 @@ def test_one_latitude_compares_the_devices_at_their_best_tilts(heliocube):
     assert lines[4].split()[:4] == ["horizontal", "axis", "37.5", "0"]
 
 
+@pytest.mark.parametrize("asked", [("--lat", "-90"), ("--lat=-0", "--azimuth=-0"), ("--lat", "-0", "--day", "81")])
+def test_no_table_has_a_negative_zero(heliocube, asked):
+    code, out, _ = heliocube("gain", *asked)
+    assert code == 0
+    assert not re.search(r"(?<![\w.])-0(\.0+)?(?![\d.])", out), out
+
+
 def test_a_grid_has_a_row_for_each_latitude_tilt_azimuth_and_day(heliocube):
     code, out, _ = heliocube(
         "gain", "--lat-range", "0:60:30", "--tilt", "10,40", "--azimuth=-20:20:20", "--day", "1:3", "--format", "csv"
