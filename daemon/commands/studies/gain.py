@@ -133,7 +133,8 @@ def gain(
     if as_json:
         print_json(output.as_page(columns, label) | {"figure": plot})
     else:
-        output.write(columns, table_format or AnswerFormat.TABLE, out, console, label)
+        most_rows = output.MOST_ROWS if plot is None else output.MOST_ROWS_BESIDE_A_FIGURE
+        output.write(columns, table_format or AnswerFormat.TABLE, out, console, label, most_rows=most_rows)
 
 
 def _sky(weather: str | None, asked: "Request", lon: float | None, altitude: float | None) -> "SkySource | None":

@@ -13,7 +13,7 @@ from daemon.studies.gain.choices import AnswerFormat, Device
 from daemon.studies.gain.evaluate import Columns
 from daemon.studies.text_table import signed, table
 
-LONGEST_TABLE = 200
+MOST_ROWS, MOST_ROWS_BESIDE_A_FIGURE = 200, 12
 _NOTHING = 1e-9
 _CSV_BLOCK_ROWS = 50_000
 _NAMES = {Device.STATIC: "static panel", Device.VERTICAL: "vertical axis", Device.HORIZONTAL: "horizontal axis"}
@@ -26,12 +26,23 @@ eta_VS, eta_HS: what those two axes gain over the static panel."""
 _ETA = {Device.VERTICAL: "eta_VS", Device.HORIZONTAL: "eta_HS"}
 
 
-def write(columns: Columns, kind: AnswerFormat, out: Path | None, console: Console, sky_label: str | None) -> None:
-    """Write `columns` to `out`, or to standard output without; `UserError` if that cannot be done."""
+def write(
+    columns: Columns,
+    kind: AnswerFormat,
+    out: Path | None,
+    console: Console,
+    sky_label: str | None,
+    *,
+    most_rows: int = MOST_ROWS,
+) -> None:
+    """Write `columns` to `out`, or to standard output without; `UserError` if that cannot be done.
+
+    A table has `most_rows` and says how many more there are.
+    """
     if kind is AnswerFormat.TABLE:
         if out is not None:
             raise UserError("--out takes a CSV or a Parquet file; add --format csv or --format parquet")
-        show(columns, console, sky_label)
+        _show(columns, console, sky_label, most_rows)
         return
     encode = _csv if kind is AnswerFormat.CSV else _parquet
     if out is None:
@@ -54,7 +65,7 @@ def as_page(columns: Columns, sky_label: str | None) -> dict[str, Any]:
     return {"sky": sky_label, "rows": [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]}
 
 
-def show(columns: Columns, console: Console, sky_label: str | None) -> None:
+def _show(columns: Columns, console: Console, sky_label: str | None, most_rows: int) -> None:
     """Print one row as a comparison of devices, several as they are, beside the inputs in which they differ."""
     rows = next(iter(columns.values())).size
     if rows == 1:
@@ -62,10 +73,10 @@ def show(columns: Columns, console: Console, sky_label: str | None) -> None:
         return
     told = [name for name in _ASKED if name in columns and np.ptp(columns[name]) > 0.0] or ["phi_deg"]
     ordered = told + [name for name in columns if name not in told]
-    texts = [[name, *(_number(name, value) for value in columns[name][:LONGEST_TABLE])] for name in ordered]
+    texts = [[name, *(_number(name, value) for value in columns[name][:most_rows])] for name in ordered]
     _print_aligned(list(zip(*texts, strict=True)), console, keys=len(told))
-    if rows > LONGEST_TABLE:
-        _print(f"and {rows - LONGEST_TABLE} rows more: --format csv writes them all", console)
+    if rows > most_rows:
+        _print(f"and {rows - most_rows} rows more: --format csv writes them all", console)
     _print("\n" + _LEGEND, console)
 
 

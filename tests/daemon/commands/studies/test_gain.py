@@ -124,6 +124,13 @@ def test_a_long_table_says_how_many_rows_it_left_out(heliocube):
     assert "and 165 rows more: --format csv writes them all" in out.splitlines()
 
 
+def test_beside_a_figure_a_table_is_a_dozen_rows(heliocube, tmp_path):
+    _, out, _ = heliocube("gain", "--lat-range", "0:20", "--plot", tmp_path / "tilts.svg")
+    tables, end = out.split("\nand 9 rows more: --format csv writes them all\n")
+    assert all(len(part.splitlines()) == 13 for part in tables.split("\n\n"))
+    assert end.startswith("\nK: the dual axis over a static panel")
+
+
 def test_each_part_of_a_wide_table_says_which_day_a_row_is(heliocube):
     _, out, _ = heliocube("gain", "--lat", "48.7", "--printed", "--day", "1:10:3")
     parts = [part.splitlines() for part in out.split("\n\n")[:-1]]
