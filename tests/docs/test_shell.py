@@ -123,6 +123,13 @@ def minutes(name, begin, end):
     return header + "".join(rows[begin:end])
 
 
+def printed_file(page, beginning):
+    """Return the file that a page prints for its reader."""
+    blocks = BLOCK.findall((DOCS / page).read_text(encoding="utf-8"))
+    (found,) = (body for _, _, body in blocks if body.startswith(beginning))
+    return found
+
+
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory):
     """What the pages presume: a configuration, a store, recordings and weather, in a folder."""
@@ -135,7 +142,7 @@ def prepared(tmp_path_factory):
     (folder / "weather").mkdir()
     for month in ("2015-10", "2016-10"):
         (folder / "weather" / f"{month}.csv.gz").write_bytes(gzip.compress(minutes("clear", 690, 720).encode()))
-    (folder / "points.csv").write_text("phi_deg,beta_deg,n,lambda_deg\n48.7,30,172,0\n")
+    (folder / "points.csv").write_text(printed_file("theory.md", "phi_deg,"))
     stored_days(folder / "records")
     (folder / "heliocube.toml").write_text('[store]\ndirectory = "records"\n')
     return folder
