@@ -127,8 +127,9 @@ def file_sky_source(
     notes = weather_notes(weather, site)
     covered = np.unique(series.day).size
     if days is None and covered < _NEARLY_A_YEAR:
-        days_told = "1 day" if covered == 1 else f"{covered} days"
+        days_told, those = ("1 day", "that day") if covered == 1 else (f"{covered} days", "those days")
         notes.append(
-            f"{path.name} has {days_told}: ratios under its sky are of no more, beside the theory's whole year"
+            f"{path.name} has {days_told}: the ratios under its sky are of {those} only, while the theory's are of a"
+            " whole year"
         )
     return SkySource(label, FILE_STEP_S, lambda _: series, "; ".join(notes) or None)

@@ -182,12 +182,17 @@ def test_a_day_of_weather_beside_a_year_of_theory_is_said(heliocube, tmp_path):
     file = weather_file(tmp_path)
     given = ("gain", "--lat", "48.7", "--lon", "2.2", "--weather", file)
     _, _, err = heliocube(*given)
-    assert err.startswith("heliocube: warning: weather.csv has 1 day: ")
+    theory = "only, while the theory's are of a whole year"
+    assert err == f"heliocube: warning: weather.csv has 1 day: the ratios under its sky are of that day {theory}\n"
     # Whatever else there is to be said of the file.
     file.write_text(f"{file.read_text()}\n2022-06-07T00:00Z,9999,0,0\n")
     _, _, err = heliocube(*given)
     assert "1 impossible value" in err
-    assert "beside the theory's whole year" in err
+    assert theory in err
+    lines = file.read_text().split()[:-1]
+    file.write_text("\n".join([*lines, *(line.replace("06-05", "06-06") for line in lines[1:])]))
+    _, _, err = heliocube(*given)
+    assert f"weather.csv has 2 days: the ratios under its sky are of those days {theory}" in err
 
 
 @pytest.mark.parametrize(
