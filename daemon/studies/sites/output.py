@@ -30,8 +30,8 @@ def write_csv(outcomes: Sequence[SiteOutcome], path: Path) -> None:
         writer.writerow((*_COLUMNS, *CSV_NUMBERS, "simulated", "refused"))
         for outcome in outcomes:
             site = outcome.site
-            place = [f"{value:g}" for value in site.place]
-            head = (site.name, *place, site.weather_text, "" if site.year is None else site.year, outcome.days)
+            year = "" if site.year is None else site.year
+            head = (site.name, *site.place, site.weather_text, year, outcome.days)
             simulated = "true" if outcome.simulated else "false"
             for row in outcome.rows:
                 writer.writerow((*head, row.sky, row.law, *csv_cells(row), simulated, ""))

@@ -245,11 +245,12 @@ def test_ctrl_c_leaves_the_laws_that_were_done(monkeypatch, weather, tmp_path, c
 def test_a_site_that_cannot_be_used_is_listed_and_does_not_stop_the_others(monkeypatch, weather, tmp_path, capsys):
     (tmp_path / "bad.csv").write_text("nothing\n")
     table = tmp_path / "sites.csv"
-    table.write_text(f"name,latitude,longitude,weather\ngood,55.79,12.53,{weather.name}\nbad,1,2,bad.csv\n")
+    table.write_text(f"name,latitude,longitude,weather\ngood,55.7906412,12.5250501,{weather.name}\nbad,1,2,bad.csv\n")
     assert energy(monkeypatch, "--sites", table, "--out", tmp_path / "o", "--laws", "flat") == 2
     assert capsys.readouterr().err.endswith(f"heliocube: 1 of 2 sites could not be used: {tmp_path / 'o'} says why\n")
     good, bad = csv.DictReader((tmp_path / "o" / "energy-sites.csv").read_text().splitlines())
     assert (good["name"], good["law"], good["refused"], good["simulated"]) == ("good", "flat", "", "false")
+    assert (good["latitude_deg"], good["longitude_deg"]) == ("55.7906412", "12.5250501"), "as the table has them"
     assert bad["name"] == "bad"
     assert "bad.csv" in bad["refused"]
     assert (tmp_path / "o" / "energy-sites.png").read_bytes().startswith(b"\x89PNG")
