@@ -49,7 +49,7 @@ class SiteOutcome:
     site
         Which.
     days
-        With daylight.
+        With daylight, rounded; one that is known in part counts as its share of a day.
     rows
         One for each sky and law.
     simulated
@@ -94,7 +94,7 @@ def _run_site(task: _Task) -> SiteOutcome:
         return SiteOutcome(site=asked, days=0, rows=(), simulated=False, warnings=(), refused=str(error))
     return SiteOutcome(
         site=asked,
-        days=int(np.count_nonzero(days.day_types() >= 0)),
+        days=max(round(days.whole_days()), 1),
         rows=tuple(run_benchmark(days, benchmark.skies, benchmark.laws, benchmark.terms, lambda _share: None)),
         simulated=minutes.simulated,
         warnings=tuple(minutes.warnings),

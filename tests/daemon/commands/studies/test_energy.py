@@ -257,6 +257,19 @@ def test_a_site_that_cannot_be_used_is_listed_and_does_not_stop_the_others(monke
     assert "There is no daily budget" in (tmp_path / "o" / "energy-sites.txt").read_text()
 
 
+def test_a_site_far_from_greenwich_has_no_day_more_than_its_file(monkeypatch, tmp_path, capsys):
+    # Midnight of UTC is noon at 180 E: of three solar days the first and the last are halves.
+    hours = [datetime(2016, 6, 5, tzinfo=UTC) + timedelta(hours=hour) for hour in range(48)]
+    records = [f"{hour:%Y-%m-%dT%H:%M:%SZ},450,500,150" for hour in hours]
+    (tmp_path / "weather.csv").write_text("\n".join(["time,ghi,dni,dhi", *records]))
+    table = tmp_path / "sites.csv"
+    table.write_text("name,latitude,longitude,weather\nfar,40,180,weather.csv\n")
+    assert energy(monkeypatch, "--sites", table, "--out", tmp_path / "o", "--laws", "flat") == 0
+    assert ", 2 days. Gains are" in " ".join(capsys.readouterr().out.split())
+    (row,) = csv.DictReader((tmp_path / "o" / "energy-sites.csv").read_text().splitlines())
+    assert row["days"] == "2"
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
