@@ -278,7 +278,7 @@ class Control(Doors):
             buttons_why=wishes.describe("buttons"),
             stow_why=stow_why,
             snow_why=wishes.snow.why if wishes.snow else None,
-            hold_why=wishes.hold.why if wishes.hold else None,
+            hold_why=self._orders.why_held(self._parking.stands_at),
             night_why=night_why,
             data=data,
             data_why=data_why,
@@ -303,8 +303,7 @@ class Control(Doors):
         # A move that waits to be tried again was ordered for a reason that is no longer in force.
         self._motion.forget_waiting()
         if mode is Mode.FAULT:
-            # Where an operator wanted to go before the fault may be a wrong place to go to after it.
-            self._orders.hold_at = None
+            self._orders.end_goto()
 
     def _log_mode(self, mode: Mode, why: str, now_s: float) -> None:
         """Log a change of mode; two modes that alternate are told as that, for every change is recorded anyway."""

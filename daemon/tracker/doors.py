@@ -108,7 +108,7 @@ class Doors:
         if self.mode in (Mode.STARTING, Mode.FAULT):
             raise RefusedError("positioner", f"no goto in mode {self.mode}: {self.why}")
         self._orders.hold_at = Target(a_deg, b_deg, why)
-        self._orders.latch("hold", why, by, instead_of="snow")
+        self._orders.latch("hold", why, by, instead_of="snow", goto_deg=(a_deg, b_deg))
         self._parking.forget()
         self._keep_wishes()
 

@@ -1,5 +1,6 @@
 """The orders of persons that are in force: latched, kept, refused while one stands in the way, and released."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from daemon.base.clock import Clock
@@ -43,6 +44,7 @@ class Orders:
         self._released_s = float("-inf")
         self.stow = OperatorStow()
         self.hold_at: Target | None = None
+        self._goto_ended_by = "a restart"
         self._set(file.load())
         if hold_why is not None and self.wishes == Wishes():
             self.latch("hold", hold_why, PROGRAM)
@@ -57,7 +59,15 @@ class Orders:
             return
         raise RefusedError("positioner", f"no {command}: the tracker is {stillness}; {RELEASE}")
 
-    def latch(self, name: str, why: str, by: str, *, instead_of: str | None = None) -> None:
+    def latch(
+        self,
+        name: str,
+        why: str,
+        by: str,
+        *,
+        instead_of: str | None = None,
+        goto_deg: tuple[float, float] | None = None,
+    ) -> None:
         """Put a wish in force, in memory; `keep` writes it down.
 
         Parameters
@@ -68,10 +78,34 @@ class Orders:
             Reason and person.
         instead_of
             A wish that ends by this one.
+        goto_deg
+            Where to, A and B, of the hold of a goto.
         """
-        wish = Wish(why=why, by=by, since_utc_s=self._clock.utc())
+        wish = Wish(why=why, by=by, since_utc_s=self._clock.utc(), goto_deg=goto_deg)
         ended = {} if instead_of is None else {instead_of: None}
         self._set(self.wishes.model_copy(update={name: wish, **ended}))
+
+    def end_goto(self) -> None:
+        """Let a fault end a goto: where a person wanted to go before it may be a wrong place to go to after it."""
+        if self.hold_at is not None:
+            self.hold_at, self._goto_ended_by = None, "a fault"
+
+    def why_held(self, stands_at: Callable[[float, float], bool]) -> str | None:
+        """Return why a person holds the tracker, or None; of a goto that has ended on its way, what ended it as well.
+
+        Parameters
+        ----------
+        stands_at
+            Returns whether the tracker rests at a place of A and B [deg].
+        """
+        hold = self.wishes.hold
+        if hold is None:
+            return None
+        if hold.goto_deg is None or self.hold_at is not None or stands_at(*hold.goto_deg):
+            return hold.why
+        a_deg, b_deg = hold.goto_deg
+        place = f"A {a_deg:g}, B {b_deg:g} deg"
+        return f"{hold.why}; {self._goto_ended_by} has ended the goto to {place}: give it again to go there"
 
     def release(self) -> None:
         """End all wishes, in memory."""

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Iterator
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat
 
 from daemon.base.clock import iso_utc
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
@@ -41,6 +41,8 @@ class Wish(BaseModel):
         The reason and the person, each one line; `by` is empty where nobody said.
     since_utc_s
         When; None where that is not known.
+    goto_deg
+        Where to, A and B [deg], of a hold that is a goto's; None of any other.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -48,6 +50,7 @@ class Wish(BaseModel):
     why: str
     by: str = ""
     since_utc_s: float | None = Field(default=None, allow_inf_nan=False, ge=-6e10, le=2.5e11)
+    goto_deg: tuple[FiniteFloat, FiniteFloat] | None = Field(default=None, strict=False)
 
     @property
     def whence(self) -> str:

@@ -155,6 +155,7 @@ def test_where_an_operator_wanted_to_go_before_a_fault_is_forgotten_with_it(run_
         await rig.until_mode(Mode.HOLD, 30)
         await asyncio.sleep(60)
         assert tuple(rig.truth()) == pytest.approx(stands, abs=0.1)
+        assert rig.control.why == "look; a fault has ended the goto to A -40, B 60 deg: give it again to go there"
 
     run_rig(scenario)
 

@@ -26,6 +26,7 @@ def loaded(tmp_path, text):
         # No calendar goes so far: it could be kept and never be shown.
         '{"hold": {"why": "x", "since_utc_s": -6.3e10}}',
         '{"hold": {"why": "x", "since_utc_s": 2.6e11}}',
+        '{"hold": {"why": "x", "goto_deg": [10, NaN]}}',
         '{"hold": {"why": "x", "colour": "red"}}',
     ],
 )

@@ -4,19 +4,24 @@ import asyncio
 
 import pytest
 
-from daemon.base.records import Mode, Move
+from daemon.base.records import Mode, ModeChange, Move
 
 
 @pytest.mark.parametrize(
-    ("ask", "mode"),
+    ("ask", "mode", "why"),
     [
-        (lambda control: control.hold("repair"), Mode.HOLD),
-        (lambda control: control.stop("repair"), Mode.HOLD),
-        (lambda control: control.stow("repair"), Mode.STOW),
-        (lambda control: control.goto(10, 60, "repair"), Mode.HOLD),
+        (lambda control: control.hold("repair"), Mode.HOLD, "repair"),
+        (lambda control: control.stop("repair"), Mode.HOLD, "repair"),
+        (lambda control: control.stow("repair"), Mode.STOW, "repair"),
+        (
+            lambda control: control.goto(10, 60, "repair"),
+            Mode.HOLD,
+            "repair; a restart has ended the goto to A 10, B 60 deg: give it again to go there",
+        ),
+        (lambda control: control.goto(0, 90, "it stood so at the start"), Mode.HOLD, "it stood so at the start"),
     ],
 )
-def test_a_restart_keeps_what_was_asked_until_it_is_released(run_rig, tmp_path, ask, mode):
+def test_a_restart_keeps_what_was_asked_until_it_is_released(run_rig, tmp_path, ask, mode, why):
     async def first(rig):
         await rig.until_mode(Mode.TRACKING, 120)
         asked = ask(rig.control)
@@ -27,7 +32,8 @@ def test_a_restart_keeps_what_was_asked_until_it_is_released(run_rig, tmp_path, 
     async def second(rig):
         await asyncio.sleep(900)
         assert rig.mode is mode
-        assert rig.control.why.endswith("repair")
+        assert rig.control.why.endswith(why)
+        assert rig.of(ModeChange)[-1].why == rig.control.why
         assert not rig.of(Move), "it stood flat, which is where it is stowed, and nothing else was wanted"
         rig.control.auto()
         await rig.until_mode(Mode.TRACKING, 30)
