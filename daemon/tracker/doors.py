@@ -106,7 +106,8 @@ class Doors:
         """
         self.refuse_goto(a_deg, b_deg)
         if self.mode in (Mode.STARTING, Mode.FAULT):
-            raise RefusedError("positioner", f"no goto in mode {self.mode}: {self.why}")
+            remedy = "; give it again in a minute, or after 'heliocube hold'" if self.mode is Mode.STARTING else ""
+            raise RefusedError("positioner", f"no goto in mode {self.mode}: {self.why}{remedy}")
         self._orders.hold_at = Target(a_deg, b_deg, why)
         self._orders.latch("hold", why, by, instead_of="snow", goto_deg=(a_deg, b_deg))
         self._parking.forget()

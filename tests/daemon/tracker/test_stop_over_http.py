@@ -10,16 +10,21 @@ from tests.support.phases import under_way
 __all__ = ["serve"]
 
 
-def test_goto_in_mode_starting_is_refused_in_one_sentence(serve):
+def test_goto_in_mode_starting_is_refused_with_a_remedy_that_works(serve):
     async def scenario(rig, call_http):
         await rig.until(lambda: rig.motion.connected, 10, "the positioner")
         assert rig.mode is Mode.STARTING
         reply = await call_http.post("goto", b'{"a_deg": 10, "b_deg": 60}')
         assert (reply.status, reply.json) == (
             409,
-            {"error": "no goto in mode starting: waiting for the cube's readings"},
+            {
+                "error": "no goto in mode starting: waiting for the cube's readings; give it again in a minute,"
+                " or after 'heliocube hold'"
+            },
         )
         assert rig.control.wishes == Wishes()
+        assert (await call_http.post("hold")).status == 200
+        assert (await call_http.post("goto", b'{"a_deg": 10, "b_deg": 60}')).json["state"] == "under-way"
 
     serve(scenario)
 
