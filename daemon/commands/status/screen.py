@@ -182,8 +182,9 @@ def _tracker_rows(own: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
         yield "details", Text(_printable(", ".join(_detail(*detail) for detail in details.items())))
     yield from _target(own)
     yield from lines_of_light(own, time)
-    for source in own.get("wind") or ():
-        yield "wind", _wind(source)
+    sources = own.get("wind") or ()
+    for source in sources:
+        yield "wind", _wind(source, several=len(sources) > 1)
     if own["load"] is not None:
         yield "module", _module(own["load"])
 
@@ -214,10 +215,11 @@ def _tracker(tracker: dict[str, Any]) -> Text:
     return text
 
 
-def _wind(source: dict[str, Any]) -> Text:
+def _wind(source: dict[str, Any], *, several: bool) -> Text:
     """Return what a source of stow read last, what that is compared with, and when it lets a stow go."""
     threshold, release_s = source["stow_from_m_s"], source["release_in_s"]
-    measured = f"{_number(source['speed_m_s'], '.1f')} m/s, stow from {_number(threshold, 'g')} m/s"
+    of = f"{source['name']}: " if several else ""
+    measured = f"{of}{_number(source['speed_m_s'], '.1f')} m/s, stow from {_number(threshold, 'g')} m/s"
     value = source["name"] if threshold is None else measured
     text = Text(f"{value}, {'not heard yet' if source['age_s'] is None else _age(source['age_s']) + ' old'}")
     if source["why"]:

@@ -104,6 +104,21 @@ def test_what_a_make_tells_is_shown_and_cannot_steer_the_terminal(run_rig):
     run_rig(scenario)
 
 
+def test_of_several_sources_of_stow_each_says_which_it_is(run_rig):
+    async def scenario(rig):
+        rig.wind_m_s = 5.2
+        await asyncio.sleep(10)
+        state = state_json(rig.see())
+        (source,) = state["wind"]
+        state["wind"].append(source | {"name": "the wind on lab/mast", "speed_m_s": None, "age_s": None})
+        console = Console(file=io.StringIO(), width=80)
+        console.print(render(state))
+        assert re.search(r"wind +wind: 5\.2 m/s, stow from 15 m/s, \d\.\d s old", console.file.getvalue())
+        assert "the wind on lab/mast: - m/s, stow from 15 m/s, not heard yet" in console.file.getvalue()
+
+    run_rig(scenario)
+
+
 def test_elsewhere_a_plain_line_comes_now_and_then(run_rig):
     lines = shown(run_rig, terminal=False).splitlines()
     assert len(lines) > 10
