@@ -144,5 +144,6 @@ def check(name: str, found: dict[str, Any], more: tuple[str, ...] = ()) -> Comma
         if key in wrong:
             raise ValueError(f'"{key}" must be one line of text with at most {_LONGEST_LINE} letters')
     if model is ModeBody:
-        raise ValueError(f"the mode must be one of {', '.join(MODES)}")
+        stop = "; a stop is the command stop" if "stop" in str(own.get("mode")).lower() else ""
+        raise ValueError(f"the mode must be one of {', '.join(MODES)}{stop}")
     raise ValueError('goto needs two numbers of degrees, such as {"a_deg": -10, "b_deg": 60}')

@@ -15,7 +15,7 @@ from daemon.base.alarms.alarms import Alarms
 from daemon.base.process import TRACKER
 from daemon.base.recurrence import RateLimit
 from daemon.service.acknowledge import acknowledge
-from daemon.service.command_bodies import MODES, NO_REASON, AcknowledgeBody, GotoBody, ModeBody, check
+from daemon.service.command_bodies import NO_REASON, AcknowledgeBody, GotoBody, ModeBody, check
 from daemon.service.operator import Answer, CommandError, Operator, Seen
 from daemon.service.tracker import Tracker
 
@@ -273,10 +273,10 @@ def parse(name: str, content: bytes, way: str) -> Command:
 def _object(name: str, content: bytes) -> dict[str, Any]:
     if len(content) > LONGEST_BODY:
         raise BodyError(f"the body is longer than {LONGEST_BODY} bytes")
-    if name == "mode" and content.decode("ascii", "replace") in MODES:
-        return {"mode": content.decode()}
     if not content.strip():
         return {}
+    if name == "mode" and not content.lstrip().startswith(b"{"):
+        return {"mode": content.decode("ascii", "replace")}
     try:
         found = json.loads(content, object_pairs_hook=_once_each)
     except (ValueError, RecursionError):

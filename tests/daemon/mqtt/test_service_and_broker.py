@@ -102,7 +102,7 @@ def test_commands_are_answered_and_obey_the_guard_of_every_other_way(broker, sca
                     ("goto", {"a_deg": True, "b_deg": 60}, "degrees"),
                     ("goto", '{"a_deg": NaN, "b_deg": 60}', "limits"),
                     ("goto", f'{{"a_deg": 1{"0" * 400}, "b_deg": 60}}', "limits"),
-                    ("mode", "fast", "JSON"),
+                    ("mode", "fast", "one of auto"),
                     ("mode", {"mode": "fast"}, "mode"),
                 ]:
                     reply = await ask(name, payload)

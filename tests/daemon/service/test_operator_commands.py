@@ -78,6 +78,10 @@ def test_a_number_beyond_every_float_is_for_the_limits_to_refuse():
         ("goto", b"", 'goto needs two numbers of degrees, such as {"a_deg": -10, "b_deg": 60}'),
         ("mode", b"", "the mode must be one of auto, hold, stow, snow, maintenance"),
         ("mode", b'{"mode": ["stow"]}', "the mode must be one of auto, hold, stow, snow, maintenance"),
+        ("mode", b"Stow", "the mode must be one of auto, hold, stow, snow, maintenance"),
+        ("mode", b'"auto"', "the mode must be one of auto, hold, stow, snow, maintenance"),
+        ("mode", b"stop", "the mode must be one of auto, hold, stow, snow, maintenance; a stop is the command stop"),
+        ("mode", b'{"mode": "hold"', "the body is not JSON"),
     ],
 )
 def test_what_cannot_be_meant_is_one_sentence(name, content, sentence):
