@@ -237,7 +237,7 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop, consol
         longitude_deg=site.longitude_deg,
         altitude_m=site.altitude_m,
         # In a run of several trackers each record bears the name of its own.
-        tracker="" if len(service.settings.trackers) > 1 else service.settings.mqtt.name or role.value,
+        tracker="" if len(service.settings.trackers) > 1 else role.known_as(service.settings.mqtt.name),
         id=new_run_id(),
     )
     store = Store(settings.directory, settings.batch_s, settings.keep_days, origin, service.clock, publish, alarm)

@@ -60,7 +60,7 @@ class Mqtt:
         self._clock = clock
         self._speed = speed
         mqtt = settings.mqtt
-        name = mqtt.name or (Role.CUBE.value if role is Role.CUBE else Role.TRACKER.value)
+        name = role.known_as(mqtt.name)
         self._tracker = "" if role is Role.CUBE else name
         self._topics = Topics(mqtt.prefix, name)
         publish = stamped(publish, self._tracker)

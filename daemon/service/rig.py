@@ -14,6 +14,10 @@ class Role(StrEnum):
     TRACKER = "tracker"
     BOTH = "both"
 
+    def known_as(self, name: str | None) -> str:
+        """Return what its only tracker, or the cube of a process without one, is known by; `name` is that of [mqtt]."""
+        return name or (Role.CUBE if self is Role.CUBE else Role.TRACKER).value
+
 
 @dataclass(frozen=True, slots=True)
 class TrackerInstruments:

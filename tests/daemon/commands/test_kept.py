@@ -1,5 +1,6 @@
 """The commands agree on the folder of a service whose file names none."""
 
+import csv
 import socket
 from pathlib import Path
 
@@ -29,6 +30,19 @@ def test_real_instruments_have_a_folder_and_a_simulated_rig_has_none(settings, f
 def heliocube(*words):
     done = forks.run(*words)
     return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.parametrize(("role", "name"), [("both", "tracker"), ("cube", "cube")])
+def test_what_has_no_name_is_exported_under_the_name_that_its_topics_have(tmp_path, role, name):
+    file = tmp_path / "rig.toml"
+    file.write_text(
+        f'[store]\ndirectory = "{tmp_path}"\n[bridge]\ninsecure = true\nlisten = "127.0.0.1:0"\n'
+        "[api]\nenabled = false\n[simulation]\nspeed = 20.0\n"
+    )
+    assert heliocube("run", "--role", role, "--config", file, "--for", "0.5")[0] == 0
+    assert heliocube("export", "-c", file, "--out", tmp_path / "out", "--kind", "scans")[0] == 0
+    with (tmp_path / "out" / "scans.csv").open() as rows:
+        assert {row["tracker"] for row in csv.DictReader(rows)} == {name}
 
 
 def test_what_is_kept_without_being_asked_is_found_by_export_and_by_no_second_service(tmp_path):
