@@ -41,6 +41,9 @@ class History:
             raise HTTPException(422, "from must be before to, and not by more than 7 days")
         names = [tracker.name for tracker in self._see().trackers]
         tracker = query.get("tracker", names[0] if len(names) == 1 else "")
+        # Beside a process of the cube the store may have the records of trackers that it does not know.
+        if names and tracker and tracker not in names:
+            raise HTTPException(422, f"there is no tracker {ascii(tracker)[:40]} here, but {', '.join(names)}")
         if kind in KINDS_OF_NUMBERS:
             content = await self._read(packed_numbers, kind, start_s, end_s, tracker)
             return Response(content, media_type="application/octet-stream", headers={"Content-Encoding": "gzip"})

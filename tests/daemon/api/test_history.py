@@ -44,6 +44,7 @@ def test_stored_days_are_read_over_the_interface(run_rig, tmp_path):
                 (f"/api/history/secrets?{SPAN}", 400, "there are no records of the kind 'secrets', but scans"),
                 ("/api/history/scans?from=2022-10-14&to=2022-10-14", 422, "from must be before to"),
                 ("/api/history/scans?from=2022-10-14&to=2023-10-14", 422, "not by more than 7 days"),
+                (f"/api/history/modes?{SPAN}&tracker=west", 422, "there is no tracker 'west' here, but tracker"),
             ]:
                 reply = await call.get(path)
                 assert (reply.status, words in reply.json["error"]) == (status, True), reply.json
