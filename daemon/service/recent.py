@@ -48,7 +48,9 @@ class Recent:
         if text is not None:
             if self._several and not isinstance(record, Scan) and record.tracker:
                 text = f"{record.tracker}: {text}"
-            self.news.append(News(record.time_utc_s, text))
+            # A move is recorded by its beginning, and is news when it has ended.
+            lasted_s = record.duration_s if isinstance(record, Move) else 0.0
+            self.news.append(News(record.time_utc_s + lasted_s, text))
         for follower in self._followers:
             follower(record)
 

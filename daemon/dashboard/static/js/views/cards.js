@@ -183,8 +183,7 @@ export function log() {
     // Of several trackers, a line of one begins with its name, which is written as it is.
     const whose = (text) => Object.keys(state.trackers).find((each) => text.startsWith(`${each}: `));
     const own = (state?.news ?? []).filter(({ text }) => !name || [name, undefined].includes(whose(text)));
-    // A move is known by its beginning, and comes when it has ended.
-    const newest = own.sort((one, other) => (one.time < other.time ? -1 : 1)).slice(-12).reverse();
+    const newest = own.slice(-12).reverse();
     const today = state ? localDay(now) : "";
     fill(body, [newest, today], () => newest.length ? newest.map(({ time, text }) => h("li", null, h("time", { datetime: time }, `${localDay(Date.parse(time)) === today ? "" : `${localDay(Date.parse(time))} `}${localTime(Date.parse(time), false)}`, h("span", null, ` ${utcTime(Date.parse(time), false)} UTC`)), h("span", null, whose(text) ? text : sentence(text)))) : h("li", null, h("span", null, "Nothing yet.")));
   }
