@@ -9,6 +9,7 @@ from random import Random
 from typing import Any
 
 from daemon.base.clock import Clock, iso_utc
+from daemon.base.process import TRACKER
 from daemon.base.records import Record, stamped
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.config.settings import Settings
@@ -64,6 +65,7 @@ class Mqtt:
         self._tracker = "" if role is Role.CUBE else name
         self._topics = Topics(mqtt.prefix, name)
         publish = stamped(publish, self._tracker)
+        self._log_name = ""
         self._unusable = unusable(settings)
         self._inputs: list[Callable[[float], InputStatus]] = []
         self.link = Link(mqtt, self._topics, clock, random, publish, speed)
@@ -122,7 +124,7 @@ class Mqtt:
         mqtt, simulated = self._settings.mqtt, service.rig.simulated
         own = [tracker for tracker in service.trackers if tracker.name == self._tracker]
         for tracker in own:
-            self._decide_again = tracker.control.decide_again
+            self._decide_again, self._log_name = tracker.control.decide_again, tracker.log_name
         self._telemetry = TelemetryPublisher(
             self.link, self._topics, see, mqtt.state_every_s * self._speed, self._tracker, simulated=simulated
         )
@@ -156,7 +158,6 @@ class Mqtt:
                 dated=mqtt.dated_commands,
             )
             self.link.at_birth(lambda: messages)
-        self._report_unusable()
 
     def _receive_scans(self, receiver: BridgeReceiver | None) -> None:
         bridge = self._settings.bridge
@@ -164,7 +165,9 @@ class Mqtt:
             self._listen("bridge.topic", bridge.topic, partial(self._take_scan, receiver))
 
     async def run(self) -> None:
-        """Work until cancelled."""
+        """Work until cancelled; the task that does so names the tracker in each of its lines in the log."""
+        TRACKER.set(self._log_name)
+        self._report_unusable()
         async with asyncio.TaskGroup() as group:
             group.create_task(self.link.run(), name="mqtt link")
             if self._telemetry is not None:

@@ -2,7 +2,9 @@
 
 import asyncio
 import json
+import logging
 
+from daemon.base.process import LineFormatter
 from daemon.base.records import Mode
 from tests.support.mqtt import SPEED, BrokerRig, observer, serving, settings_for, until
 
@@ -42,6 +44,29 @@ def test_each_tracker_has_its_own_topics_commands_and_device(broker, scaled):
                 await lab.until(f"heliocube/{name}/status", lambda word: word == "offline")
 
     scaled(scenario)
+
+
+def test_lines_of_the_log_about_a_link_say_whose_it_is(broker, scaled, caplog):
+    caplog.set_level(logging.INFO, "heliocube")
+    wind, lines = {"wind": {"topic": "lab/wind"}}, []
+    handler = logging.Handler()
+    handler.emit = lambda record: lines.append(LineFormatter(journal=True).format(record))
+    settings = settings_for(broker.port, mqtt=wind, tracker=[{"name": "east"}, {"name": "west"}])
+
+    async def scenario():
+        rig = BrokerRig(asyncio.get_running_loop(), settings, SPEED)
+        async with observer(broker.port) as lab, serving(rig):
+            await until(lambda: all(link.connected for link in rig.statuses.values()), "both links")
+            await lab.say("lab/wind", "gusty")
+            await until(lambda: all(link.troubles for link in rig.statuses.values()), "a trouble of both")
+
+    logging.getLogger("heliocube").addHandler(handler)
+    try:
+        scaled(scenario)
+    finally:
+        logging.getLogger("heliocube").removeHandler(handler)
+    for text in ("connected to the MQTT broker", "mqtt.wind of lab/wind cannot be used"):
+        assert {line.rpartition(" ")[2] for line in lines if text in line} == {"tracker=east", "tracker=west"}
 
 
 def test_one_message_stops_every_tracker_and_each_stays_until_its_own_auto(broker, scaled):
