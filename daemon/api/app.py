@@ -169,7 +169,7 @@ class Api:
             of = _of(tracker.name, seen)
             if tracker.silent_s > longest_s:
                 troubles.append(f"control{of} has not run for {tracker.silent_s:.0f} s")
-            down += [f"{part}{of}: {why}" for part, why in _down(tracker)]
+            down += [f"{part}{of}: {why.removeprefix(f'{part}: ')}" for part, why in _down(tracker)]
         if seen.store is not None and seen.store.down_why is not None:
             down.append(f"store: {seen.store.down_why}")
         for name, link in seen.links.items():

@@ -15,6 +15,18 @@ from tests.support.api import Caller, server_of
 from tests.support.phases import tracking
 
 
+def test_health_names_a_positioner_that_is_down_once(serve):
+    async def scenario(rig, call):
+        await tracking(rig)
+        rig.cables.positioner.link_up = False
+        await rig.until(lambda: rig.motion.outage.is_down, 60, "a positioner that is down")
+        (down,) = (await call.get("/healthz")).json["down"]
+        assert down.startswith("positioner: ")
+        assert down.count("positioner") == 1
+
+    serve(scenario)
+
+
 def test_health_is_bad_when_control_no_longer_looks(serve):
     async def scenario(rig, call):
         await tracking(rig)
