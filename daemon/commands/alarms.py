@@ -71,7 +71,7 @@ def _lines(alarm: dict[str, Any], state: dict[str, Any]) -> "Table":
     style = "bold" if alarm["state"] == "acknowledged" else "bold red"
     rows = {
         alarm["severity"]: Text(f"{alarm['name']}{of}: {alarm['text']}", style=style),
-        "state": Text(f"{alarm['state']}, {alarm_state(alarm, state['time'])}"),
+        "state": Text(f"{alarm['state']}, {alarm_state(alarm, state)}"),
         "effect": Text(alarm["effect"]),
         "remedy": Text(alarm["remedy"].replace("`", "'")),
     }

@@ -7,6 +7,7 @@ from operator import attrgetter
 from typing import Any
 
 from daemon.base.alarms.alarm import Alarm
+from daemon.base.alarms.kinds import as_typed
 from daemon.base.clock import iso_utc
 from daemon.base.records import FACES, Mode, Record
 from daemon.cube.calibration import CubeCalibration
@@ -108,7 +109,10 @@ def _common(seen: Snapshot, alarms: Iterable[tuple[Alarm, str | None]]) -> dict[
         "calibration": None if seen.calibration is None else _calibration(seen.calibration, seen.time_utc_s),
         "cube_down_why": seen.cube_down_why,
         "unacknowledged": sum(alarm.acknowledged_utc_s is None for alarm, _ in ordered),
-        "alarms": [_alarm(alarm) | {"tracker": tracker} for alarm, tracker in ordered],
+        "alarms": [
+            _alarm(alarm, tracker if len(seen.trackers) > 1 else None) | {"tracker": tracker}
+            for alarm, tracker in ordered
+        ],
         "bridge": None
         if seen.bridge is None
         else {"accepted": seen.bridge.accepted, "lost": seen.bridge.lost, "refused": seen.bridge.refused},
@@ -229,16 +233,16 @@ def _calibration(calibration: CubeCalibration, utc_s: float) -> dict[str, Any]:
     }
 
 
-def _alarm(alarm: Alarm) -> dict[str, Any]:
+def _alarm(alarm: Alarm, tracker: str | None) -> dict[str, Any]:
     kind, raised = alarm.kind, iso_utc(alarm.raised_utc_s)
     return {
         "name": alarm.name,
         "severity": kind.severity.value,
         "state": alarm.state,
-        "text": alarm.text,
+        "text": as_typed(alarm.text, tracker),
         "cause": kind.cause,
         "effect": kind.effect,
-        "remedy": kind.remedy,
+        "remedy": as_typed(kind.remedy, tracker),
         "latched": kind.latched,
         "since": raised,
         "raised_at": raised,

@@ -3,8 +3,12 @@
 ``docs/alarms_table.py`` writes docs/alarms.md from this list; a test holds the list against the source.
 """
 
+import re
 from dataclasses import dataclass
 from enum import StrEnum
+
+# Those that need a name where there are several trackers.
+_COMMAND = re.compile(r"\bheliocube (?:auto|hold|snow|goto|maintenance|home|clear|relearn|alarms ack [\w-]+)\b")
 
 
 class Severity(StrEnum):
@@ -244,6 +248,11 @@ _ALL = (
 
 KINDS: dict[str, AlarmKind] = {kind.name: kind for kind in _ALL}
 """By name, the most severe first."""
+
+
+def as_typed(text: str, tracker: str | None) -> str:
+    """Return a text with its commands as they are typed for one of several trackers; None for the only one."""
+    return text if tracker is None else _COMMAND.sub(rf"\g<0> --tracker {tracker}", text)
 
 
 def kind_of_alarm(name: str) -> AlarmKind:

@@ -11,6 +11,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from daemon.base.alarms.kinds import as_typed
 from daemon.commands.status.light import lines_of_light
 from daemon.commands.status.times import dated, moment, zone
 
@@ -123,14 +124,14 @@ def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
         yield _mode(state, time)
     for alarm in state["alarms"]:
         style = "" if alarm["state"] == "acknowledged" else _BAD
-        yield "alarm", Text(f"{_named(alarm['text'], alarm, state)} ({alarm_state(alarm, time)})", style=style)
+        yield "alarm", Text(f"{_named(alarm['text'], alarm, state)} ({alarm_state(alarm, state)})", style=style)
         # A service of an earlier version has none.
         if alarm.get("remedy"):
             yield "  remedy", Text(alarm["remedy"].replace("`", "'"))
     for name, own in trackers.items():
         if name:
             yield name, Text()
-            for label, text in (_mode(own, time), *_tracker_rows(own, time), *_mqtt(own, time)):
+            for label, text in (_mode(own, time, name), *_tracker_rows(own, time), *_mqtt(own, time)):
                 yield f"  {label}", text
         else:
             yield from _tracker_rows(own, time)
@@ -145,20 +146,27 @@ def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
     yield from _mqtt(state, time)
 
 
-def alarm_state(alarm: dict[str, Any], time: str) -> str:
+def alarm_state(alarm: dict[str, Any], state: dict[str, Any]) -> str:
     """Return since when an alarm is on, or that it is over, and who has acknowledged it."""
-    since = _since(alarm["since"], time)
+    since = _since(alarm["since"], state["time"])
     if alarm["state"] == "cleared":
-        return f"{since}; over: acknowledge it with 'heliocube alarms ack {alarm['name']}'"
+        remedy = f"acknowledge it with 'heliocube alarms ack {alarm['name']}'"
+        return f"{since}; over: {as_typed(remedy, _whose(alarm, state))}"
     return f"{since}; acknowledged by {alarm['acknowledged_by']}" if alarm["state"] == "acknowledged" else since
 
 
 def _named(text: str, alarm: dict[str, Any], state: dict[str, Any]) -> str:
     """Return a text of an alarm, with the tracker's name where there are several."""
-    return f"{alarm['tracker']}: {text}" if len(_trackers(state)) > 1 and alarm["tracker"] else text
+    whose = _whose(alarm, state)
+    return text if whose is None else f"{whose}: {text}"
 
 
-def _mode(own: dict[str, Any], time: str) -> tuple[str, Text]:
+def _whose(alarm: dict[str, Any], state: dict[str, Any]) -> str | None:
+    found: str | None = alarm["tracker"]
+    return found if len(_trackers(state)) > 1 else None
+
+
+def _mode(own: dict[str, Any], time: str, tracker: str | None = None) -> tuple[str, Text]:
     mode = own["mode"]
     asked, by_itself = mode.get("asked"), _MODE_STYLES.get(mode["name"], "bold")
     text = Text.assemble((mode["name"], _STOP_STYLE if asked == "stop" else by_itself))
@@ -169,7 +177,7 @@ def _mode(own: dict[str, Any], time: str) -> tuple[str, Text]:
         return "mode", text.append(f": {mode['why']}")
     # Who asked, and why, has a line of its own; what came after it in the reason has not.
     more = mode["why"].partition(own["wishes"][asked]["why"])[2]
-    return "mode", text.append(f"{more}; ends with 'heliocube auto'")
+    return "mode", text.append(as_typed(f"{more}; ends with 'heliocube auto'", tracker))
 
 
 def _tracker_rows(own: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:

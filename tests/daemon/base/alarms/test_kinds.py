@@ -3,7 +3,9 @@
 import ast
 import importlib.util
 
-from daemon.base.alarms.kinds import KINDS, Severity, kind_of_alarm
+import pytest
+
+from daemon.base.alarms.kinds import KINDS, Severity, as_typed, kind_of_alarm
 from tests.support import DOCS, ROOT
 
 
@@ -51,3 +53,22 @@ def test_the_page_is_current():
     specification.loader.exec_module(module)
     assert module.PAGE.read_text(encoding="utf-8") == module.page(), "run: python docs/alarms_table.py"
     assert all(f"| `{name}` |" in module.table() for name in KINDS)
+
+
+@pytest.mark.parametrize(
+    ("text", "typed"),
+    [
+        (
+            "`heliocube clear`, or `heliocube home`",
+            "`heliocube clear --tracker east`, or `heliocube home --tracker east`",
+        ),
+        ("'heliocube alarms ack move-failed'", "'heliocube alarms ack move-failed --tracker east'"),
+        (
+            "see 'heliocube status' and 'heliocube store salvage'",
+            "see 'heliocube status' and 'heliocube store salvage'",
+        ),
+    ],
+)
+def test_a_command_that_needs_a_name_where_there_are_several_trackers_is_told_with_it(text, typed):
+    assert as_typed(text, "east") == typed
+    assert as_typed(text, None) == text

@@ -156,7 +156,9 @@ def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig)
         assert next(line for line in own if line.startswith("stop")).endswith("repair")
         alarm = next(number for number, line in enumerate(lines) if line.startswith("alarm"))
         assert "west: stow is wanted" in lines[alarm]
-        assert any(line.startswith("remedy  ") for line in lines[alarm:])
+        remedy = next(line for line in lines[alarm:] if line.startswith("remedy  "))
+        assert remedy.endswith("then 'heliocube auto --tracker west'")
+        assert next(line for line in own if line.startswith("mode")).endswith("'heliocube auto --tracker west'")
 
     run_rig(scenario, tracker=[{"name": "east"}, {"name": "west"}])
 
