@@ -38,24 +38,26 @@ class Retries:
         else:
             self._others += 1
             self._other_failed_s = now_s
-        return self._tell(text, self._stows + self._others, stow=stow)
+        self._tell(text, stow=stow)
+        count = self._stows + self._others
+        return count & (count - 1) == 0
 
-    def lost(self, now_s: float, text: str, *, stow: bool) -> bool:
+    def lost(self, now_s: float, text: str, *, stow: bool) -> None:
         """Take note of a move that ended with the link: from the third in a row on as of any other failure.
 
         A stow is told and has no pause: each time it may get a little nearer.
         """
         self._losses += 1
         if self._losses < _LOSSES:
-            return False
+            return
         if stow:
-            return self._tell(text, self._losses - _LOSSES + 1, stow=True)
-        return self.failed(now_s, text, stow=stow)
+            self._tell(text, stow=True)
+        else:
+            self.failed(now_s, text, stow=False)
 
-    def _tell(self, text: str, count: int, *, stow: bool) -> bool:
+    def _tell(self, text: str, *, stow: bool) -> None:
         self.text = text
         self._alarms.set("move-failed", f"{'the stow' if stow else 'a move'} failed and is tried again: {text}")
-        return count & (count - 1) == 0
 
     def forget(self) -> None:
         """Begin anew: a move has arrived, or a person has looked."""

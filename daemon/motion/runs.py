@@ -138,9 +138,12 @@ class Runs:
             self._retries.forget()
         elif outcome is not MoveOutcome.INTERRUPTED:
             text = f"the last move failed ({outcome}): {why}"
-            count = self._retries.lost if outcome is MoveOutcome.LINK_LOST else self._retries.failed
-            is_told = count(self._clock.monotonic(), text, stow=self._stow)
-            level = logging.WARNING if is_told else logging.DEBUG
+            level = logging.DEBUG
+            if outcome is MoveOutcome.LINK_LOST:
+                # The outage has its own line.
+                self._retries.lost(self._clock.monotonic(), text, stow=self._stow)
+            elif self._retries.failed(self._clock.monotonic(), text, stow=self._stow):
+                level = logging.WARNING
             log.log(level, "move failed: %s", why, extra={"fields": {"outcome": outcome}})
 
     async def _attempt(self, target: Target, start: Pose) -> tuple[MoveOutcome, str]:
