@@ -130,7 +130,9 @@ fingerprint() {
 
 id=$(fingerprint)
 release=$opt/releases/$id
-if [ ! -e "$release/.complete" ]; then
+# An empty file, as a cut of the power may leave it, is a program that ends well and says nothing.
+answers() { [ -n "$("$release/bin/heliocube" --version)" ]; }
+if [ ! -e "$release/.complete" ] || ! answers 2>/dev/null; then
   say "building the environment in $release"
   rm -rf "$release" "$release.build"
   mkdir -p "$opt/releases"
@@ -151,7 +153,9 @@ if [ ! -e "$release/.complete" ]; then
   fi
   $pip --no-index --no-deps "$wheel" || fail 'pip could not install heliocube itself, see above; nothing has been changed'
   rm -rf "$release.build"
-  "$release/bin/heliocube" --version >/dev/null || fail 'the new environment does not run; nothing has been changed'
+  answers || fail 'the new environment does not run; nothing has been changed'
+  # The mark may not come to the disk before what it is for.
+  sync -f "$release"
   touch "$release/.complete"
 fi
 
@@ -192,6 +196,8 @@ systemd-sysusers ${root:+--root="$root"} heliocube.conf
 
 configure "$here/examples" "$roles"
 systemd-tmpfiles ${root:+--root="$root"} --create heliocube.conf
+# What is said to be installed is there after a cut of the power, too.
+sync
 reload
 
 say "heliocube $id is installed in $opt"

@@ -50,6 +50,7 @@ use_release() { # ID
   if [ -L "$opt/current" ]; then before=$(basename "$(readlink "$opt/current")"); fi
   # The same one again: what is beside it is the way back.
   [ "$1" != "$before" ] || return 0
+  sync -f "$opt"
   link "releases/$1" "$opt/current"
   for old in "$opt/releases"/*; do
     case $(basename "$old") in
@@ -65,7 +66,8 @@ configure() { # EXAMPLES ROLES
     umask 027
     mkdir -p "$etc"
     for role in $2 dashboard notify; do
-      [ -e "$etc/$role.toml" ] || install -m 0640 "$1/$role.toml" "$etc/$role.toml"
+      # An empty one is what a cut of the power has left of it.
+      [ -s "$etc/$role.toml" ] || install -m 0640 "$1/$role.toml" "$etc/$role.toml"
     done
     # The service reads older files as they are; this is for the people who read them.
     for role in $2; do

@@ -9,8 +9,12 @@ from tests.support import ROOT
 from tests.system.test_deploy import DEPLOY, run
 
 pytestmark = pytest.mark.system
+needs_root = pytest.mark.skipif(
+    os.geteuid() != 0 or shutil.which("systemd-sysusers") is None, reason="installing needs root and systemd-sysusers"
+)
 
 PYTHON = """#!/bin/sh
+[ "$1" != --version ] || echo heliocube 0.2.0
 [ "$2" = venv ] || exit 0
 mkdir -p "$3/bin"
 for name in python heliocube; do cp "$0" "$3/bin/$name"; done
@@ -55,8 +59,59 @@ def test_a_package_of_the_same_version_takes_nothing_away_before_it_is_whole(tmp
     assert (release / "bin" / "heliocube").read_text() == "newer"
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="installing needs root")
-@pytest.mark.skipif(shutil.which("systemd-sysusers") is None, reason="systemd-sysusers is not installed")
+@pytest.fixture
+def tree(tmp_path):
+    """Return an empty tree that `install` installs into."""
+    folder = tmp_path / "tree"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture
+def install(tmp_path, tree):
+    """Return what installs a wheel into the tree, with a stand-in for Python and what is put before the PATH."""
+    python, wheel, path = tmp_path / "python", tmp_path / "heliocube-0.2.0-py3-none-any.whl", tmp_path / "path"
+    python.write_text(PYTHON)
+    python.chmod(0o755)
+    wheel.touch()
+    path.mkdir()
+
+    def run_it(*options, **environment):
+        env = os.environ | {"PATH": f"{path}:{os.environ['PATH']}"} | environment
+        command = ("sh", DEPLOY / "install.sh", "--root", tree, "--python", python, "--from", wheel, *options)
+        return run(*command, env=env, start_new_session=True)
+
+    return run_it
+
+
+@needs_root
+def test_what_is_marked_complete_is_on_the_disk_before_and_all_of_it_at_the_end(tmp_path, tree, install):
+    sync, told = tmp_path / "path" / "sync", tmp_path / "told"
+    there = "find . -name .complete -o -name current -o -name tracker.toml -o -name heliocube.conf | wc -l"
+    sync.write_text(f"#!/bin/sh\ncd {tree}\n{there} >>{told}\n")
+    sync.chmod(0o755)
+    assert install("--role", "tracker").returncode == 0
+    # Three files of that name, for modules, the user and the folders.
+    assert told.read_text().split() == ["0", "1", "6"]
+
+
+@needs_root
+def test_installing_again_repairs_what_a_cut_of_the_power_has_left_empty(tree, install):
+    assert install("--role", "tracker").returncode == 0
+    assert "building" not in install().stdout
+    (release,) = (tree / "opt/heliocube/releases").iterdir()
+    mine = tree / "etc/heliocube/dashboard.toml"
+    mine.write_text("# mine\n")
+    emptied = [release / "bin/heliocube", release / "bin/python", tree / "etc/heliocube/tracker.toml"]
+    for path in emptied:
+        os.truncate(path, 0)
+    done = install()
+    assert (done.returncode, done.stderr) == (0, "")
+    assert all(path.stat().st_size for path in emptied)
+    assert mine.read_text() == "# mine\n"
+
+
+@needs_root
 @pytest.mark.parametrize(
     ("before", "units"),
     [
@@ -67,17 +122,11 @@ def test_a_package_of_the_same_version_takes_nothing_away_before_it_is_whole(tmp
         (["both"], {"cube", "tracker"}),
     ],
 )
-def test_an_upgrade_leaves_a_machine_the_roles_that_it_has(tmp_path, before, units):
-    python, wheel, tree = tmp_path / "python", tmp_path / "heliocube-0.2.0-py3-none-any.whl", tmp_path / "tree"
-    python.write_text(PYTHON)
-    python.chmod(0o755)
-    wheel.touch()
-    tree.mkdir()
-    install = ("sh", DEPLOY / "install.sh", "--root", tree, "--python", python, "--from", wheel)
+def test_an_upgrade_leaves_a_machine_the_roles_that_it_has(tmp_path, tree, install, before, units):
     for role in before:
-        assert run(*install, "--role", role).returncode == 0
-    wheel.write_text("newer")
-    done = run(*install)
+        assert install("--role", role).returncode == 0
+    (tmp_path / "heliocube-0.2.0-py3-none-any.whl").write_text("newer")
+    done = install()
     assert done.returncode == 0, done.stderr
     roles = ("cube", "tracker", "archive")
     laid_down = {role for role in roles if (tree / f"etc/systemd/system/heliocube-{role}.service").exists()}
