@@ -134,6 +134,11 @@ release=$opt/releases/$id
 answers() { [ -n "$("$release/bin/heliocube" --version)" ]; }
 if [ ! -e "$release/.complete" ] || ! answers 2>/dev/null; then
   say "building the environment in $release"
+  # What is half done is of no use to anybody, and a full disk needs the room.
+  trap 'rm -rf "$release" "$release.build"' EXIT
+  trap 'exit 129' HUP
+  trap 'exit 130' INT
+  trap 'exit 143' TERM
   rm -rf "$release" "$release.build"
   mkdir -p "$opt/releases"
   "$python" -m venv "$release"
@@ -157,6 +162,7 @@ if [ ! -e "$release/.complete" ] || ! answers 2>/dev/null; then
   # The mark may not come to the disk before what it is for.
   sync -f "$release"
   touch "$release/.complete"
+  trap - EXIT HUP INT TERM
 fi
 
 use_release "$id"

@@ -15,6 +15,7 @@ needs_root = pytest.mark.skipif(
 
 PYTHON = """#!/bin/sh
 [ "$1" != --version ] || echo heliocube 0.2.0
+[ "$2" != pip ] || eval "${AT_PIP-}"
 [ "$2" = venv ] || exit 0
 mkdir -p "$3/bin"
 for name in python heliocube; do cp "$0" "$3/bin/$name"; done
@@ -109,6 +110,14 @@ def test_installing_again_repairs_what_a_cut_of_the_power_has_left_empty(tree, i
     assert (done.returncode, done.stderr) == (0, "")
     assert all(path.stat().st_size for path in emptied)
     assert mine.read_text() == "# mine\n"
+
+
+@needs_root
+@pytest.mark.parametrize(("at_pip", "code"), [("exit 1", 2), ("kill -INT 0", 130), ("kill -HUP 0", 129)])
+def test_an_installation_that_fails_or_is_interrupted_leaves_nothing_of_the_release(tree, install, at_pip, code):
+    assert install(AT_PIP=at_pip).returncode == code
+    assert not list((tree / "opt/heliocube/releases").iterdir())
+    assert install().returncode == 0
 
 
 @needs_root
