@@ -216,7 +216,7 @@ done
 if [ "$role" = archive ]; then
   say "next: edit /etc/heliocube/archive.toml, write archive.password and archive.credentials beside it, mode 0600 (docs/archive.md)"
 fi
-for role in $roles; do say "      systemctl enable --now heliocube-$role    (after an upgrade: systemctl restart)"; done
+for role in $roles; do say "      systemctl enable --now heliocube-$role    (after an upgrade: the last line)"; done
 say "      systemctl enable --now heliocube-dashboard    (if you want the page for browsers; see $etc/dashboard.toml)"
 case " $roles " in
   *' archive '*) say "      systemctl enable --now heliocube-parquet.timer    (if you want each day as Parquet files)" ;;
@@ -225,3 +225,8 @@ esac
 [ $notify = no ] ||
   say "      write $etc/notify.people, mode 0600, then systemctl enable --now heliocube-notify    (docs/alarms.md)"
 [ "$role" = archive ] || say 'Before the first move: docs/install.md'
+units=''
+for unit in tracker cube dashboard notify archive; do
+  [ ! -e "$root/etc/systemd/system/heliocube-$unit.service" ] || units="$units heliocube-$unit"
+done
+say "After an upgrade, for what runs: systemctl try-restart$units"

@@ -44,7 +44,7 @@ lay_down() { # VERSION
   rm -rf "$release.old"
 }
 
-# The release that was current until now may still be running; those before it go.
+# The release that was current until now may still be running, and is the way back; those before it go.
 use_release() { # ID
   before=''
   if [ -L "$opt/current" ]; then before=$(basename "$(readlink "$opt/current")"); fi
@@ -55,7 +55,10 @@ use_release() { # ID
   for old in "$opt/releases"/*; do
     case $(basename "$old") in
       "$1" | "$before") ;;
-      *) rm -rf "$old" ;;
+      *)
+        # A page for browsers that nobody has restarted runs on from there. It is none to go back to.
+        if grep -qsF "$old/bin/" /proc/[0-9]*/cmdline; then rm -f "$old/.complete"; else rm -rf "$old"; fi
+        ;;
     esac
   done
 }

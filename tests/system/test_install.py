@@ -1,7 +1,9 @@
 """What installing again does, with a stand-in for Python that installs nothing; test_deploy.py does it in earnest."""
 
 import os
+import re
 import shutil
+import subprocess
 
 import pytest
 
@@ -35,6 +37,28 @@ def test_installing_a_release_again_leaves_the_one_before_it(tmp_path):
     assert use("2") == ("2", {"1", "2"})
     assert use("2") == ("2", {"1", "2"})
     assert use("3") == ("3", {"2", "3"})
+
+
+def test_a_release_that_something_still_runs_from_stays_and_is_no_way_back(tmp_path):
+    releases = tmp_path / "opt" / "heliocube" / "releases"
+    program = releases / "1" / "bin" / "heliocube"
+    program.parent.mkdir(parents=True)
+    program.symlink_to("/bin/cat")
+
+    def use(name):
+        (releases / name).mkdir(exist_ok=True)
+        (releases / name / ".complete").touch()
+        done = run("sh", "-euc", '. deploy/steps.sh; use_release "$0"', name, cwd=ROOT, env={"root": str(tmp_path)})
+        assert (done.returncode, done.stderr) == (0, "")
+        return {path.parent.name for path in releases.glob("*/.complete")}
+
+    use("1")
+    with subprocess.Popen([program], stdin=subprocess.PIPE):
+        use("2")
+        assert use("3") == {"2", "3"}
+        assert program.exists()
+    use("4")
+    assert {path.name for path in releases.iterdir()} == {"3", "4"}
 
 
 def test_a_package_of_the_same_version_takes_nothing_away_before_it_is_whole(tmp_path):
@@ -141,3 +165,5 @@ def test_an_upgrade_leaves_a_machine_the_roles_that_it_has(tmp_path, tree, insta
     laid_down = {role for role in roles if (tree / f"etc/systemd/system/heliocube-{role}.service").exists()}
     assert laid_down == units
     assert {role for role in roles if f"systemctl enable --now heliocube-{role} " in done.stdout} == units
+    restarted = re.search(r"systemctl try-restart (.*)", done.stdout)[1].split()
+    assert set(restarted) == {f"heliocube-{name}" for name in (*units, "dashboard", "notify")}
