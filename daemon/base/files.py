@@ -6,7 +6,7 @@ import stat
 import sys
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from daemon.base.errors import UserError
 
@@ -41,14 +41,7 @@ def _swap_in(part: Path, path: Path, text: str, like: os.stat_result | None = No
     """Put a text in a file's place by way of `part`, with owner and rights as in `like`; `OSError` leaves nothing."""
     try:
         with part.open("w", encoding="utf-8", newline="\n") as file:
-            if like is not None:
-                part.chmod(stat.S_IMODE(like.st_mode))
-            if like is not None and sys.platform != "win32":
-                # Refused where it would make somebody else's file one's own.
-                os.chown(part, like.st_uid, like.st_gid)
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
+            _fill(file, part, text, like)
         part.replace(path)
     except OSError:
         with contextlib.suppress(OSError):
@@ -57,18 +50,34 @@ def _swap_in(part: Path, path: Path, text: str, like: os.stat_result | None = No
     sync_names(path.parent)
 
 
-def write_new(path: Path, text: str) -> None:
-    """Write a file that must not be there yet; raises `OSError`, and leaves nothing that is not whole."""
-    file = path.open("x", encoding="utf-8")
+def write_new(path: Path, text: str, like: os.stat_result | None = None) -> None:
+    """Write a file that must not be there yet, with owner and rights as in `like`.
+
+    Raises
+    ------
+    OSError
+        It is there, or cannot be written. Nothing that is not whole is left.
+    """
+    file = path.open("x", encoding="utf-8", newline="\n")
     try:
         with file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
+            _fill(file, path, text, like)
     except OSError:
         path.unlink(missing_ok=True)
         raise
     sync_names(path.parent)
+
+
+def _fill(file: TextIO, path: Path, text: str, like: os.stat_result | None) -> None:
+    """Write a text into a file that was opened at `path`, and have it on the disk."""
+    if like is not None:
+        path.chmod(stat.S_IMODE(like.st_mode))
+    if like is not None and sys.platform != "win32":
+        # Refused where it would make somebody else's file one's own.
+        os.chown(path, like.st_uid, like.st_gid)
+    file.write(text)
+    file.flush()
+    os.fsync(file.fileno())
 
 
 def sync_names(folder: Path) -> None:
@@ -189,6 +198,7 @@ def write_secret(path: Path, content: bytes, called: str, error: type[UserError]
         # Whoever finds a file of this name takes it for the secret.
         path.unlink(missing_ok=True)
         raise error(f"{called} cannot be written: {failure.strerror}") from None
+    sync_names(path.parent)
 
 
 def read_secret(

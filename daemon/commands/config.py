@@ -144,6 +144,7 @@ def write_example(
     """
     from daemon.api.token import generate_token, write_token
     from daemon.base.errors import UserError
+    from daemon.base.files import write_new
     from daemon.bridge.signing import generate_key, write_key
     from daemon.config.plugged import CUBE, DRIVER, POSITIONER
     from daemon.config.template import FILE_NAME, example
@@ -170,9 +171,8 @@ def write_example(
         _refuse_taken(file, key, token)
         made = [folder for folder in (directory, *directory.parents) if not folder.exists()]
         directory.mkdir(parents=True, exist_ok=True)
-        with file.open("x", encoding="utf-8", newline="\n") as stream:
-            written.append(file)
-            stream.write(example(role, values, tuple(chosen)))
+        write_new(file, example(role, values, tuple(chosen)))
+        written.append(file)
         write_key(key, generate_key())
         written.append(key)
         write_token(token, generate_token())

@@ -1,5 +1,6 @@
 import json
 import stat
+import sys
 
 import pytest
 
@@ -9,6 +10,9 @@ from daemon.bridge.signing import load_key
 from daemon.commands.config import write_example
 from daemon.commands.file_check import check_file
 from daemon.config.settings import Settings
+from tests.support.disk import synced
+
+__all__ = ["synced"]
 
 REAL = """
 [instruments]
@@ -55,6 +59,12 @@ def test_two_rigs_get_two_keys_and_two_tokens(heliocube, tmp_path):
     heliocube("config", "init", tmp_path / "b")
     assert load_key(tmp_path / "a" / "bridge.key") != load_key(tmp_path / "b" / "bridge.key")
     assert load_token(tmp_path / "a" / "api.token") != load_token(tmp_path / "b" / "api.token")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="what is synced is seen in /proc")
+def test_what_init_has_written_outlasts_a_cut_of_the_power(heliocube, tmp_path, synced):
+    assert heliocube("config", "init", tmp_path)[0] == 0
+    assert synced == ["heliocube.toml", "bridge.key", "api.token"]
 
 
 @pytest.mark.parametrize("there", ["heliocube.toml", "bridge.key", "api.token"])

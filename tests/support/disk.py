@@ -1,0 +1,21 @@
+"""What a test sees of the way to the disk."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture
+def synced(monkeypatch):
+    """Return the names of the files that have been synced and had something in them, in their order."""
+    names, fsync = [], os.fsync
+
+    def noted(descriptor):
+        fsync(descriptor)
+        path = Path(f"/proc/self/fd/{descriptor}").readlink()
+        if path.is_file() and path.stat().st_size:
+            names.append(path.name)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    return names
