@@ -1,10 +1,12 @@
 """Small files: TOML within bounds, replacing as a whole so that a crash leaves no part, and secrets."""
 
 import contextlib
+import itertools
 import os
 import stat
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -78,6 +80,12 @@ def _fill(file: TextIO, path: Path, text: str, like: os.stat_result | None) -> N
     file.write(text)
     file.flush()
     os.fsync(file.fileno())
+
+
+def numbered(path: Path) -> Iterator[Path]:
+    """Yield a path, and the same with -2, -3 and so on at its end."""
+    yield path
+    yield from (path.with_name(f"{path.name}-{again}") for again in itertools.count(2))
 
 
 def sync_names(folder: Path) -> None:

@@ -1,16 +1,17 @@
 """A configuration file in today's form: its tracker named in a table, and no key under a former name."""
 
+import contextlib
 import re
-import shutil
 import tomllib
 from collections.abc import Iterator, Mapping
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
 from daemon.base.errors import UserError
-from daemon.base.files import rewrite_file, toml_text
+from daemon.base.files import numbered, rewrite_file, toml_text, write_new
 from daemon.base.installation import release
 from daemon.config.file import load_settings
 from daemon.config.plugged import DRIVER, SECTIONS
@@ -67,17 +68,20 @@ def before(path: Path) -> Path:
     return path.with_name(f"{path.name}.before-{release()}")
 
 
+def kept_before(path: Path) -> list[Path]:
+    """Return where a file is kept as it was each time that this release brought it into its form, the latest first."""
+    return list(takewhile(Path.exists, numbered(before(path))))[::-1]
+
+
 def _replace(path: Path, text: str) -> Path:
     """Write the file and keep the old one; the owner and the mode of the file stay as they are."""
-    first = old = before(path)
-    again = 1
-    while old.exists():
-        again += 1
-        old = first.with_name(f"{first.name}-{again}")
+    old = next(each for each in numbered(before(path)) if not each.exists())
     try:
-        shutil.copy2(path, old)
+        write_new(old, path.read_bytes().decode(), path.stat())
         rewrite_file(path, text)
     except OSError as error:
+        with contextlib.suppress(OSError):
+            old.unlink()
         raise UserError(f"{path} cannot be migrated: {error.strerror}") from None
     return old
 

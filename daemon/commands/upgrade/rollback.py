@@ -13,7 +13,7 @@ from daemon.base.state import StateFolder
 from daemon.commands.kept import records_of
 from daemon.commands.upgrade.installed import Program
 from daemon.config.file import load_settings
-from daemon.config.migrate import before as file_before
+from daemon.config.migrate import kept_before
 from daemon.config.settings import Settings
 from daemon.store.copies import copies_of, copy_path, version_of
 from daemon.store.place import claimed
@@ -108,10 +108,12 @@ def _file(config: Path, to: Program) -> Iterator[str]:
     if to.accepts(config):
         yield f"{config}: {to.name} can use it as it is"
         return
-    old = file_before(config)
-    if not (old.exists() and to.accepts(old)):
+    kept = kept_before(config)
+    # An empty one, as a full disk leaves it, has no mistakes, and is no configuration.
+    old = next((each for each in kept if to.accepts(each) and toml_text(each).strip()), None)
+    if old is None:
         # What it misses may be no matter of the file's form, such as a token's file that is gone.
-        also = f" and in {old}" if old.exists() else ""
+        also = f" and in {kept[0]}" if kept else ""
         mistakes = f"{to.name} finds mistakes in it{also}"
         yield f"{config} stays as it is: {mistakes}; see 'heliocube config check {config}' then"
         return

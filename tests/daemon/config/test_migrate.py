@@ -1,6 +1,8 @@
 """An older file in today's form: what it means stays, comments stay, the old one stays beside it."""
 
+import os
 import stat
+import sys
 import tomllib
 
 import pytest
@@ -9,6 +11,10 @@ from daemon.base.errors import UserError
 from daemon.base.installation import release
 from daemon.config.file import load_settings
 from daemon.config.migrate import migrate
+from tests.daemon.store.test_full_disk import fill, small_disk
+from tests.support.disk import synced
+
+__all__ = ["small_disk", "synced"]
 
 BEFORE = f"heliocube.toml.before-{release()}"
 OLDER = """\
@@ -93,3 +99,22 @@ def test_an_upgrade_gives_keys_their_names_and_a_tracker_none(file):
     assert migrate(path, keys_only=True).startswith(f"{path} is in today's form: law.name is law.driver now; ")
     assert path.read_text() == OLDER.replace('name = "flat"', 'driver = "flat"')
     assert migrate(path, keys_only=True) == f"{path} needs nothing: it is in today's form"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="what is synced is seen in /proc")
+def test_the_old_file_is_on_the_disk_before_the_new_one_takes_its_place(file, synced):
+    path = file(OLDER)
+    migrate(path)
+    assert synced == [BEFORE, ".heliocube.toml.part"]
+
+
+@pytest.mark.parametrize("room_bytes", [0, 4096])
+def test_on_a_full_disk_nothing_is_kept_that_is_not_whole_nor_without_need(small_disk, room_bytes):
+    path = small_disk / "heliocube.toml"
+    path.write_text(OLDER)
+    fill(small_disk / "filler")
+    os.truncate(small_disk / "filler", (small_disk / "filler").stat().st_size - room_bytes)
+    with pytest.raises(UserError, match="cannot be migrated: No space left"):
+        migrate(path)
+    assert sorted(each.name for each in small_disk.iterdir()) == ["filler", "heliocube.toml"]
+    assert path.read_text() == OLDER

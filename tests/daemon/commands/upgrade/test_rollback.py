@@ -239,6 +239,24 @@ def test_a_file_stays_where_it_is_if_the_one_before_would_not_do_either_and_wher
     assert f"{config} stays as it is: 0.0.9 finds mistakes in it and in {before(config)}" in out
 
 
+def test_an_empty_file_from_before_the_upgrade_is_no_configuration_to_go_back_to(heliocube, config, program):
+    config.write_text("[law]\nname = 'flat'\n")
+    heliocube("config", "migrate", "--keys-only", config)
+    migrated = config.read_text()
+    before(config).write_text("")
+    code, out, _ = heliocube("rollback", "-c", config, "--to", program(VERSION, refuses="driver"))
+    assert (code, config.read_text()) == (0, migrated)
+    assert f"{config} stays as it is" in out
+
+
+def test_of_several_files_from_before_an_upgrade_the_latest_is_put_back(heliocube, config, program):
+    for law in ("flat", "mu-prime"):
+        config.write_text(f"[law]\nname = '{law}'\n")
+        heliocube("config", "migrate", "--keys-only", config)
+    heliocube("rollback", "-c", config, "--to", program(VERSION, refuses="driver"))
+    assert config.read_text() == "[law]\nname = 'mu-prime'\n"
+
+
 def test_a_service_that_runs_there_is_not_disturbed(heliocube, config, program, upgraded):
     with claimed(upgraded, ("tracker",)):
         code, _, err = heliocube("rollback", "-c", config, "--to", program())
