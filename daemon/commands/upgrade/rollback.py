@@ -7,7 +7,7 @@ from pathlib import Path
 
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
-from daemon.base.files import rewrite_file, toml_text
+from daemon.base.files import numbered, rewrite_file, toml_text, write_new
 from daemon.base.installation import release
 from daemon.base.state import StateFolder
 from daemon.commands.kept import records_of
@@ -118,8 +118,8 @@ def _file(config: Path, to: Program) -> Iterator[str]:
         yield f"{config} stays as it is: {mistakes}; see 'heliocube config check {config}' then"
         return
     newer = config.with_name(f"{config.name}.newer-{release()}")
-    newer.write_text(toml_text(config), encoding="utf-8", newline="\n")
-    newer.chmod(config.stat().st_mode & 0o777)
+    newer = next(each for each in numbered(newer) if not each.exists())
+    write_new(newer, toml_text(config), config.stat())
     rewrite_file(config, toml_text(old))
     yield f"{config}: as it was before the upgrade; what you have changed since is in {newer} alone"
 

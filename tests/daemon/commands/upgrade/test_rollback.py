@@ -21,7 +21,10 @@ from daemon.store.schema import FILE_NAME, VERSION
 from tests.daemon.store.test_copies import OLDER, made_older, opened
 from tests.daemon.store.test_store import count
 from tests.daemon.store.test_tables import ALL, scan
+from tests.support.disk import synced
 from tests.support.leaks import children
+
+__all__ = ["synced"]
 
 
 @pytest.fixture
@@ -255,6 +258,23 @@ def test_of_several_files_from_before_an_upgrade_the_latest_is_put_back(heliocub
         heliocube("config", "migrate", "--keys-only", config)
     heliocube("rollback", "-c", config, "--to", program(VERSION, refuses="driver"))
     assert config.read_text() == "[law]\nname = 'mu-prime'\n"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="what is synced is seen in /proc")
+def test_what_was_changed_since_the_upgrade_is_on_the_disk_before_the_file_is_put_back(
+    heliocube, config, program, synced
+):
+    for law in ("flat", "mu-prime"):
+        config.write_text(f"[law]\nname = '{law}'\n")
+        heliocube("config", "migrate", "--keys-only", config)
+        config.chmod(0o640)
+        synced.clear()
+        heliocube("rollback", "-c", config, "--to", program(VERSION, refuses="driver"))
+        (newer,) = [name for name in synced if ".newer-" in name]
+        assert synced.index(newer) < synced.index(f".{config.name}.part")
+        kept = config.with_name(newer)
+        assert (kept.read_text(), kept.stat().st_mode) == (f"[law]\ndriver = '{law}'\n", config.stat().st_mode)
+    assert len(list(config.parent.glob("*.newer-*"))) == 2, "what an earlier way back has kept is not overwritten"
 
 
 def test_a_service_that_runs_there_is_not_disturbed(heliocube, config, program, upgraded):
