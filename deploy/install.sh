@@ -210,7 +210,7 @@ say "heliocube $id is installed in $opt"
 for role in $roles; do
   [ "$role" != archive ] || continue
   say "next: sudo heliocube setup /etc/heliocube/$role.toml --role $role, or edit that file and check it:"
-  say "      sudo -u heliocube heliocube config check /etc/heliocube/$role.toml"
+  say "      sudo -u heliocube heliocube config check --role $role /etc/heliocube/$role.toml"
 done
 [ "$role" = archive ] || [ -e "$etc/bridge.key" ] || say "      copy /etc/heliocube/bridge.key from the cube's machine, then run install.sh again"
 if [ "$role" = archive ]; then

@@ -38,7 +38,9 @@ def check(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The TOML file.", show_default=False)],
     role: Annotated[
         RoleChoice | None,
-        typer.Option(help="What the process will do; if left out, at least one role must be able to run."),
+        typer.Option(
+            help="What the process will do; if left out, that of the file's unit, or else one role must be able to run."
+        ),
     ] = None,
     probe: Annotated[
         bool, typer.Option("--probe", help="Also open the real instruments, without changing anything.")

@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daemon.commands.options import RoleChoice
+from daemon.commands.options import RoleChoice, unit_role
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,7 +23,8 @@ def check_file(
     path
         The file.
     role
-        What the process will do; with None it is enough that one of the roles can run.
+        What the process will do; with None that of the unit that starts it, or else it is enough that one of the roles
+        can run.
     look
         Looks for more that is wrong, and returns a sentence for each.
 
@@ -43,6 +44,7 @@ def check_file(
     from daemon.mqtt.topics import unusable
     from daemon.notify.recipients import recipients_of
 
+    role = role or unit_role(path)
     settings = with_records(load_settings_with_topics(path, unusable), path, os.environ)
     problems = []
     try:

@@ -37,6 +37,8 @@ PositionerOption = Annotated[
     ),
 ]
 CONFIG_VARIABLE = "HELIOCUBE_CONFIG"
+# As deploy/ lays the configurations down, each read by the unit of its role.
+INSTALLED = Path("/etc/heliocube")
 ConfigOption = Annotated[
     Path | None,
     typer.Option(
@@ -106,6 +108,12 @@ class RoleChoice(StrEnum):
     both = "both"
     cube = "cube"
     tracker = "tracker"
+
+
+def unit_role(file: Path) -> RoleChoice | None:
+    """Return in which role an installed unit starts a configuration, or None where none does."""
+    units = (RoleChoice.tracker, RoleChoice.cube)
+    return next((role for role in units if file.absolute() == INSTALLED / f"{role}.toml"), None)
 
 
 class TableFormat(StrEnum):

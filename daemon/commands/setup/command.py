@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from daemon.base.errors import UserError
-from daemon.commands.options import FILES, RoleChoice
+from daemon.commands.options import FILES, RoleChoice, unit_role
 
 if TYPE_CHECKING:
     from daemon.commands.setup.dialogue import SetupDialogue
@@ -38,7 +38,7 @@ def setup(
     """
     from rich.console import Console
 
-    from daemon.commands.setup.dialogue import SetupDialogue, unit_role
+    from daemon.commands.setup.dialogue import SetupDialogue
     from daemon.commands.setup.kept import SetupAnswers, keep_answers, load_answers, place_of_answers
     from daemon.commands.setup.screen import SetupScreen
     from daemon.commands.setup.steps import A_BENCH, RIG, ROLE

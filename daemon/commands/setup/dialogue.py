@@ -8,6 +8,7 @@ from typing import Any
 from daemon.base.addresses import CUBE_LISTEN
 from daemon.base.errors import UserError
 from daemon.bridge.signing import load_key
+from daemon.commands import options
 from daemon.commands.setup.kept import Answer, SetupAnswers, place_of_answers
 from daemon.commands.setup.steps import A_BENCH, BENCH, KEY, RIG, ROLE, Known, SetupStep, plan
 from daemon.config import keys
@@ -19,9 +20,6 @@ from daemon.config.template import FILE_NAME
 
 KEY_NAME, TOKEN_NAME = "bridge.key", "api.token"
 NEW_KEY = "new"
-# As deploy/ lays them down, each read by the unit of its role.
-_INSTALLED = Path("/etc/heliocube")
-_UNITS = {_INSTALLED / f"{role}.toml": role for role in ("cube", "tracker")}
 _NONE = ("none", "-")
 _YES = {"y": "yes", "n": "no"}
 
@@ -218,7 +216,7 @@ class SetupDialogue:
         return f"{problem}; {key} is not asked for here: answer what fits it, and change both in the file afterwards"
 
     def _check_role(self, role: str) -> None:
-        if self._file.parent == _INSTALLED and unit_role(self._file) != role:
+        if self._file.parent == options.INSTALLED and options.unit_role(self._file) != role:
             raise UserError(
                 f"no unit starts {self._file} as {role}: cube and tracker are two units, on one machine too; set up"
                 " each, 'heliocube setup /etc/heliocube/cube.toml' and 'heliocube setup /etc/heliocube/tracker.toml'"
@@ -230,11 +228,6 @@ class SetupDialogue:
             load_key(path)
         elif path.exists():
             raise UserError(f"{path} is there already: name it, or move it away for a new one")
-
-
-def unit_role(file: Path) -> str | None:
-    """Return in which role an installed unit starts a configuration, or None where none does."""
-    return _UNITS.get(file)
 
 
 def _meant(step: SetupStep, said: str, key: keys.Key | None) -> Answer:

@@ -11,7 +11,8 @@ from daemon.api.token import generate_token, write_token
 from daemon.base.errors import UserError
 from daemon.base.files import replace_file, rewrite_file
 from daemon.bridge.signing import generate_key, write_key
-from daemon.commands.setup.dialogue import SetupDialogue, unit_role
+from daemon.commands.options import unit_role
+from daemon.commands.setup.dialogue import SetupDialogue
 from daemon.config.template import example
 from daemon.store.place import OF_THE_UNITS, RECORDS_NAME
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from daemon.base.errors import ExitCode, UserError
+from daemon.commands import options
 from daemon.commands.answers import JsonOption, print_json, say, teller
 from daemon.commands.options import FILES, OPERATION, ConfigOption, RoleChoice
 
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
     from daemon.config.settings import Settings
     from daemon.service.rig import Role
 
-# As deploy/ lays them down.
-_INSTALLED = tuple(Path("/etc/heliocube") / f"{role}.toml" for role in ("tracker", "cube"))
-
 app = typer.Typer()
 
 
@@ -27,7 +25,8 @@ app = typer.Typer()
 def self_check(
     config: ConfigOption = None,
     role: Annotated[
-        RoleChoice | None, typer.Option(help="What the process does; without it, what the file is enough for.")
+        RoleChoice | None,
+        typer.Option(help="What the process does; without it that of the file's unit, or what the file is enough for."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -53,6 +52,7 @@ def _findings(config: Path, role: RoleChoice | None) -> "Iterator[Finding]":
 
     from daemon.commands.kept import with_records
     from daemon.commands.upgrade import machine, running
+    from daemon.commands.upgrade.finding import Finding
     from daemon.config.file import load_settings
 
     yield machine.program()
@@ -68,7 +68,9 @@ def _findings(config: Path, role: RoleChoice | None) -> "Iterator[Finding]":
     if service is not None:
         yield from service
         return
-    chosen = _role(settings, role)
+    if settings.api.enabled:
+        yield Finding("service", f"does not run: nothing listens at {settings.api.listen}")
+    chosen = _role(settings, role or options.unit_role(config))
     if chosen is not None:
         yield from _alone(settings, chosen)
 
@@ -125,7 +127,7 @@ def rollback(
 
     installation = installed.installed() if to is None else None
     program = Program.at(to) if installation is None else installation.before
-    configs = config or [path for path in _INSTALLED if path.exists()]
+    configs = config or [path for role in ("tracker", "cube") if (path := options.INSTALLED / f"{role}.toml").exists()]
     if not configs:
         raise UserError("there is no configuration in /etc/heliocube: name it with --config")
     tell, done = teller(as_json=as_json), []

@@ -177,9 +177,7 @@ def test_an_installed_service_is_started_by_its_unit_and_held(file, role, lines)
 @pytest.fixture
 def installed(monkeypatch, tmp_path):
     """The folder of configurations of an installed machine, each file with the unit that reads it."""
-    units = {tmp_path / f"{role}.toml": role for role in ("cube", "tracker")}
-    monkeypatch.setattr("daemon.commands.setup.dialogue._INSTALLED", tmp_path)
-    monkeypatch.setattr("daemon.commands.setup.dialogue._UNITS", units)
+    monkeypatch.setattr("daemon.commands.options.INSTALLED", tmp_path)
     return tmp_path
 
 

@@ -77,6 +77,24 @@ def test_real_instruments_without_wind_and_positioner_are_told_with_what_to_do(h
     assert "there is no /dev/serial/by-id/nothing" in found["positioner"]["text"]
 
 
+@pytest.mark.parametrize("text", ["", "[api]\nenabled = false\n[instruments]\nkind = 'real'\n"])
+@pytest.mark.parametrize("command", ["self-check", "config check"])
+def test_the_file_of_a_unit_has_to_be_enough_for_the_role_of_that(heliocube, tmp_path, monkeypatch, command, text):
+    file = tmp_path / "tracker.toml"
+    file.write_text(text)
+    named = ["-c", file] if command == "self-check" else [file]
+    monkeypatch.setattr("daemon.commands.options.INSTALLED", tmp_path)
+    code, out, err = heliocube(*command.split(), *named)
+    assert code == 2
+    assert "as tracker: bridge.key_file" in out + err
+
+
+def test_a_service_that_nobody_hears_is_said_not_to_run(heliocube, config):
+    config.write_text("[api]\nlisten = '127.0.0.1:1'\n[store]\ndirectory = 'records'\n")
+    _, out, _ = heliocube("self-check", "--json", "-c", config)
+    assert by_subject(out)["service"]["text"] == "does not run: nothing listens at 127.0.0.1:1"
+
+
 @pytest.mark.parametrize(
     ("spoil", "said", "ok"),
     [
