@@ -88,6 +88,24 @@ def numbered(path: Path) -> Iterator[Path]:
     yield from (path.with_name(f"{path.name}-{again}") for again in itertools.count(2))
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those above it, for whom the folder belongs to that is there already."""
+    if folder.is_dir():
+        return
+    if not folder.parent.exists():
+        make_folder(folder.parent)
+    folder.mkdir(exist_ok=True)
+    give(folder)
+
+
+def give(path: Path) -> None:
+    """Give what root has made to whom the folder that it is in belongs."""
+    if sys.platform == "win32" or os.geteuid() != 0:
+        return
+    owner = path.parent.stat()
+    os.chown(path, owner.st_uid, owner.st_gid)
+
+
 def sync_names(folder: Path) -> None:
     """Have the names in a folder on the disk when this returns: a file that was renamed may lose its new one till then.
 

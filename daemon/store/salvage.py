@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from daemon.base.errors import UserError
+from daemon.base.files import give, make_folder
 from daemon.store.aside import companions
+from daemon.store.copies import copies_of
 from daemon.store.schema import FILE_NAME, RUN_COLUMNS, UnusableStoreError, check_is_store, columns_of, open_for_writing
 from daemon.store.tables import COLUMNS, Column
 
@@ -76,15 +78,26 @@ def salvage(file: Path, into: Path) -> Salvaged:
     if target.exists() and target.samefile(file):
         raise UserError(f"{file} is the store of {into} itself: name another folder with --into")
     try:
-        into.mkdir(parents=True, exist_ok=True)
+        make_folder(into)
         with tempfile.TemporaryDirectory(prefix=".salvage-", dir=into) as scratch:
             copy = _copy(file, Path(scratch))
-            with closing(_open(copy, file)) as source, closing(open_for_writing(target)) as store:
+            with closing(_open(copy, file)) as source, closing(_for_owner(target)) as store:
                 return _Merge(source, store).run()
     except sqlite3.Error as error:
         raise UserError(f"{target} cannot take the records: {error}") from None
     except OSError as error:
         raise UserError(f"{into} cannot take the records and a copy of {file}: {error.strerror}") from None
+
+
+def _for_owner(target: Path) -> sqlite3.Connection:
+    """Open the store that takes the records, for whom its folder belongs to: a service cannot write to root's."""
+    if not target.exists():
+        target.touch(0o600)
+        give(target)
+    connection = open_for_writing(target)
+    for copy in copies_of(target.parent):
+        give(copy)
+    return connection
 
 
 def _copy(file: Path, scratch: Path) -> Path:

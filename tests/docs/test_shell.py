@@ -66,7 +66,6 @@ ONLY_READ = {
     "heliocube setup": "asks a person; tests/system/test_setup.py answers it",
     "heliocube run": "the tutorials run it; so does tests/system/test_run.py",
     "heliocube status": "the tutorials run it; so does tests/system/test_operation.py",
-    "heliocube store salvage": "asks for a damaged store; tests/daemon/store damages one",
 }
 # These pages run the service, and everything on them is run on it.
 WITH_A_SERVICE = ("first-hour.md", "day-at-the-rig.md")

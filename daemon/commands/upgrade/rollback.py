@@ -1,13 +1,11 @@
 """Back to the release before: tracker held, store and file as that release can use them, what is newer kept."""
 
-import os
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
-from daemon.base.files import numbered, rewrite_file, toml_text, write_new
+from daemon.base.files import give, make_folder, numbered, rewrite_file, toml_text, write_new
 from daemon.base.installation import release
 from daemon.base.state import StateFolder
 from daemon.commands.kept import records_of
@@ -52,7 +50,7 @@ def roll_back(config: Path, to: Program, environment: Mapping[str, str]) -> Iter
             settings = settings.model_copy(update={"store": settings.store.model_copy(update={"directory": directory})})
             folders = [own.store.directory or directory for _, own in settings.trackers]
             for folder in folders:
-                _make(folder)
+                make_folder(folder)
             with claimed(directory, ("cube", "tracker")):
                 yield from _held(settings, to)
                 yield from _store(directory, to)
@@ -124,24 +122,7 @@ def _file(config: Path, to: Program) -> Iterator[str]:
     yield f"{config}: as it was before the upgrade; what you have changed since is in {newer} alone"
 
 
-def _make(directory: Path) -> None:
-    """Make a folder, and those above it, for whom the folder belongs to that is there already."""
-    if directory.is_dir():
-        return
-    _make(directory.parent)
-    directory.mkdir()
-    _give(directory, directory.parent)
-
-
 def _give_to_owner(directory: Path) -> None:
     """Give what was written here to the user of the service, whose folder it is."""
     for path in (*directory.glob(f"{Path(WISHES_NAME).stem}.*"), *directory.glob(".*-in-use")):
-        _give(path, directory)
-
-
-def _give(path: Path, folder: Path) -> None:
-    """Give what root has made to whom the folder belongs."""
-    if sys.platform == "win32" or os.geteuid() != 0:
-        return
-    owner = folder.stat()
-    os.chown(path, owner.st_uid, owner.st_gid)
+        give(path)

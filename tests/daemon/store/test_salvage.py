@@ -1,10 +1,12 @@
 """What is still there of a damaged store comes back, as it was, and the damaged file stays as it is."""
 
 import json
+import os
 import random
 import re
 import shutil
 import sqlite3
+import stat
 import subprocess
 import sys
 from contextlib import closing
@@ -154,6 +156,18 @@ def test_what_a_newer_version_has_kept_is_salvaged_as_far_as_this_one_knows_it(k
     assert sum(found.added.values()) == len(ALL)
     with closing(sqlite3.connect(tmp_path / "new" / FILE_NAME)) as connection:
         assert connection.execute("PRAGMA user_version").fetchone() == (VERSION,)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files to others")
+@pytest.mark.parametrize("folder", ["", "tracker"])
+def test_a_store_that_root_salvages_into_belongs_to_the_owner_of_the_folder(keep, tmp_path, folder):
+    keep(*ALL, folder=tmp_path / "old")
+    state = tmp_path / "state"
+    state.mkdir()
+    os.chown(state, 65534, 65534)
+    salvage(tmp_path / "old" / FILE_NAME, state / folder)
+    assert {path.stat().st_uid for path in (state / folder, *(state / folder).iterdir())} == {65534}
+    assert stat.S_IMODE((state / folder / FILE_NAME).stat().st_mode) == 0o600
 
 
 def test_the_program_sqlite3_finds_what_was_salvaged_whole(whole, tmp_path):
