@@ -65,7 +65,7 @@ def aside_text(path: Path) -> str | None:
     newest = found[-1]
     more = f", and {len(found) - 1} before it" if len(found) > 1 else ""
     kind = newest.name.split(".")[-2]
-    salvage = f"'heliocube store salvage {newest}' gets what can be read from it; "
+    salvage = f"'heliocube store salvage {newest} --into {path.parent}' gets what can be read from it; "
     remedy = "" if kind in ("folder", "device") else salvage
     return (
         f"a store that {KINDS[kind]} was moved aside as {newest}{more}, and a new one begun: {remedy}"

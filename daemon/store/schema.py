@@ -183,7 +183,7 @@ def _closed_to_us(path: Path) -> StoreError:
 def unreadable(path: Path, error: sqlite3.Error) -> StoreError:
     """Return what is raised where a store cannot be read on."""
     damaged = damage(error) is not None
-    remedy = f"; 'heliocube store salvage {path}' gets what can be read from it" if damaged else ""
+    remedy = f"; 'heliocube store salvage {path} --into FOLDER' gets what can be read from it" if damaged else ""
     return StoreError(f"the store {path} cannot be read: {error}{remedy}")
 
 
@@ -261,7 +261,7 @@ def _naming(path: Path) -> Iterator[None]:
         kind = damage(error)
         if kind is None:
             raise
-        remedy = f"'heliocube store salvage {path}' gets what can be read from it"
+        remedy = f"'heliocube store salvage {path} --into FOLDER' gets what can be read from it"
         sentence = f"{path} is no store of heliocube, or is damaged ({error}); {remedy}"
         raise UnusableStoreError(sentence, kind) from None
 

@@ -220,7 +220,7 @@ _ALL = (
         Severity.WARNING,
         "the file of records was damaged, and a new one was begun",
         "the records before are in the file that was moved aside",
-        "salvage them with `heliocube store salvage`, then move that file to another folder",
+        "salvage them with `heliocube store salvage FILE --into FOLDER`, then move that file to another folder",
     ),
     _kind(
         "store-down",

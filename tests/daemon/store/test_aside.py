@@ -2,6 +2,7 @@
 
 import os
 import random
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -16,7 +17,7 @@ import pytest
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
 from daemon.base.records import Event
-from daemon.store.aside import stores_aside
+from daemon.store.aside import aside_text, move_aside, stores_aside
 from daemon.store.export import export
 from daemon.store.schema import FILE_NAME, VERSION, open_for_reading
 from daemon.store.store import Store
@@ -257,8 +258,17 @@ def test_a_file_of_another_user_is_moved_aside_where_the_folder_is_ours(keep, ow
             assert not stores_aside(folder / FILE_NAME)
 
 
+def test_the_command_that_the_alarm_names_can_be_given_as_it_stands(keep, heliocube):
+    path = keep(*[scan(n) for n in range(5)]) / FILE_NAME
+    move_aside(path, "damaged", T0)
+    command = re.search(r"'heliocube (store salvage .*)' gets what", aside_text(path))[1]
+    code, out, err = heliocube(*command.split())
+    assert (code, err) == (0, "")
+    assert "5 of them are new" in out
+
+
 def test_an_export_of_a_damaged_store_says_how_to_salvage_it(keep, tmp_path):
     folder = keep(*[scan(n) for n in range(2000)])
     with_rubbish_pages(folder / FILE_NAME)
-    with pytest.raises(UserError, match=r"'heliocube store salvage .*' gets what can be read from it"):
+    with pytest.raises(UserError, match=r"'heliocube store salvage .* --into FOLDER' gets what can be read from it"):
         export(folder, tmp_path / "out", "csv", None, None, ())
