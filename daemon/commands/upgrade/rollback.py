@@ -9,6 +9,7 @@ from daemon.base.files import give, make_folder, numbered, rewrite_file, toml_te
 from daemon.base.installation import release
 from daemon.base.state import StateFolder
 from daemon.commands.kept import records_of
+from daemon.commands.options import RoleChoice, unit_role
 from daemon.commands.upgrade.installed import Program
 from daemon.config.file import load_settings
 from daemon.config.migrate import kept_before
@@ -52,7 +53,8 @@ def roll_back(config: Path, to: Program, environment: Mapping[str, str]) -> Iter
             for folder in folders:
                 make_folder(folder)
             with claimed(directory, ("cube", "tracker")):
-                yield from _held(settings, to)
+                if unit_role(config) is not RoleChoice.cube:
+                    yield from _held(settings, to)
                 yield from _store(directory, to)
                 for folder in (directory, *folders):
                     _give_to_owner(folder)

@@ -127,6 +127,16 @@ def test_every_tracker_is_held_unless_a_person_has_asked_for_something(heliocube
     assert hold["why"] == f"the program was changed back from {release()} to 0.0.9+4f1c, and nobody has looked yet"
 
 
+def test_on_the_machine_of_a_cube_nothing_is_held(heliocube, program, tmp_path, monkeypatch):
+    monkeypatch.setattr("daemon.commands.options.INSTALLED", tmp_path)
+    for role in ("cube", "tracker"):
+        file = tmp_path / f"{role}.toml"
+        file.write_text(f"[store]\ndirectory = '{role}'\n")
+        code, out, _ = heliocube("rollback", "-c", file, "--to", program(VERSION))
+        assert code == 0
+        assert ("is held until" in out) is (tmp_path / role / "operator.json").exists() is (role == "tracker")
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files to others")
 def test_what_root_writes_belongs_to_the_user_of_the_service(heliocube, config, program, tmp_path):
     records = tmp_path / "records"
