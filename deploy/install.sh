@@ -19,7 +19,7 @@ is none yet, a configuration under /etc/heliocube. Starts nothing: nothing moves
   --python PROGRAM  the Python to build on, 3.11 or newer (default: python3)
   --notify          with what sends alarms to people; kept at an upgrade where /etc/heliocube/notify.people is
   --root DIR        install into the tree DIR instead of this machine
-  --remove          take everything away but /etc/heliocube, /var/lib/heliocube and the user that owns them
+  --remove          take everything away but /etc/heliocube, /var/lib/heliocube* and the users that own them
 TEXT
 }
 
@@ -86,7 +86,7 @@ if [ $remove = yes ]; then
   rm -f "$root/etc/profile.d/heliocube.sh"
   rm -rf "$opt"
   reload
-  say "heliocube is removed; $etc, $root/var/lib/heliocube and the user heliocube are left"
+  say "heliocube is removed; $etc, $root/var/lib/heliocube* and the users heliocube* are left"
   exit 0
 fi
 

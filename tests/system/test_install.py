@@ -121,6 +121,18 @@ def test_what_is_marked_complete_is_on_the_disk_before_and_all_of_it_at_the_end(
 
 
 @needs_root
+def test_what_a_unit_keeps_for_everybody_is_of_a_user_that_the_installation_makes(tree, install):
+    assert install("--role", "archive").returncode == 0
+    made = {line.partition(":")[0] for line in (tree / "etc/passwd").read_text().splitlines()}
+    texts = [unit.read_text() for unit in (tree / "etc/systemd/system").glob("*.service")]
+    assert {user for text in texts for user in re.findall(r"^User=(.*)$", text, re.MULTILINE)} <= made
+    open_to_all = [text for text in texts if "\nStateDirectoryMode=0755\n" in text]
+    assert open_to_all
+    # systemd puts what a dynamic user keeps behind a folder that root alone may open.
+    assert not [text for text in open_to_all if "\nDynamicUser=yes\n" in text]
+
+
+@needs_root
 def test_installing_again_repairs_what_a_cut_of_the_power_has_left_empty(tree, install):
     assert install("--role", "tracker").returncode == 0
     assert "building" not in install().stdout
