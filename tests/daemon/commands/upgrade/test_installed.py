@@ -1,0 +1,126 @@
+"""The way back of an installation: in one command, with the units that ran, and whatever comes between."""
+
+import contextlib
+import gc
+import json
+import os
+import signal
+import sys
+
+import pytest
+
+from daemon.store.schema import VERSION
+from tests.daemon.commands.upgrade.test_rollback import config, program
+from tests.support.leaks import children
+
+__all__ = ["config", "program"]
+
+
+@pytest.fixture
+def installation(program, tmp_path, monkeypatch):
+    """Two releases side by side, the newer of which runs this, and a manager: one unit runs, and one cannot."""
+    releases = tmp_path / "opt" / "releases"
+    for name in ("older", "newer", "half"):
+        program(VERSION, prefix=releases / name)
+    # An installation that was interrupted is no release to go back to.
+    (releases / "half" / ".complete").unlink()
+    (releases.parent / "current").symlink_to("releases/newer")
+    monkeypatch.setattr(sys, "prefix", str(releases / "newer"))
+    monkeypatch.setattr("os.geteuid", lambda: 0)
+
+    manager = tmp_path / "path" / "systemctl"
+    manager.parent.mkdir()
+    states = "heliocube-tracker) echo active ;; heliocube-cube) echo failed ;; *) echo inactive ;;"
+    answers = f'[ "$1" != is-active ] || case $2 in {states} esac'
+    manager.write_text(f'#!/bin/sh\necho "$*" >>{tmp_path}/asked\n{answers}\n')
+    manager.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{manager.parent}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setattr("daemon.commands.upgrade.installed._SYSTEMD", tmp_path)
+    return releases
+
+
+def test_an_installation_goes_back_in_one_command_and_starts_what_ran(heliocube, config, installation, tmp_path):
+    code, out, err = heliocube("rollback", "--json", "-c", config)
+    assert code == 0
+    assert err.splitlines()[-1] == "older is in use: look at the tracker, then 'heliocube auto'"
+    page = json.loads(out)
+    assert (page["release"], page["in_use"], page["not_started"]) == ("older", True, [])
+    assert page["done"] == err.splitlines()[:-1]
+    assert (installation.parent / "current").resolve() == installation / "older"
+    asked = [line for line in (tmp_path / "asked").read_text().splitlines() if not line.startswith("is-active")]
+    assert asked == [
+        "stop heliocube-tracker",
+        "stop heliocube-cube",
+        "reset-failed heliocube-tracker heliocube-cube",
+        "start heliocube-tracker",
+        "start heliocube-cube",
+    ]
+
+
+def test_given_again_it_does_not_go_forward_to_the_newer_release(
+    heliocube, config, installation, tmp_path, monkeypatch
+):
+    manager = tmp_path / "path" / "systemctl"
+    manager.write_text(f'{manager.read_text()}[ "$*" != "start heliocube-cube" ]\n')
+    code, out, _ = heliocube("rollback", "-c", config)
+    assert code == 3
+    before_the_start = out.splitlines()[-3]
+    assert before_the_start == "older is in use; starting heliocube-tracker, heliocube-cube"
+    assert "heliocube-cube does not start" in out.splitlines()[-2]
+
+    # From now on the command is that of the release in use.
+    monkeypatch.setattr(sys, "prefix", str(installation / "older"))
+    (tmp_path / "asked").unlink()
+    code, _, err = heliocube("rollback", "-c", config)
+    assert (code, len(err.splitlines())) == (2, 1)
+    assert "has no release before older, which is in use: start what does not run" in err
+    assert (installation.parent / "current").resolve() == installation / "older"
+    assert not (tmp_path / "asked").exists(), "nothing is stopped"
+
+
+def test_what_ran_is_started_again_although_the_way_back_failed(heliocube, config, installation, tmp_path):
+    config.write_text("[site]\nlatitude_deg = 95\n")
+    code, _, err = heliocube("rollback", "-c", config)
+    assert code == 2
+    assert "latitude_deg" in err
+    assert (installation.parent / "current").resolve() == installation / "newer"
+    assert "start heliocube-tracker" in (tmp_path / "asked").read_text().splitlines()
+
+
+def test_a_unit_that_does_not_stop_leaves_the_others_running(heliocube, config, installation, tmp_path):
+    manager = tmp_path / "path" / "systemctl"
+    manager.write_text(f'{manager.read_text()}[ "$*" != "stop heliocube-cube" ]\n')
+    code, _, err = heliocube("rollback", "-c", config)
+    assert code == 2
+    assert "heliocube-cube does not stop" in err
+    # It may have been late only, and be stopped by now.
+    asked = (tmp_path / "asked").read_text().splitlines()
+    assert asked[-2:] == ["start heliocube-tracker", "start heliocube-cube"]
+    assert (installation.parent / "current").resolve() == installation / "newer"
+
+
+# An interrupted call of systemctl is left to end by itself.
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.parametrize("by", ["INT", "HUP", "TERM"])
+def test_what_ran_is_started_again_although_somebody_or_a_lost_connection_ends_it(
+    heliocube, config, installation, tmp_path, by
+):
+    manager = tmp_path / "path" / "systemctl"
+    manager.write_text(f'{manager.read_text()}[ "$*" != "stop heliocube-cube" ] || kill -{by} $PPID\n')
+    missed = []
+    handlers = {name: signal.signal(name, lambda *_: missed.append("ends")) for name in (signal.SIGHUP, signal.SIGTERM)}
+    try:
+        code, out, err = heliocube("rollback", "-c", config)
+        assert signal.getsignal(signal.SIGHUP) is not signal.default_int_handler
+    finally:
+        for name, handler in handlers.items():
+            signal.signal(name, handler)
+        gc.collect()
+        for systemctl in children():
+            with contextlib.suppress(ChildProcessError):
+                os.waitpid(systemctl, 0)
+    assert (code, out, missed) == (130, "", [])
+    assert err.startswith("heliocube: interrupted: units that ran are started again; give the command again, and it")
+    asked = (tmp_path / "asked").read_text().splitlines()
+    assert asked[-2:] == ["start heliocube-tracker", "start heliocube-cube"]
+    assert (installation.parent / "current").resolve() == installation / "newer"
