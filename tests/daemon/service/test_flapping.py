@@ -9,7 +9,7 @@ from daemon.base.records import Event
 from tests.daemon.motion.test_outages import LONG_S, ORDINARY, SELDOM
 from tests.support.phases import now, tracking
 
-MOST_LINES, MOST_EVENTS = 28, 18
+MOST_LINES, MOST_EVENTS = 28, 20
 CALM = {"cube": {"scan_every_s": 10}, "safety": {"scan_stale_s": 130, "fallback_after_s": 600}}
 CALMER = CALM | {"cube": {"scan_every_s": 60}}
 QUICK = {
