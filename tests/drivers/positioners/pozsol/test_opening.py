@@ -136,19 +136,6 @@ def test_how_the_unit_is_set_is_waited_for_one_turn_of_its_screens(comes_s, seco
     on_unit(scenario, replace(A, zero_offset=2.0), comes_s={192: comes_s})
 
 
-def test_what_a_unit_does_not_tell_of_its_setup_is_not_waited_for_again_and_of_another_unit_it_is():
-    async def scenario(positioner, unit, now):
-        took_s = []
-        for serial in (b"1", b"1", b"2"):
-            unit.says[Field.SERIAL] = serial
-            begin_s = now()
-            await positioner.open()
-            took_s.append(now() - begin_s)
-        assert took_s == pytest.approx([4.5, 0.0, 4.5], abs=0.05)
-
-    on_unit(scenario, comes_s={192: math.inf})
-
-
 def test_each_opening_begins_anew():
     async def scenario(positioner, unit, now):
         await positioner.open()

@@ -1,5 +1,6 @@
 """Each setting of the unit against the configuration, at the bounds of what counts as the same."""
 
+import math
 import re
 from dataclasses import replace
 
@@ -7,7 +8,9 @@ import pytest
 
 from drivers.positioners.pozsol.geometry import AxisSetup, Proportional, Triangle
 from drivers.positioners.pozsol.unit_setup import conflicts, count_step, missing_fields
+from drivers.positioners.pozsol.wire import Field
 from tests.drivers.positioners.pozsol.test_geometry import FIELDS, A, B
+from tests.drivers.positioners.pozsol.test_opening import on_unit
 
 
 def told(fields, a=A, b=B):
@@ -162,3 +165,16 @@ def test_a_hall_count_is_told_by_the_gear(text, step):
 @pytest.mark.parametrize(("text", "missing"), [("999999", ()), ("-999999", ()), ("1000000", (79,)), ("nan", (79,))])
 def test_what_is_no_number_that_can_be_is_missing(text, missing):
     assert missing_fields(FIELDS | {79: text}) == missing
+
+
+def test_what_a_unit_does_not_tell_of_its_setup_is_not_waited_for_again_and_of_another_unit_it_is():
+    async def scenario(positioner, unit, now):
+        took_s = []
+        for serial in (b"1", b"1", b"2"):
+            unit.says[Field.SERIAL] = serial
+            begin_s = now()
+            await positioner.open()
+            took_s.append(now() - begin_s)
+        assert took_s == pytest.approx([4.5, 0.0, 4.5], abs=0.05)
+
+    on_unit(scenario, comes_s={192: math.inf})
