@@ -28,9 +28,9 @@ from pvlib.iotools.surfrad import VARIABLE_MAP as SURFRAD_VARIABLE_MAP
 from sim_drivers.weather import Conditions, WeatherError
 from solar.ephemeris import Site, sun_position
 from solar.frames import Array
+from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
 
 LONGEST_GAP_S = 3600.0
-LOWEST_W_M2, HIGHEST_W_M2 = -50.0, 2500.0
 IRRADIANCES = ("ghi", "dni", "dhi")
 OPTIONAL = ("wind_speed", "temp_air")
 _SURFRAD_SITE = re.compile(r"\s*-?\d+\.\d+\s+-?\d+\.\d+\s+-?\d+\s+m\s+version\s+\d")

@@ -86,6 +86,12 @@ def check_data_files(paths: Sequence[Path], of: str) -> None:
             raise UserError(f"there is no file {path} with {of}")
 
 
+def impossible_note(source: str, count: int, first: str) -> str:
+    """Return in a sentence how many numbers of a file cannot be, and where the first of them stands."""
+    values = "1 impossible value" if count == 1 else f"{count} impossible values"
+    return f"{source} has {values}, taken as missing; first {first}"
+
+
 def settings_for(
     config: Path | None,
     *,

@@ -330,7 +330,10 @@ def _pairs(data: list[Path] | None, stores: list[str] | None, cube: str, chrono:
     from daemon.studies.compare.stored import read_stores
 
     if data:
-        return pair(read_tables(data), (cube, chrono)), None
+        frame, notes = read_tables(data)
+        for note in notes:
+            say(f"heliocube: warning: {note}", err=True)
+        return pair(frame, (cube, chrono)), None
     with _readable(stores or []) as folders:
         frame, site = read_stores(folders)
     return pair(frame, (cube, chrono)), site

@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.studies.compare.measurements import OPTIONAL, REQUIRED, SIMULATED, Measurement
-from daemon.studies.inputs import check_packing
+from daemon.studies.inputs import check_packing, impossible_note
 from solar.frames import Array
+from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, possible
 
 TOGETHER_WITHIN_S = 5.0
 _NUMBERS = ("pmpp_w", *OPTIONAL)
+_IRRADIANCES = tuple(name for name in OPTIONAL if name.endswith("_w_m2"))
 _COLUMNS = (*REQUIRED, *OPTIONAL, SIMULATED)
 _POWER_W = (-5.0, 2000.0)
 
@@ -74,15 +76,22 @@ class Pairs:
         )
 
 
-def read_tables(paths: Sequence[Path]) -> pd.DataFrame:
-    """Return the measurements in CSV (``.gz`` too) or Parquet files as one frame with all columns of `Measurement`.
+def read_tables(paths: Sequence[Path]) -> tuple[pd.DataFrame, list[str]]:
+    """Read CSV (``.gz`` too) or Parquet files.
+
+    Returns
+    -------
+    One frame with all columns of `Measurement`, and what a person should know of it, a sentence each: irradiances that
+    cannot be are NaN in it.
 
     Raises
     ------
     UserError
         A file cannot be read, lacks a column, has one that is unknown, or holds no measurement.
     """
-    return pd.concat([_read(path) for path in paths], ignore_index=True)
+    frames = [_read(path) for path in paths]
+    notes = [note for path, frame in zip(paths, frames, strict=True) if (note := _leave_out_impossible(frame, path))]
+    return pd.concat(frames, ignore_index=True), notes
 
 
 def frame_of(measurements: Sequence[Measurement]) -> pd.DataFrame:
@@ -122,7 +131,8 @@ def pair(frame: pd.DataFrame, names: tuple[str, str], within_s: float = TOGETHER
     ghi, dhi = (
         both[f"{name}_cube"].fillna(both[f"{name}_chrono"]).to_numpy(float) for name in ("ghi_w_m2", "dhi_w_m2")
     )
-    fraction = np.clip(np.divide(dhi, ghi, out=np.full(ghi.shape, np.nan), where=ghi > 0.0), 0.0, 1.0)
+    lit = (ghi > 0.0) & (dhi >= 0.0)
+    fraction = np.minimum(np.divide(dhi, ghi, out=np.full(ghi.shape, np.nan), where=lit), 1.0)
     simulated = bool((both[f"{SIMULATED}_cube"] | both[f"{SIMULATED}_chrono"]).any())
     return Pairs(
         names=names,
@@ -166,6 +176,19 @@ def _read(path: Path) -> pd.DataFrame:
             f" ({low:g}..{high:g} W)"
         )
     return found
+
+
+def _leave_out_impossible(frame: pd.DataFrame, path: Path) -> str | None:
+    """Make irradiances that cannot be NaN, and return in a sentence how many there are, or None."""
+    columns = list(_IRRADIANCES)
+    values = frame[columns].to_numpy(float)
+    wrong = ~(possible(values) | np.isnan(values))
+    if not wrong.any():
+        return None
+    row, column = np.argwhere(wrong)[0].tolist()
+    frame[columns] = np.where(wrong, np.nan, values)
+    first = f"in row {row + 1}: {columns[column]} {values[row, column]:g}, not in {LOWEST_W_M2:g}..{HIGHEST_W_M2:g}"
+    return impossible_note(str(path), int(wrong.sum()), first)
 
 
 def _times(column: Any, path: Path) -> Array:

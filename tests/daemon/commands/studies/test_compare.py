@@ -229,6 +229,19 @@ def test_bad_tables_are_one_sentence(compare, tmp_path, columns, rows, message):
     assert "Traceback" not in err
 
 
+@pytest.mark.parametrize(("column", "wrong"), [("dhi_w_m2", -9999.0), ("ghi_w_m2", 1e9)])
+def test_an_irradiance_that_cannot_be_is_missing_and_tells_of_no_sky(compare, powers, tmp_path, column, wrong):
+    frame = pd.read_csv(powers)
+    frame.loc[720:, column] = wrong
+    frame.to_csv(powers, index=False)
+    code, out, err = compare("report", powers, "--site", SITE, "--out", tmp_path / "o", "--json")
+    assert code == 0
+    spans = [(gain["period"], gain["end"][11:16]) for gain in json.loads(out)["gains"]]
+    assert spans == [("day", "11:59"), ("variable", "10:29")]
+    told = f"has 2160 impossible values, taken as missing; first in row 721: {column} {wrong:g}, not in -50..2500"
+    assert told in " ".join(err.split())
+
+
 def test_without_a_flat_flat_period_there_is_no_fit(compare, day, tmp_path):
     code, _, err = compare("fit", day, "--out", tmp_path / "bias.json")
     assert code == 2
