@@ -89,8 +89,10 @@ def cube(
     first = None if start is None else instant(start, "--from")
     last = None if end is None else instant(end, "--to")
     readings = request.readings(sensors, store, first, last, made_on)
+    beside = read_reference(reference)
+    _warn(beside.note, readings.note)
     found = compare(
-        read_reference(reference),
+        beside,
         readings,
         made_on.site,
         made_on.cube,
@@ -171,7 +173,9 @@ def field(
     first = None if start is None else instant(start, "--from")
     last = None if end is None else instant(end, "--to")
     readings = request.readings(sensors, store, first, last, made_on)
-    level = LevelSources(known_faces, None if ghi is None else read_reference(ghi), ghi_uncertainty)
+    nearby = None if ghi is None else read_reference(ghi)
+    _warn("" if nearby is None else nearby.note, readings.note)
+    level = LevelSources(known_faces, nearby, ghi_uncertainty)
     found = calibrate_field(readings, made_on, level, model=sky.value, water_cm=water, cosine_error=cosine_error)
     lines = report.field_lines(found, made_on, sky.value)
     calibration = report.field_calibration(found, made_on, sky.value, serials, valid_days)
@@ -187,6 +191,11 @@ def _check_there(*paths: Path | None) -> None:
     for path in paths:
         if path is not None and not path.exists():
             raise UserError(f"there is no file at {path}")
+
+
+def _warn(*notes: str) -> None:
+    for note in filter(None, notes):
+        say(f"heliocube: warning: {note}", err=True)
 
 
 def _print(lines: list[str], identifier: str, out: Path) -> None:

@@ -3,6 +3,7 @@
 import csv
 import sqlite3
 import zlib
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -15,14 +16,15 @@ from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.store.schema import FILE_NAME, columns_of, open_for_reading
-from daemon.studies.inputs import check_packing
+from daemon.studies.inputs import check_packing, impossible_note
 from daemon.studies.recorded import stored_faces
 from solar.frames import Array
+from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
 
 _MV, _W_M2 = "_mv", "_w_m2"
 _REFERENCE_NAMES = ("ghi", "ghi_w_m2")
-# Far above any sun, far below any number that a damaged cell may hold.
-_LARGEST = 10_000.0
+# Of a sensor's voltage either way: a gain of 10 W/m2/mV makes of it four times what the sun can do.
+_LARGEST_MV = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +41,8 @@ class FaceReadings:
         Whether they are voltages [mV]; else irradiances [W/m2] made with some earlier gains.
     calibrations
         Identifiers of the calibrations those were made with; empty for the gains of the settings.
+    note
+        What a person should know of numbers that cannot be, taken as missing, in a sentence; empty without any.
     """
 
     source: str
@@ -46,15 +50,17 @@ class FaceReadings:
     faces: Array
     in_mv: bool
     calibrations: frozenset[str]
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceReadings:
-    """Global horizontal irradiance by a reference pyranometer, shape (n,) each; without gaps."""
+    """Global horizontal irradiance by a reference pyranometer, shape (n,) each; without gaps. As in `FaceReadings`."""
 
     source: str
     utc_s: Array
     ghi_w_m2: Array
+    note: str
 
 
 def read_reference(path: Path) -> ReferenceReadings:
@@ -63,11 +69,11 @@ def read_reference(path: Path) -> ReferenceReadings:
     name = next((name for name in _REFERENCE_NAMES if name in frame), None)
     if name is None:
         raise UserError(f"{path} has no column ghi; found: {', '.join(map(str, frame.columns))}")
-    ghi = _numbers(path, frame[name])
-    there = np.isfinite(ghi)
+    ghi, note = _possible(path, frame, [name])
+    there = np.isfinite(ghi[:, 0])
     if not there.any():
-        raise UserError(f"{path} has no reading in its column {name}")
-    return ReferenceReadings(str(path), utc_s[there], ghi[there])
+        raise UserError(f"{path} has no reading in its column {name}" + (f": {note}" if note else ""))
+    return ReferenceReadings(str(path), utc_s[there], ghi[there, 0], note)
 
 
 def read_csv(path: Path) -> FaceReadings:
@@ -88,12 +94,12 @@ def read_csv(path: Path) -> FaceReadings:
             f"{path} needs the columns {wanted}, or the same ending in {_W_M2}; found: "
             f"{', '.join(map(str, frame.columns))}"
         )
-    faces = np.stack([_numbers(path, frame[name]) for name in names], axis=-1)
-    for place, face in enumerate(FACES):
+    for face, name in zip(FACES, names, strict=True):
         if f"{face}_quality" in frame:
-            faces[frame[f"{face}_quality"].to_numpy() != "ok", place] = np.nan
+            frame[name] = frame[name].where(frame[f"{face}_quality"] == "ok", "")
+    faces, note = _possible(path, frame, names)
     made_with = frozenset(frame["calibration"]) if "calibration" in frame else frozenset({""})
-    return FaceReadings(source=str(path), utc_s=utc_s, faces=faces, in_mv=ending == _MV, calibrations=made_with)
+    return FaceReadings(str(path), utc_s, faces, in_mv=ending == _MV, calibrations=made_with, note=note)
 
 
 def read_store(directory: Path, start: datetime | None, end: datetime | None) -> FaceReadings:
@@ -174,14 +180,26 @@ def _line_of(path: Path, row: int) -> int:
     return int(np.flatnonzero(lines["text"].str.strip() != "")[row + 1]) + 1
 
 
+def _possible(path: Path, frame: pd.DataFrame, names: Sequence[str]) -> tuple[Array, str]:
+    """Return columns of one unit, NaN where a number is missing or cannot be, and the note on the latter."""
+    numbers = np.stack([_numbers(path, frame[name]) for name in names], axis=-1)
+    low, high = (-_LARGEST_MV, _LARGEST_MV) if names[0].endswith(_MV) else (LOWEST_W_M2, HIGHEST_W_M2)
+    wrong = (numbers < low) | (numbers > high)
+    if not wrong.any():
+        return numbers, ""
+    row, column = np.argwhere(wrong)[0].tolist()
+    first = f"in line {_line_of(path, row)}: {names[column]} {numbers[row, column]:g}, not in {low:g}..{high:g}"
+    return np.where(wrong, np.nan, numbers), impossible_note(str(path), int(wrong.sum()), first)
+
+
 def _numbers(path: Path, column: "pd.Series[str]") -> Array:
     text = column.str.strip()
     numbers = pd.to_numeric(text.mask(text.str.lower() == "nan", ""), errors="coerce").to_numpy(dtype=np.float64)
     missing = (text == "").to_numpy() | (text.str.lower() == "nan").to_numpy()
-    bad = np.flatnonzero(~missing & ~(np.abs(numbers) < _LARGEST))
+    bad = np.flatnonzero(~missing & ~np.isfinite(numbers))
     if bad.size:
         raise UserError(
-            f"{path}, line {_line_of(path, bad[0])}: {column.name} is '{column.iloc[bad[0]]}', not a number within "
-            f"+-{_LARGEST:g}; leave the cell empty where the value is missing"
+            f"{path}, line {_line_of(path, bad[0])}: {column.name} is '{column.iloc[bad[0]]}', not a number; leave the "
+            "cell empty where the value is missing"
         )
     return numbers

@@ -110,6 +110,30 @@ def test_a_comparison_finds_lag_gains_and_offsets_and_writes_them(heliocube, tmp
     assert f"# {lines[0]}" in out.read_text()
 
 
+def test_a_number_that_cannot_be_is_a_missing_reading_and_is_counted(heliocube, tmp_path):
+    tables = []
+    for path, wrong in zip(beside(tmp_path, days=1), ("-9999", "-9999,1,99999,1"), strict=True):
+        lines = path.read_text().splitlines()
+        # A few in each hour, and all of the night's.
+        bad = [row for row in range(1, len(lines)) if row % 20 == 7 or row < 300]
+        for marked in (False, True):
+            for row in bad:
+                lines[row] = f"{lines[row].split(',')[0]},{wrong if marked else wrong.count(',') * ','}"
+            tables.append(path.with_stem(f"{path.stem}-{marked}"))
+            tables[-1].write_text("\n".join(lines))
+    empty, marked = (
+        heliocube("calibrate", "cube", *tables[place::2], *SITE, "--out", tmp_path / f"{place}.toml")
+        for place in range(2)
+    )
+    assert (empty[0], empty[2]) == (0, "")
+    assert marked[0] == 0
+    assert marked[1].splitlines()[:-1] == empty[1].splitlines()[:-1]
+    told = "impossible values, taken as missing; first in line 2:"
+    first, second = marked[2].splitlines()
+    assert f"{tables[1]} has {len(bad)} {told} ghi -9999, not in -50..2500" in first
+    assert f"{tables[3]} has {2 * len(bad)} {told} east_mv -9999, not in -1000..1000" in second
+
+
 def test_voltages_in_volts_are_told(heliocube, tmp_path):
     reference, sensors = beside(tmp_path, days=1)
     header, *lines = (line.split(",") for line in sensors.read_text().splitlines())
@@ -234,6 +258,7 @@ def test_a_field_calibration_that_the_readings_cannot_support_says_what_is_missi
         ({"reference": "time,ghi\n2022-03-11T12:00Z,much\n"}, "line 2: ghi is 'much', not a number"),
         ({"reference": "time,ghi\n2022-03-11T12:00Z,inf\n"}, "line 2: ghi is 'inf', not a number"),
         ({"reference": "time,ghi\n2022-03-11T12:00Z,nan\n"}, "has no reading in its column ghi"),
+        ({"reference": "time,ghi\n2022-03-11T12:00Z,-9999\n"}, "has 1 impossible value, taken as missing"),
         ({"reference": "\n \ntime,ghi\n\n2022-03-11T12:00Z,1\n\n\n2022-03-11T12:01Z,much\n"}, "line 8: ghi is 'much'"),
         ({"reference": "time,ghi\nnoon,1\n"}, "line 2: 'noon' is no time such as"),
         ({"reference": "time,ghi\n2022-03-11T12:00Z,1\n2022-03-11T12:00Z,2\n"}, "line 3: the time does not come after"),
