@@ -16,9 +16,9 @@ import numpy as np
 
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Quality
-from daemon.bridge.senml import LARGEST_W_M2
 from daemon.store.schema import FILE_NAME, open_for_reading
 from solar.frames import Array
+from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
 
 COLUMNS = ("time", *FACES)
 _ROWS_AT_ONCE = 50_000
@@ -62,8 +62,8 @@ class Recording:
             found.append(f"{self.missing} of {len(FACES) * len(self.rows)} readings are missing")
         if self.impossible:
             found.append(
-                f"{self.impossible} of the missing readings are numbers beyond {LARGEST_W_M2:g} W/m2, "
-                f"the first at {self.first_impossible}"
+                f"{self.impossible} of the missing readings are numbers outside {LOWEST_W_M2:g}..{HIGHEST_W_M2:g} W/m2,"
+                f" the first at {self.first_impossible}"
             )
         return found
 
@@ -154,7 +154,7 @@ def _rows(path: Path, file: TextIO, impossible: list[str]) -> Iterator[RecordedS
             row = _row(cells, len(header), places, before_s)
             before_s = row.time_utc_s
             for name, place, value in zip(FACES, places[1:], row.irradiances_w_m2, strict=True):
-                if not (abs(value) <= LARGEST_W_M2 or math.isnan(value)):
+                if not (LOWEST_W_M2 <= value <= HIGHEST_W_M2 or math.isnan(value)):
                     impossible.append(f"line {reader.line_num}: {name} {cells[place].strip()}")
             yield row if not impossible else _possible(row)
     except UnicodeDecodeError:
@@ -195,5 +195,7 @@ def _irradiance(name: str, text: str) -> float:
 
 def _possible(row: RecordedScan) -> RecordedScan:
     """Return the row without the numbers that no face can read."""
-    east, south, west, zenith = (value if abs(value) <= LARGEST_W_M2 else math.nan for value in row.irradiances_w_m2)
+    east, south, west, zenith = (
+        value if LOWEST_W_M2 <= value <= HIGHEST_W_M2 else math.nan for value in row.irradiances_w_m2
+    )
     return RecordedScan(row.time_utc_s, (east, south, west, zenith))

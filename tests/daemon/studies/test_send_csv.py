@@ -119,13 +119,13 @@ def test_a_file_may_have_more_columns_in_any_order_blank_lines_and_a_byte_order_
 
 def test_a_number_that_no_face_can_read_is_a_missing_reading_and_is_counted(tmp_path):
     later = "2022-10-14T10:20:05Z"
-    recording = read_csv(written(tmp_path, HEADER + f"{START},1,2,13949,4\n{later},,2,inf,-1e9\n"))
+    recording = read_csv(written(tmp_path, HEADER + f"{START},1,2,-9999,4\n{later},,2,inf,-1e9\n"))
     first, second = (row.irradiances_w_m2 for row in recording.rows)
     assert first == pytest.approx((1.0, 2.0, math.nan, 4.0), nan_ok=True)
     assert second == pytest.approx((math.nan, 2.0, math.nan, math.nan), nan_ok=True)
     assert recording.notes() == [
         "4 of 8 readings are missing",
-        "3 of the missing readings are numbers beyond 10000 W/m2, the first at line 2: west 13949",
+        "3 of the missing readings are numbers outside -50..2500 W/m2, the first at line 2: west -9999",
     ]
     assert read_csv(written(tmp_path, FILE)).notes() == ["2 of 12 readings are missing"]
 
