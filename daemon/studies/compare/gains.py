@@ -19,6 +19,8 @@ from solar.frames import Array
 from solar.skies.sky_periods import LOWEST_SUN_DEG, sky_periods
 
 WHOLE_DAY = "day"
+# Share of the hours that both irradiances have to be known for: a gain over fewer is that of another time.
+_LEAST_KNOWN = 0.95
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +40,8 @@ class Gain:
     uncorrected_pct
         The same without the correction.
     irradiation_pct
-        The same of the irradiance on the modules' planes; NaN where it is not known.
+        The same of the irradiance on the modules' planes, over the pairs that have both; NaN where they are missing for
+        more than a twentieth of the hours.
     extrapolated_pct
         Share of T-Cube's measured energy at powers outside those that the correction was fitted to; NaN without one.
     simulated
@@ -112,7 +115,7 @@ def _gain(pairs: Pairs, bias: ChainBias | None, date: str, period: str, gap_s: f
         return energy_wh(time, values, gap_s)
 
     cube, chrono = sum_up(corrected_power(pairs, bias)), sum_up(pairs.chrono.pmpp_w)
-    irradiation = [sum_up(side.irradiance_w_m2) for side in (pairs.cube, pairs.chrono)]
+    hours = sum_up(np.ones(time.shape))
     beyond = np.nan
     measured = sum_up(pairs.cube.pmpp_w)
     if bias is not None and measured > 0.0:
@@ -124,15 +127,24 @@ def _gain(pairs: Pairs, bias: ChainBias | None, date: str, period: str, gap_s: f
         period=period,
         start=f"{start}Z",
         end=f"{end}Z",
-        hours=sum_up(np.ones(time.shape)),
+        hours=hours,
         cube_wh=cube,
         chrono_wh=chrono,
         gain_pct=gain_pct(cube, chrono),
         uncorrected_pct=gain_pct(measured, chrono),
-        irradiation_pct=gain_pct(*irradiation),
+        irradiation_pct=_irradiation_pct(pairs, hours, gap_s),
         extrapolated_pct=beyond,
         simulated=pairs.simulated,
     )
+
+
+def _irradiation_pct(pairs: Pairs, hours: float, gap_s: float) -> float:
+    ours, theirs = pairs.cube.irradiance_w_m2, pairs.chrono.irradiance_w_m2
+    known = np.isfinite(ours) & np.isfinite(theirs)
+    known_hours, cube, chrono = (
+        energy_wh(pairs.utc_s[known], values[known], gap_s) for values in (np.ones(known.shape), ours, theirs)
+    )
+    return gain_pct(cube, chrono) if known_hours >= _LEAST_KNOWN * hours else np.nan
 
 
 def as_text(rows: Sequence[Gain], names: tuple[str, str]) -> str:

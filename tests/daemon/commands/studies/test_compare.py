@@ -242,6 +242,19 @@ def test_an_irradiance_that_cannot_be_is_missing_and_tells_of_no_sky(compare, po
     assert told in " ".join(err.split())
 
 
+@pytest.mark.parametrize(("missing", "gain"), [(1, 2.0), (60, 2.0), (200, None)])
+def test_the_gain_in_irradiation_is_over_the_pairs_that_know_both(compare, powers, tmp_path, missing, gain):
+    frame = pd.read_csv(powers)
+    cube = frame["tracker"] == "T-Cube"
+    frame["irradiance_w_m2"] = np.where(cube, 510.0, 500.0)
+    frame.loc[900 + np.arange(missing), "irradiance_w_m2"] = np.nan
+    frame.to_csv(powers, index=False)
+    code, out, _ = compare("report", powers, "--site", SITE, "--out", tmp_path / "o", "--json")
+    assert code == 0
+    whole_day = json.loads(out)["gains"][0]
+    assert (whole_day["irradiation_pct"], whole_day["hours"]) == (pytest.approx(gain), pytest.approx(7195 / 3600))
+
+
 def test_without_a_flat_flat_period_there_is_no_fit(compare, day, tmp_path):
     code, _, err = compare("fit", day, "--out", tmp_path / "bias.json")
     assert code == 2
