@@ -87,11 +87,14 @@ def read_tables(paths: Sequence[Path]) -> tuple[pd.DataFrame, list[str]]:
     Raises
     ------
     UserError
-        A file cannot be read, lacks a column, has one that is unknown, or holds no measurement.
+        A file cannot be read, lacks a column, has one that is unknown, or holds no measurement; or a tracker has two
+        measurements of one time that differ.
     """
     frames = [_read(path) for path in paths]
     notes = [note for path, frame in zip(paths, frames, strict=True) if (note := _leave_out_impossible(frame, path))]
-    return pd.concat(frames, ignore_index=True), notes
+    together = pd.concat(frames, ignore_index=True)
+    _refuse_contradictions(together)
+    return together, notes
 
 
 def frame_of(measurements: Sequence[Measurement]) -> pd.DataFrame:
@@ -189,6 +192,18 @@ def _leave_out_impossible(frame: pd.DataFrame, path: Path) -> str | None:
     frame[columns] = np.where(wrong, np.nan, values)
     first = f"in row {row + 1}: {columns[column]} {values[row, column]:g}, not in {LOWEST_W_M2:g}..{HIGHEST_W_M2:g}"
     return impossible_note(str(path), int(wrong.sum()), first)
+
+
+def _refuse_contradictions(frame: pd.DataFrame) -> None:
+    """Raise `UserError` where a tracker has two powers of one time; the same row twice does no harm."""
+    powers = frame[np.isfinite(frame["pmpp_w"])].drop_duplicates()
+    again = powers[powers.duplicated(["time", "tracker"])]
+    if not again.empty:
+        first = again.iloc[0]
+        raise UserError(
+            f"'{first['tracker']}' has two different measurements at {iso_utc(first['time'])}, the first of"
+            f" {len(again)} such repeats: leave in the one that counts"
+        )
 
 
 def _times(column: Any, path: Path) -> Array:

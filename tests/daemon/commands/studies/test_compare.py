@@ -216,6 +216,11 @@ ROW = "2022-10-12T10:00:00Z,{},50"
         ("time,tracker,pmpp_w", ["2022-10-12T10:00:00Z,T-Cube,50000"], "which no module of a tracker gives"),
         (
             "time,tracker,pmpp_w",
+            [ROW.format("T-Chrono"), ROW.format("T-Cube"), ROW.format("T-Chrono"), "2022-10-12T10:00Z,T-Cube,25"],
+            "'T-Cube' has two different measurements at 2022-10-12T10:00:00.000Z, the first of 1 such",
+        ),
+        (
+            "time,tracker,pmpp_w",
             [ROW.format("T-Cube"), "2022-10-13T10:00:00Z,T-Chrono,50"],
             "no two measurements are within 5 s of each other (T-Cube 2022-10-12T10:00:00Z..2022-10-12T10:00:00Z",
         ),
