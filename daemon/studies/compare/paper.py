@@ -29,8 +29,6 @@ from solar.skies.overcast import ISOTROPIC, STANDARD, overcast_factor
 from solar.skies.sky import SkyModel
 
 NAMES = (T_CUBE, T_CHRONO)
-# The paper's trackers had no such limits.
-_UNLIMITED = {"travel_per_day_deg": 100000.0, "moves_per_day": 10000}
 Parts = Sequence[tuple[float, WeatherName]]
 # From before sunrise to after sunset at SIRTA in October.
 _BEGIN_HOUR, _DAY_SHARE = 5, 12.5 / 24.0
@@ -114,7 +112,7 @@ def run_paper(
     Parameters
     ----------
     settings
-        Of the rig; its sky, its seed and the limits of a day's travel are replaced.
+        Of the rig; its sky and its seed are replaced.
     skies, seeds
         Models of the diffuse light, and how many weathers, with seeds from 1 on.
     afternoon
@@ -130,8 +128,8 @@ def run_paper(
     """
     asked = [
         _Asked(
-            override(settings, {"simulation": {"sky": sky, "seed": seed}, "motion": _UNLIMITED}), afternoon, cube_law,
-            found, with_pairs=sky == skies[0] and seed == 1,
+            override(settings, {"simulation": {"sky": sky, "seed": seed}}), afternoon, cube_law, found,
+            with_pairs=sky == skies[0] and seed == 1,
         )
         for sky in skies for seed in range(1, seeds + 1)
     ]  # fmt: skip

@@ -12,7 +12,7 @@ from daemon.base.clock import Clock, LoopClock
 from daemon.base.process import Notifier
 from daemon.base.records import Bus, Record
 from daemon.base.timeloop import virtual_time
-from daemon.config.file import on_a_port_of_its_own
+from daemon.config.file import on_a_port_of_its_own, override
 from daemon.config.links import StoreSettings
 from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW, LAW
 from daemon.config.settings import Settings
@@ -30,6 +30,8 @@ T_CUBE, T_CHRONO = "T-Cube", "T-Chrono"
 # Where a file of measured weather tells neither.
 ASSUMED_AIR_DEGC, ASSUMED_WIND_M_S = 15.0, 1.0
 
+# The paper's trackers had no such limits of a day's motion.
+_UNLIMITED = {"travel_per_day_deg": 100000.0, "moves_per_day": 10000}
 _PROGRESS_EVERY_S = 900.0
 _AT_ONCE = 20_000
 
@@ -79,7 +81,7 @@ def side_by_side(
     Parameters
     ----------
     settings
-        Of both, but for the law.
+        Of both, but for the law; the limits of a day's motion do not hold.
     trackers
         The first one has the cube beside it.
     build
@@ -93,7 +95,7 @@ def side_by_side(
     -------
     In the order of time, the first tracker's measurement before the other's; only while there is light.
     """
-    settings = on_a_port_of_its_own(settings, insecure=True).model_copy(
+    settings = on_a_port_of_its_own(override(settings, {"motion": _UNLIMITED}), insecure=True).model_copy(
         update={"store": StoreSettings(), "tracker": ()}
     )
     with virtual_time() as runner:

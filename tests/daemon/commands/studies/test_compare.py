@@ -325,6 +325,16 @@ def test_two_trackers_under_one_sky_follow_their_own_laws(compare, tmp_path):
     assert ratio == pytest.approx(1 / ((1 + np.cos(tilt)) / 2 + 0.2 * (1 - np.cos(tilt)) / 2), abs=0.02)
 
 
+def test_neither_tracker_runs_out_of_moves_for_the_day(compare, tmp_path):
+    (tmp_path / "thrifty.toml").write_text("[motion]\nmoves_per_day = 2\ntravel_per_day_deg = 50.0\n")
+    arguments = ("--start", "2022-10-14T08:00", "--days", "0.02", "--weather", "clear", "--laws", "chronometric,flat")
+    code, _, _ = compare("simulate", *arguments, "--config", tmp_path / "thrifty.toml", "--out", tmp_path)
+    assert code == 0
+    rows = pd.read_csv(tmp_path / "powers.csv")
+    later = rows[(rows["tracker"] == "T-Cube") & (rows["time"] >= "2022-10-14T08:08")]
+    assert np.ptp(later["a_deg"]) > 2.0, "it follows the sun on"
+
+
 def test_a_store_with_records_of_real_instruments_takes_none_of_a_simulation(compare, tmp_path):
     file = stored_days(tmp_path / "real", simulated=False) / "heliocube.sqlite"
     before = file.read_bytes()
