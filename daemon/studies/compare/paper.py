@@ -174,11 +174,11 @@ def _twelfth(afternoon: WeatherName) -> Parts:
     return [(_at(12, 0), "clear"), (_at(12, 10, 20), "overcast"), (_at(12, 12, 10), afternoon)]
 
 
-def ceilings(site: Site, limits: Limits) -> list[tuple[str, str, float]]:
+def ceilings(site: Site, limits: Limits, albedo: float = 0.2) -> list[tuple[str, str, float]]:
     """Return what lying flat gains over standing at the sun under a closed sky, for each overcast period and sky.
 
-    Triples of period, sky and gain in irradiation [%], albedo 0.2. Horizontal irradiance goes with the sine of the
-    sun's elevation, as under cloud of one thickness.
+    Triples of period, sky and gain in irradiation [%]. Horizontal irradiance goes with the sine of the sun's elevation,
+    as under cloud of one thickness.
     """
     found = []
     for printed in (PRINTED[1], PRINTED[3]):
@@ -188,7 +188,7 @@ def ceilings(site: Site, limits: Limits) -> list[tuple[str, str, float]]:
         normals = normal_from_angles(*angles_within(sun, limits))
         tilt_deg: Array = np.degrees(np.arccos(np.clip(normals[:, 2], -1.0, 1.0)))
         for name, brightening in (("isotropic", ISOTROPIC), ("Moon & Spencer", STANDARD)):
-            share = float(np.sum(sun[:, 2] * overcast_factor(tilt_deg, brightening)) / np.sum(sun[:, 2]))
+            share = float(np.sum(sun[:, 2] * overcast_factor(tilt_deg, brightening, albedo)) / np.sum(sun[:, 2]))
             found.append((printed.span.name, name, 100.0 * (1.0 / share - 1.0)))
     return found
 

@@ -69,6 +69,9 @@ def test_the_ceiling_of_an_overcast_noon_by_hand():
     # Moon & Spencer's sky: 4/(7 pi) (0.831 - 0.981 x 0.556 - 0.697) = -0.075 less.
     assert found["overcast", "Moon & Spencer"] == pytest.approx(100 / (0.8225 - 0.0748) - 100, abs=1.0)
     assert found["overcast day", "isotropic"] > found["overcast", "isotropic"]
+    # A darker ground: (1 + 0.556)/2 + 0.1 (1 - 0.556)/2 = 0.8002, that is 25.0 %, and again lower sun before and after.
+    dark = ceilings(SIRTA, Limits(), albedo=0.1)
+    assert dark[0] == ("overcast", "isotropic", pytest.approx(25.5, abs=0.5))
 
 
 def test_weathers_are_told_by_their_spread_and_judged_by_none():
