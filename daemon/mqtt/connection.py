@@ -6,6 +6,7 @@ import logging
 import math
 import socket
 import ssl
+import time
 from collections.abc import AsyncIterator, Awaitable, Coroutine
 from dataclasses import dataclass
 from typing import Any, Self, TypeVar
@@ -22,6 +23,8 @@ T = TypeVar("T")
 _CONNECT_S = 3.0
 _CONFIRM_S = 5.0
 _LEAVE_S = 1.0
+# A name server that does not answer holds a look-up for longer than a service has time to end.
+_DIAL_ENDS_WITHIN_S = 5.0
 _FAILURES = 128
 _OTHER_VERSION = 132
 _MOST_INCOMING = 1000
@@ -89,7 +92,7 @@ class Connection:
         self._place = f"{settings.host}:{settings.port}"
 
     async def open(self) -> None:
-        """Connect; a cancellation waits for the end of a dial that is under way, 3 s at most for a reachable name.
+        """Connect; a cancellation waits for the end of a dial that is under way, for 5 s at most.
 
         Raises
         ------
@@ -279,7 +282,8 @@ class _Client(aiomqtt.Client):
     async def abandon(self, opening: "asyncio.Task[Self] | None") -> None:
         """Close the socket if it is open still, and take note of errors that nobody has asked for."""
         if opening is not None:
-            while not (opening.done() or self.dialled):
+            until_s = time.monotonic() + _DIAL_ENDS_WITHIN_S
+            while not (opening.done() or self.dialled) and time.monotonic() < until_s:
                 await asyncio.wait((opening,), timeout=0.05)
             opening.cancel()
             with contextlib.suppress(Exception, asyncio.CancelledError):
