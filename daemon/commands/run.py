@@ -6,6 +6,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC
 from functools import partial
 from importlib.metadata import version
@@ -47,6 +48,10 @@ from daemon.sunspec.server import SunSpecServer
 
 log = logging.getLogger("heliocube")
 
+# Pages, keys and files take one for a moment. Each tracker's link has one while its broker's name is looked up, which
+# takes seconds where no name server answers.
+_THREADS = 8
+
 
 def run_service(settings: Settings, role: Role, for_s: float | None, console: Console) -> None:
     """Run one role of the service until SIGINT, SIGTERM, SIGHUP or the end of `for_s` seconds of wall time.
@@ -72,6 +77,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
         asyncio.Runner(loop_factory=lambda: new_loop(speed)) as runner,
     ):
         loop = runner.get_loop()
+        loop.set_default_executor(ThreadPoolExecutor(_THREADS + len(settings.trackers)))
         clock = _clock(settings, loop)
         rig = _rig(settings, role, clock, (for_s or 0.0) * speed)
         bus = Bus()

@@ -14,7 +14,6 @@ import pytest
 
 from daemon.commands.main import main
 from daemon.store.schema import open_for_writing
-from tests.support.stored_day import stored_days
 
 pytestmark = pytest.mark.slow
 
@@ -302,45 +301,6 @@ def test_a_bias_of_other_trackers_or_none_at_all_is_refused(compare, flat, day, 
     assert code == 2
     assert "was not written by 'heliocube compare fit'" in err
     assert compare("report", tmp_path / "none.csv", "--site", SITE, "--out", tmp_path / "o")[0] == 2
-
-
-def test_two_trackers_under_one_sky_follow_their_own_laws(compare, tmp_path):
-    arguments = ("--start", "2022-10-14T11:00", "--days", "0.012", "--weather", "overcast")
-    code, out, err = compare("simulate", *arguments, "--out", tmp_path, "--json")
-    assert (code, err) == (0, "")
-    assert json.loads(out)["powers"] == 2 * 208
-    rows = list(csv.DictReader((tmp_path / "powers.csv").read_text().splitlines()))
-    cube, chrono = ([row for row in rows if row["tracker"] == name] for name in ("T-Cube", "T-Chrono"))
-    assert len(cube) == len(chrono) == 208
-    assert [row["time"] for row in cube] == [row["time"] for row in chrono]
-    assert {row["simulated"] for row in rows} == {"true"}
-    code, out, err = compare("report", tmp_path / "powers.csv", "--site", SITE, "--out", tmp_path)
-    assert (code, err) == (0, "")
-    assert "<h1>SIMULATED: " in (tmp_path / "report.html").read_text()
-    # The cube's law lies flat under cloud; the other stands at a sun 33 deg high.
-    assert float(cube[-1]["b_deg"]) == pytest.approx(90.0, abs=1.5)
-    assert float(chrono[-1]["b_deg"]) == pytest.approx(33.0, abs=2.0)
-    ratio = float(cube[-1]["irradiance_w_m2"]) / float(chrono[-1]["irradiance_w_m2"])
-    tilt = np.radians(57.0)
-    assert ratio == pytest.approx(1 / ((1 + np.cos(tilt)) / 2 + 0.2 * (1 - np.cos(tilt)) / 2), abs=0.02)
-
-
-def test_neither_tracker_runs_out_of_moves_for_the_day(compare, tmp_path):
-    (tmp_path / "thrifty.toml").write_text("[motion]\nmoves_per_day = 2\ntravel_per_day_deg = 50.0\n")
-    arguments = ("--start", "2022-10-14T08:00", "--days", "0.02", "--weather", "clear", "--laws", "chronometric,flat")
-    code, _, _ = compare("simulate", *arguments, "--config", tmp_path / "thrifty.toml", "--out", tmp_path)
-    assert code == 0
-    rows = pd.read_csv(tmp_path / "powers.csv")
-    later = rows[(rows["tracker"] == "T-Cube") & (rows["time"] >= "2022-10-14T08:08")]
-    assert np.ptp(later["a_deg"]) > 2.0, "it follows the sun on"
-
-
-def test_a_store_with_records_of_real_instruments_takes_none_of_a_simulation(compare, tmp_path):
-    file = stored_days(tmp_path / "real", simulated=False) / "heliocube.sqlite"
-    before = file.read_bytes()
-    code, _, err = compare("simulate", "--start", "2022-10-12T10:00", "--days", "0.02", "--store", tmp_path / "real")
-    assert (code, file.read_bytes() == before) == (2, True)
-    assert "has records of real instruments: name another folder" in " ".join(err.split())
 
 
 def test_one_store_has_both_trackers_with_their_own_laws_curves_and_poses(compare, few_curves, tmp_path):
