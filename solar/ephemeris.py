@@ -29,9 +29,8 @@ REMEMBERED_DAYS = 16
 REMEMBERED_WHOLE_DAYS = 1000
 
 _WORTH_A_DAY = 4
-_STEPS = 8
-_CLOSE_S = 1.0
-_FARTHEST_S = 3600.0
+_STEPS = 2
+_PATH_EVERY_S = 60.0
 _YEAR_10000_S = 253402300800.0
 
 Number = TypeVar("Number", float, Array)
@@ -69,11 +68,12 @@ class SunDay(NamedTuple):
     Attributes
     ----------
     sunrise_utc_s, sunset_utc_s
-        The sun's upper limb on a flat horizon; None on a day without.
+        The sun's upper limb on a flat horizon, within half a day of noon; None on a day without. Where the polar day
+        begins or ends, a day may have one of them alone.
     noon_utc_s
         The sun crosses the meridian.
     highest_elevation_deg
-        Apparent elevation then; below zero it is a polar night, and without sunrise above zero a polar day.
+        Apparent elevation then. Without sunrise and sunset, below zero it is a polar night, above zero a polar day.
     """
 
     sunrise_utc_s: float | None
@@ -138,21 +138,37 @@ def sun_day(utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m:
 @lru_cache(maxsize=REMEMBERED_DAYS)
 def _sun_day(mean_solar_day: float, latitude_deg: float, longitude_deg: float, altitude_m: float) -> SunDay:
     """Work it out once for all trackers of a process, which ask as soon as a day begins."""
-    from pvlib import spa
-
-    mean_noon_utc_s = (mean_solar_day + 0.5) * DAY_S - longitude_deg * 240.0
-    # The equation of time can carry the true noon into the UTC day before or after that of the mean noon.
-    midnights = (mean_noon_utc_s // DAY_S + np.array([-1.0, 0.0, 1.0])) * DAY_S
-    delta_t = _delta_t_s(midnights)
-    noon, sunrise, sunset = spa.transit_sunrise_sunset(midnights, latitude_deg, longitude_deg, delta_t, 1)
-    nearest = int(np.argmin(np.abs(noon - mean_noon_utc_s)))
-    place = (latitude_deg, longitude_deg, altitude_m)
+    noon_utc_s = _noon_utc_s((mean_solar_day + 0.5) * DAY_S - longitude_deg * 240.0, longitude_deg)
+    instants = noon_utc_s + np.arange(-DAY_S / 2.0, DAY_S / 2.0 + 1.0, _PATH_EVERY_S)
+    sun = sun_position(instants, latitude_deg, longitude_deg, altitude_m)
+    above_deg = sun.geometric_elevation_deg - RISE_ELEVATION_DEG
+    # Near the poles the sun is highest beside the meridian.
+    top = int(np.argmax(above_deg))
     return SunDay(
-        _refined(float(sunrise[nearest]), *place),
-        float(noon[nearest]),
-        _refined(float(sunset[nearest]), *place),
-        sun_position(float(noon[nearest]), *place).elevation_deg,
+        _first_below(instants[top::-1], above_deg[top::-1]),
+        noon_utc_s,
+        _first_below(instants[top:], above_deg[top:]),
+        float(sun.elevation_deg[len(instants) // 2]),
     )
+
+
+def _noon_utc_s(mean_noon_utc_s: float, longitude_deg: float) -> float:
+    """Repeat Newton's method on the hour angle, which is never farther from zero than the equation of time."""
+    noon_utc_s = mean_noon_utc_s
+    for _ in range(_STEPS):
+        sidereal, ascension, *_ = _geocentric(np.array([noon_utc_s]))
+        hour_angle = (float(sidereal[0] - ascension[0]) + longitude_deg + 180.0) % 360.0 - 180.0
+        noon_utc_s -= hour_angle * 240.0
+    return noon_utc_s
+
+
+def _first_below(instants: Array, above_deg: Array) -> float | None:
+    """When the sun, followed from its highest point, is on the horizon; None where it never is, or never above."""
+    below = np.flatnonzero(above_deg <= 0.0)
+    if not below.size or below[0] == 0:
+        return None
+    pair = slice(int(below[0]) - 1, int(below[0]) + 1)
+    return float(np.interp(0.0, -above_deg[pair], instants[pair]))
 
 
 def _topocentric(utc_s: Array, latitude_deg: float, longitude_deg: float, altitude_m: float) -> list[Array]:
@@ -196,7 +212,7 @@ def _at_hours(hours: NDArray[np.int64]) -> Array:
     """Geocentric quantities at whole hours since 1970, shape (4, n), from memory if they were asked for before."""
     if not hours.size:
         return np.empty((4, 0))
-    if hours.size > REMEMBERED_HOURS // 4:
+    if hours.size > REMEMBERED_HOURS // 8:
         days, position = np.unique(hours // 24, return_inverse=True)
         # All hours of a day for the sake of one or two would take longer.
         if hours.size < days.size * _WORTH_A_DAY:
@@ -260,24 +276,6 @@ def _finite(utc_s: float | Array) -> Array:
     if not np.all(np.abs(instants) < _YEAR_10000_S):
         raise ValueError(f"the time must be finite seconds since 1970, no milliseconds, and not {utc_s}")
     return instants
-
-
-def _refined(utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m: float) -> float | None:
-    """Repeat Newton's method: pvlib's sunrise and sunset are off by up to 4 min far from Greenwich."""
-    if np.isnan(utc_s):
-        return None
-    found_s = utc_s
-    for _ in range(_STEPS):
-        instants = found_s + np.array([0.0, 30.0])
-        now, then = sun_position(instants, latitude_deg, longitude_deg, altitude_m).geometric_elevation_deg
-        step_s = 30.0 * (RISE_ELEVATION_DEG - float(now)) / float(then - now) if then != now else np.inf
-        if abs(found_s + step_s - utc_s) > _FARTHEST_S:
-            break
-        found_s += step_s
-        if abs(step_s) < _CLOSE_S:
-            return found_s
-    # Where the sun only grazes the horizon the slope vanishes, and the first estimate is the better one.
-    return utc_s
 
 
 _SUN_EVERY_S = 60.0

@@ -15,7 +15,7 @@ def sun_json(site: Site, utc_s: float) -> dict[str, Any]:
     """Return the solar day that `utc_s` [s UTC] falls in: rise, noon, set, and the path in steps of 10 minutes.
 
     The path begins and ends at the sun's lowest points; each point is a time, the azimuth from north and the apparent
-    elevation [deg]. Rise and set are None on a day without.
+    elevation [deg]. Rise and set are None on a day without, one of them alone where the polar day begins or ends.
     """
     return _day(site, float(solar_days(np.array(utc_s), site.longitude_deg)))
 

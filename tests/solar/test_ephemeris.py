@@ -133,6 +133,59 @@ def test_sunrise_and_sunset_are_true_to_the_second_far_from_greenwich_too(site, 
         assert found == pytest.approx(brentq(above_deg, found - 900.0, found + 900.0, xtol=0.1), abs=1.0)
 
 
+SUVA = (-18.1416, 178.4419, 6.0)
+CHATHAM = (-43.95, -176.55, 10.0)
+GISBORNE = (-38.66, 178.02, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("site", "date"),
+    [
+        (SUVA, "2025-09-20T00:00"),
+        (CHATHAM, "2025-02-19T00:00"),
+        (GISBORNE, "2025-09-25T00:00"),
+        ((0.0, 180.0, 0.0), "2025-09-02T00:00"),
+        ((0.0, -180.0, 0.0), "2025-09-02T00:00"),
+    ],
+)
+def test_near_the_date_line_the_solar_day_is_the_one_around_the_instant_on_every_date(site, date):
+    for instant in utc(date) + 86400.0 * np.arange(-4.0, 5.0):
+        day = sun_day(instant, *site)
+        assert day.sunrise_utc_s < instant < day.sunset_utc_s
+        assert abs(day.noon_utc_s - instant) < 12.3 * 3600.0
+        equatorward_deg = (sun_position(day.noon_utc_s, *site).azimuth_deg + 90.0) % 180.0 - 90.0
+        assert equatorward_deg == pytest.approx(0.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("site", "date", "rise_h", "set_h"),
+    [
+        # Its highest point is 0.03 deg above the horizon, and 0.03 deg below.
+        ((68.4, 17.0, 0.0), "2024-01-07T11:00", -0.20, 0.20),
+        ((67.5, -140.0, 0.0), "2024-12-16T21:00", None, None),
+        # Its lowest point is 0.02 deg below; the night after it is none.
+        ((66.2, 25.0, 0.0), "2024-06-09T10:00", -11.84, None),
+        ((78.2, 15.6, 0.0), "2024-08-24T11:00", None, 11.14),
+    ],
+)
+def test_where_the_sun_grazes_the_horizon_it_rises_and_sets_when_it_is_there(site, date, rise_h, set_h):
+    day = sun_day(utc(date), *site)
+    for found_s, expected_h in ((day.sunrise_utc_s, rise_h), (day.sunset_utc_s, set_h)):
+        if expected_h is None:
+            assert found_s is None
+        else:
+            assert (found_s - day.noon_utc_s) / 3600.0 == pytest.approx(expected_h, abs=0.02)
+            assert sun_position(found_s, *site).geometric_elevation_deg == pytest.approx(-0.8333, abs=2e-4)
+
+
+@pytest.mark.parametrize("latitude_deg", [67.5, 78.2, -89.9])
+def test_at_high_latitudes_the_sun_never_sets_before_it_rises(latitude_deg):
+    for instant in utc("2024-01-01T12:00") + 86400.0 * np.arange(0.0, 366.0, 10.0):
+        day = sun_day(instant, latitude_deg, 15.0, 0.0)
+        if day.sunrise_utc_s is not None and day.sunset_utc_s is not None:
+            assert day.sunrise_utc_s < day.sunset_utc_s
+
+
 def test_a_day_is_worked_out_once_for_all_trackers_that_ask_in_it():
     one = sun_day(1665705600.0, 48.7, 2.2, 156.0)
     assert sun_day(1665705600.0 + 36000.0, 48.7, 2.2, 156.0) is one

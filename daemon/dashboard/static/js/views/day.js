@@ -278,7 +278,10 @@ export function day() {
     const hours = {};
     for (const { name, from, to } of held.spans) hours[name] = (hours[name] ?? 0) + to - from;
     const modes = Object.entries(hours).sort((a, b) => b[1] - a[1]).map(([name, seconds]) => `${TITLE[name] ?? name} ${duration(seconds)}`);
-    const sun = held.sun.sunrise ? `Sun from ${localTime(Date.parse(held.sun.sunrise), false)} to ${localTime(Date.parse(held.sun.sunset), false)} local, highest ${deg(held.sun.highest_elevation_deg)}. ` : "";
+    const { sunrise, sunset, highest_elevation_deg } = held.sun;
+    const rise = sunrise ? ` from ${localTime(Date.parse(sunrise), false)}` : "";
+    const set = sunset ? ` to ${localTime(Date.parse(sunset), false)}` : "";
+    const sun = rise || set ? `Sun${rise}${set} local, highest ${deg(highest_elevation_deg)}. ` : "";
     const early = held.cut.length ? ` The day has more records than fit here: ${held.cut.join(", ")} end early.` : "";
     const lasted = modes.length ? ` ${modes.join(", ")}.` : "";
     return `${sun}${num(held.scans.time.length)} scans; ${num(held.moves.length)} ${held.moves.length === 1 ? "move" : "moves"} over ${deg(travel)}.${lasted}${early}`;
@@ -296,7 +299,8 @@ export function day() {
   function show(part) {
     if (!held) return;
     if (part === "Whole day") plots.zoom(held.from / 1000, held.to / 1000);
-    if (part === "Daylight" && held.sun.sunrise) plots.zoom(Date.parse(held.sun.sunrise) / 1000, Date.parse(held.sun.sunset) / 1000);
+    const { sunrise, sunset, path } = held.sun;
+    if (part === "Daylight" && (sunrise || sunset)) plots.zoom(Date.parse(sunrise ?? path[0].time) / 1000, Date.parse(sunset ?? path.at(-1).time) / 1000);
     const last = held.scans.time.at(-1);
     if (part === "Last hour" && last) plots.zoom(last - 3600, last);
   }
