@@ -9,8 +9,9 @@ pvlib is loaded when a sun is first asked for: with scipy and pandas behind it, 
 refusing a configuration, which knows sites and laws from here.
 """
 
+import math
 from functools import lru_cache
-from typing import Generic, NamedTuple, TypeVar, overload
+from typing import Generic, NamedTuple, Self, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,12 +37,21 @@ _YEAR_10000_S = 253402300800.0
 Number = TypeVar("Number", float, Array)
 
 
-class Site(NamedTuple):
-    """A place on Earth: degrees north, degrees east, metres above sea level."""
-
+class _Place(NamedTuple):
     latitude_deg: float
     longitude_deg: float
     altitude_m: float
+
+
+class Site(_Place):
+    """A place on Earth: degrees north, degrees east, metres above sea level; raises `ValueError` for any other."""
+
+    __slots__ = ()
+
+    def __new__(cls, latitude_deg: float, longitude_deg: float, altitude_m: float) -> Self:
+        """Make one."""
+        _check_place(latitude_deg, longitude_deg, altitude_m)
+        return super().__new__(cls, latitude_deg, longitude_deg, altitude_m)
 
 
 class SunPosition(NamedTuple, Generic[Number]):
@@ -96,8 +106,10 @@ def sun_position(
     """Return the sun's position at `utc_s` [s since 1970-01-01 UTC], one instant or an array of any shape.
 
     Dates of numpy and the index of a frame are taken too, as UTC where they have no zone. Refraction is that of mean
-    pressure at `altitude_m` and 12 deg C. Raises `ValueError` for an instant that is not finite or after 9999.
+    pressure at `altitude_m` and 12 deg C. Raises `ValueError` for an instant that is not finite or after 9999, and for
+    a place that is not on Earth.
     """
+    _check_place(latitude_deg, longitude_deg, altitude_m)
     instants = _finite(utc_s)
     azimuth, apparent, geometric = _topocentric(instants.ravel(), latitude_deg, longitude_deg, altitude_m)
     if instants.ndim == 0:
@@ -107,7 +119,10 @@ def sun_position(
 
 
 def sun_direction(utc_s: float | Array, latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0) -> Array:
-    """Return the unit vector(s) towards the apparent sun, shape (..., 3), in the frame of :mod:`solar.frames`."""
+    """Return the unit vector(s) towards the apparent sun, shape (..., 3), in the frame of :mod:`solar.frames`.
+
+    Raises `ValueError` as `sun_position` does.
+    """
     instants = _finite(utc_s)
     sun = sun_position(instants, latitude_deg, longitude_deg, altitude_m)
     return direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, latitude_deg)
@@ -130,7 +145,11 @@ def solar_days(utc_s: Array, longitude_deg: float) -> Array:
 
 
 def sun_day(utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0) -> SunDay:
-    """Return sunrise, noon and sunset of the solar day that `utc_s` [s UTC] falls in at that longitude."""
+    """Return sunrise, noon and sunset of the solar day that `utc_s` [s UTC] falls in at that longitude.
+
+    Raises `ValueError` as `sun_position` does.
+    """
+    _check_place(latitude_deg, longitude_deg, altitude_m)
     mean_solar_day = (float(_finite(utc_s)) + longitude_deg * 240.0) // DAY_S
     return _sun_day(mean_solar_day, latitude_deg, longitude_deg, altitude_m)
 
@@ -263,6 +282,15 @@ def _delta_t_s(utc_s: Array) -> Array:
 
     months = utc_s.astype("datetime64[s]").astype("datetime64[M]").astype(np.int64)
     return np.asarray(spa.calculate_deltat(1970 + months // 12, months % 12 + 1), dtype=np.float64)
+
+
+def _check_place(latitude_deg: float, longitude_deg: float, altitude_m: float) -> None:
+    # NaN is within no limit.
+    if not (-90.0 <= latitude_deg <= 90.0 and math.isfinite(longitude_deg) and math.isfinite(altitude_m)):
+        raise ValueError(
+            "a site is -90 to 90 degrees north, degrees east and metres above sea level, and not"
+            f" {latitude_deg}, {longitude_deg}, {altitude_m}"
+        )
 
 
 def _finite(utc_s: float | Array) -> Array:

@@ -27,12 +27,18 @@ class Angles(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The permitted range of each angle [deg], ends included."""
+    """The permitted range of each angle [deg], ends included; raises `ValueError` for one that permits no angle."""
 
     a_min_deg: float = -50.0
     a_max_deg: float = 50.0
     b_min_deg: float = 15.0
     b_max_deg: float = 90.0
+
+    def __post_init__(self) -> None:
+        """Refuse a range whose ends are exchanged."""
+        # NaN is below nothing.
+        if not (self.a_min_deg <= self.a_max_deg and self.b_min_deg <= self.b_max_deg):
+            raise ValueError(f"the lowest angle must not be above the highest, as in {self}")
 
     def contain(self, a_deg: float, b_deg: float) -> bool:
         """Tell whether both angles are inside; NaN is outside."""

@@ -113,6 +113,8 @@ def the_enable_line_is_free(settings: Sections) -> Iterator[Conflict]:
 
 def the_positioner_reaches_its_limits(settings: Sections) -> Iterator[Conflict]:
     """With positions in mm, each axis' triangle stays between 0 and 180 deg from its low end to its limits."""
+    if any(limits_are_ordered(settings)):
+        return
     section = "instruments.positioner"
     for key, reason, others in settings.instruments.positioner.conflicts(settings.limits.limits()):
         where = tuple(other[1:] if other.startswith("/") else f"{section}.{other}" for other in others)
@@ -128,13 +130,14 @@ def the_faces_can_be_told_apart(settings: Sections) -> Iterator[Conflict]:
 
 def the_positioner_reaches_night_stow_and_snow(settings: Sections) -> Iterator[Conflict]:
     """Night, stow and snow positions lie in the range that is set for a rotator in `instruments.positioner`."""
+    if any(limits_are_ordered(settings)):
+        return
     own, safety = settings.instruments.positioner, settings.safety
     equator_deg = equator_azimuth_deg(settings.site.latitude_deg)
-    limits = settings.limits.limits()
     for position in ("night", "stow", "snow"):
         a_deg, b_deg = getattr(safety, f"{position}_a_deg"), getattr(safety, f"{position}_b_deg")
         if position == "snow":
-            a_deg, b_deg = limits.clip(a_deg, b_deg)
+            a_deg, b_deg = settings.limits.limits().clip(a_deg, b_deg)
         if reason := own.unreachable(a_deg, b_deg, equator_deg):
             yield Conflict(f"safety.{position}_b_deg", reason, (f"safety.{position}_a_deg",))
 

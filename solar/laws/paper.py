@@ -72,8 +72,11 @@ def sun_vector(
     Raises
     ------
     ValueError
-        The last axis has not four faces.
+        The last axis has not four faces, or the albedo is none.
     """
+    # Written so that NaN fails.
+    if not 0.0 <= albedo <= 1.0:
+        raise ValueError(f"the albedo must be a share from 0 to 1, not {albedo}")
     east, south, west, zenith, valid = _split(faces)
     least = np.minimum(east, west)
     equatorward = _beyond(south - least, uniform_threshold * zenith)

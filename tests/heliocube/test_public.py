@@ -46,3 +46,31 @@ def test_faces_become_angles_all_at_once():
     assert (a_deg[0, 0], b_deg[0, 0]) == pytest.approx((0.0, np.degrees(np.arctan2(600.0, 500.0))))
     assert (a_deg[0, 1], b_deg[0, 1]) == pytest.approx((-45.0, 90.0))
     assert np.isnan([a_deg[1], b_deg[1]]).all()
+
+
+@pytest.mark.parametrize("latitude_deg", [148.0, -90.001, np.nan, np.inf])
+def test_a_place_that_is_not_on_earth_is_refused(latitude_deg):
+    place = (latitude_deg, 2.0, 0.0)
+    for asked in (heliocube.sun_position, heliocube.sun_direction, heliocube.sun_day):
+        with pytest.raises(ValueError, match="-90 to 90 degrees north"):
+            asked(0.0, *place)
+    with pytest.raises(ValueError, match="-90 to 90 degrees north"):
+        heliocube.Site(*place)
+
+
+@pytest.mark.parametrize("place", [(90.0, np.nan, 0.0), (90.0, 2.0, -np.inf)])
+def test_a_site_has_a_longitude_and_an_altitude(place):
+    with pytest.raises(ValueError, match="degrees east and metres above sea level"):
+        heliocube.Site(*place)
+
+
+@pytest.mark.parametrize("ends", [{"a_min_deg": 60.0}, {"b_max_deg": 14.0}, {"b_min_deg": np.nan}])
+def test_limits_that_permit_no_angle_are_refused(ends):
+    with pytest.raises(ValueError, match="the lowest angle must not be above the highest, as in A"):
+        heliocube.Limits(**ends)
+
+
+@pytest.mark.parametrize("albedo", [2.0, -0.1, np.nan])
+def test_an_albedo_that_is_no_share_is_refused(albedo):
+    with pytest.raises(ValueError, match=f"the albedo must be a share from 0 to 1, not {albedo}"):
+        heliocube.sun_vector(SOUTH_AT_45_DEG, albedo=albedo)
