@@ -14,7 +14,7 @@ import pandas as pd
 
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
-from daemon.store.export import export
+from daemon.store.export import KINDS, export
 from daemon.studies.inputs import instant, settings_for
 from daemon.studies.recorded import RecordedScan, read_csv
 from daemon.studies.replay import replay as run_replay
@@ -24,6 +24,7 @@ from solar.ephemeris import Site
 __all__ = ["UserError", "read_faces", "read_store", "replay", "simulate"]
 
 Tables = dict[str, pd.DataFrame]
+Place = Site | tuple[float, float, float]
 
 
 def simulate(
@@ -32,7 +33,7 @@ def simulate(
     days: float = 1.0,
     weather: str | Path | None = None,
     law: str | None = None,
-    site: Site | None = None,
+    site: Place | None = None,
     seed: int | None = None,
     config: Path | str | None = None,
 ) -> Tables:
@@ -49,7 +50,7 @@ def simulate(
     law
         Pointing law by name, such as ``mu-prime`` or ``optimal``.
     site
-        Where; None is the configuration's.
+        Where, a `Site` or its three numbers; None is the configuration's.
     seed
         Of weather and noise: the same one gives the same tables.
     config
@@ -102,12 +103,16 @@ def read_store(
     Raises
     ------
     UserError
-        There is no store, or the span is empty.
+        There is no store, the span is empty, or a kind is none.
     """
+    wanted = [kinds] if isinstance(kinds, str) else list(kinds)
+    unknown = [kind for kind in wanted if kind not in KINDS]
+    if unknown:
+        raise UserError(f"kinds: {unknown[0]!r} is not one of {', '.join(KINDS)}")
     with TemporaryDirectory(prefix="heliocube-") as folder:
         first = None if start is None else _instant(start, "start")
         last = None if end is None else _instant(end, "end")
-        export(Path(directory), Path(folder), "parquet", first, last, kinds)
+        export(Path(directory), Path(folder), "parquet", first, last, wanted)
         return _tables(Path(folder))
 
 
@@ -133,7 +138,7 @@ def read_faces(path: Path | str) -> pd.DataFrame:
 
 
 def replay(
-    faces: pd.DataFrame, *, site: Site, law: str | None = None, config: Path | str | None = None
+    faces: pd.DataFrame, *, site: Place, law: str | None = None, config: Path | str | None = None
 ) -> pd.DataFrame:
     """Let recorded readings drive a simulated tracker through the code that runs live.
 
@@ -219,8 +224,14 @@ def _instant(at: str | datetime, name: str) -> datetime:
     return instant(at if isinstance(at, str) else at.isoformat(), name)
 
 
-def _place(site: Site | None) -> dict[str, object] | None:
-    return None if site is None else {"name": f"{site.latitude_deg:g}, {site.longitude_deg:g}", **site._asdict()}
+def _place(site: Place | None) -> dict[str, object] | None:
+    if site is None:
+        return None
+    try:
+        place = Site(*site)
+    except TypeError:
+        raise UserError(f"site: {site!r} is no place; write heliocube.Site(48.7176, 2.2090, 156.0)") from None
+    return {"name": f"{place.latitude_deg:g}, {place.longitude_deg:g}", **place._asdict()}
 
 
 def _path(file: Path | str | None) -> Path | None:

@@ -74,3 +74,23 @@ def test_limits_that_permit_no_angle_are_refused(ends):
 def test_an_albedo_that_is_no_share_is_refused(albedo):
     with pytest.raises(ValueError, match=f"the albedo must be a share from 0 to 1, not {albedo}"):
         heliocube.sun_vector(SOUTH_AT_45_DEG, albedo=albedo)
+
+
+def test_a_kind_that_no_store_has_is_refused_with_those_that_are_there(tmp_path):
+    for kinds in ("scan", ["poses", "scan"]):
+        with pytest.raises(heliocube.UserError, match="kinds: 'scan' is not one of scans, decisions, moves, poses"):
+            heliocube.read_store(tmp_path, kinds=kinds)
+
+
+def test_what_is_no_place_is_refused_as_a_site():
+    readings = heliocube.read_faces(heliocube.sample("clear")).iloc[600:610]
+    for site in ((48.7, 2.2), "48.7,2.2,156", (48.7, "E", 156.0), 48.7):
+        with pytest.raises(heliocube.UserError, match=r"is no place; write heliocube\.Site\("):
+            heliocube.replay(readings, site=site)
+
+
+def test_a_site_may_be_its_three_numbers():
+    readings = heliocube.read_faces(heliocube.sample("clear")).iloc[600:604]
+    place = (48.7176, 2.209, 156.0)
+    same = [heliocube.replay(readings, site=site, law="chronometric") for site in (place, heliocube.Site(*place))]
+    assert same[0].equals(same[1])
