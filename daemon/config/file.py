@@ -104,7 +104,7 @@ def load_settings_with_topics(path: Path, unusable: Callable[[Settings], Iterabl
 
 
 def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]], to_come: Collection[str] = ()) -> Settings:
-    """Return the settings with some keys changed, as the command line does; raises `ConfigError`.
+    """Return the settings with some keys changed, as the command line and the library do; raises `ConfigError`.
 
     Parameters
     ----------
@@ -120,9 +120,9 @@ def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]], to_co
         else:
             raw[section] |= values
         for table in raw["tracker"]:
-            # What is said on the command line holds for every tracker.
+            # What is asked for so holds for every tracker.
             without(table, section, values)
-    return _settings(raw, "the command line", to_come=to_come)
+    return _settings(raw, "what was asked for", to_come=to_come)
 
 
 def on_a_port_of_its_own(settings: Settings, *, insecure: bool = False) -> Settings:

@@ -77,7 +77,7 @@ def export(
         The span is empty or ends before it begins, or has no record; there is no store; the tables cannot be written.
     """
     if start is not None and end is not None and start >= end:
-        raise UserError(f"--from {_text(start)} is not before --to {_text(end)}: exchange them")
+        raise UserError(f"the first instant {_text(start)} is not before the end {_text(end)}: exchange them")
     span = -math.inf if start is None else start.timestamp(), math.inf if end is None else end.timestamp()
     if needs_records:
         require_records(directory / FILE_NAME, *span)

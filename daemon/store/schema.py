@@ -151,7 +151,7 @@ def require_store(path: Path) -> None:
     except PermissionError:
         raise _closed_to_us(path) from None
     if not there:
-        raise StoreError(f"there is no store at {path}; name its folder with --store, or the service's --config")
+        raise StoreError(f"there is no store at {path}; name the folder that its service has as store.directory")
 
 
 def open_for_reading(path: Path) -> sqlite3.Connection:

@@ -90,7 +90,7 @@ def simulate(
     end_utc_s = start_utc_s + days * DAY_S
     if not FIRST_START.timestamp() <= start_utc_s <= end_utc_s <= END_OF_STARTS.timestamp():
         years = f"{FIRST_START.year} to {END_OF_STARTS.year - 1}"
-        raise UserError(f"the simulated time must be within the years {years}: choose another --start or fewer --days")
+        raise UserError(f"the simulated time must be within the years {years}: choose another start or fewer days")
     _require_daylight(settings, start_utc_s, end_utc_s)
     calibration = calibration_in_force(settings.cube)
     weather, warning = build_weather(settings, start_utc_s, end_utc_s, with_gaps=True)
@@ -171,7 +171,7 @@ def _require_daylight(settings: Settings, start_utc_s: float, end_utc_s: float) 
         if utc_s > end_utc_s:
             raise UserError(
                 f"the sun does not rise at latitude {site.latitude_deg:g} deg in the simulated time (its highest "
-                f"elevation is {day.highest_elevation_deg:.1f} deg): choose another --start or another site"
+                f"elevation is {day.highest_elevation_deg:.1f} deg): choose another start or another site"
             )
 
 

@@ -82,6 +82,19 @@ def test_a_kind_that_no_store_has_is_refused_with_those_that_are_there(tmp_path)
             heliocube.read_store(tmp_path, kinds=kinds)
 
 
+def test_a_refusal_names_no_option_of_the_command_line(tmp_path):
+    refused = [
+        (lambda: heliocube.simulate("2022-10-14", law="muprime"), r"(?s)^what was asked for has 1 .* did you mean"),
+        (lambda: heliocube.simulate("1900-01-01"), "choose another start or fewer days$"),
+        (lambda: heliocube.simulate("2022-12-21", days=0.1, site=(80, 9, 0)), "another start or another site$"),
+        (lambda: heliocube.read_store(tmp_path), "no store at .*; name the folder that its service has as"),
+        (lambda: heliocube.read_store(tmp_path, start="2022-10-14", end="2022-10-13"), "^the first instant .* the end"),
+    ]
+    for call, sentence in refused:
+        with pytest.raises(heliocube.UserError, match=sentence):
+            call()
+
+
 def test_what_is_no_place_is_refused_as_a_site():
     readings = heliocube.read_faces(heliocube.sample("clear")).iloc[600:610]
     for site in ((48.7, 2.2), "48.7,2.2,156", (48.7, "E", 156.0), 48.7):
