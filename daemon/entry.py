@@ -10,6 +10,8 @@ from pathlib import Path
 from daemon.base.errors import ExitCode, UserError
 
 _URGENT = ("stop", "stow")
+_NOTHING_YET = "interrupted before its end; no result was written"
+_MAYBE_TAKEN = "interrupted: the command may have been taken; see 'heliocube status'"
 _OPTIONS = {
     "--config": "config",
     "-c": "config",
@@ -31,9 +33,10 @@ def main() -> None:
     command, *rest = sys.argv[1:] or [""]
     _refuse_two_trackers(rest)
     given = _plainly_given(rest) if command in _URGENT else None
-    if command not in _URGENT:
-        _refuse_a_damaged_installation()
-    with _until_the_answer_is_written():
+    interrupted = _NOTHING_YET if given is None else _MAYBE_TAKEN
+    with _until_the_answer_is_written(), _told_when_interrupted(interrupted):
+        if command not in _URGENT:
+            _refuse_a_damaged_installation()
         if given is None:
             from daemon.commands.main import main as command_line  # noqa: PLC0415 - the large libraries
 
@@ -50,6 +53,16 @@ def _refuse_two_trackers(words: Sequence[str]) -> None:
             " 'stop' and 'stow' without the option are for all\n"
         )
         sys.exit(2)
+
+
+@contextmanager
+def _told_when_interrupted(sentence: str) -> Iterator[None]:
+    """Leave with a sentence where Ctrl-C comes before a command can take it itself: while the libraries are loaded."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        sys.stderr.write(f"heliocube: {sentence}\n")
+        sys.exit(ExitCode.INTERRUPTED)
 
 
 @contextmanager

@@ -164,3 +164,27 @@ def test_a_standard_output_that_is_closed_is_one_that_nobody_reads():
         ["sh", "-c", 'exec "$@" >&-', "sh", *words], stderr=subprocess.PIPE, text=True, timeout=90, cwd=ROOT
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("library", "words", "sentence"),
+    [
+        ("typer", ["gain"], "interrupted before its end; no result was written"),
+        ("daemon.base.installation", ["gain"], "interrupted before its end; no result was written"),
+        ("daemon.api.client", ["stop"], "interrupted: the command may have been taken; see 'heliocube status'"),
+    ],
+)
+def test_ctrl_c_while_the_libraries_load_is_a_sentence_and_no_defect(library, words, sentence):
+    program = f"""
+import signal, sys
+
+class CtrlC:
+    def find_spec(self, name, *rest):
+        if name == {library!r}:
+            signal.raise_signal(signal.SIGINT)
+
+sys.meta_path.insert(0, CtrlC())
+from daemon.entry import main; main()
+"""
+    done = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, timeout=90, cwd=ROOT)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", f"heliocube: {sentence}\n")
