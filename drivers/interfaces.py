@@ -53,12 +53,16 @@ class FaceSample(NamedTuple):
         When it was measured, or had failed to be.
     flaw
         Why it was not read; None where it was.
+    note
+        What the sensor has against itself, or why it gives nothing for longer: a sentence for people that names the
+        face; empty while all is well.
     """
 
     value: float
     time_utc_s: float
     time_monotonic_s: float
     flaw: FaceFlaw | None = None
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +80,6 @@ class CubeReading:
         False if a test of the way from sensor to number has failed; True if it has passed, or there is none.
     rounded
         The values come in steps, so that a steady light gives the same one again and again.
-    notes
-        What the instruments have against themselves, and why a face gives nothing for longer: sentences for people.
     """
 
     east: FaceSample
@@ -87,12 +89,16 @@ class CubeReading:
     unit: Literal["V", "W/m2"]
     proven: bool = True
     rounded: bool = False
-    notes: tuple[str, ...] = ()
 
     @property
     def faces(self) -> tuple[FaceSample, FaceSample, FaceSample, FaceSample]:
         """East, south, west, zenith."""
         return self.east, self.south, self.west, self.zenith
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the sensors have against themselves, without those that are well."""
+        return tuple(face.note for face in self.faces if face.note)
 
 
 class Cube(Protocol):

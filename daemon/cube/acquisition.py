@@ -133,7 +133,8 @@ class Acquisition:
         """Read and judge the four faces once; raises `DeviceError` when the link is gone."""
         reading = await self._cube.read()
         if self._alarms is not None:
-            self._alarms.set("cube-sensor", "; ".join(reading.notes) or None)
+            told = {name: sample.note for name, sample in zip(FACES, reading.faces, strict=True) if sample.note}
+            self._alarms.set("cube-sensor", "; ".join(told.values()) or None, of=told)
         faces = [self._face(index, sample, reading) for index, sample in enumerate(reading.faces)]
         east, south, west, zenith = self._believed(faces, reading.proven)
         scan = Scan(

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-from daemon.base.alarms.alarms import Alarms
+from daemon.base.alarms.alarms import Alarms, tells
 from daemon.base.records import FACES, Quality, Scan
 
 # At 5 s a scan not quite a minute: a reading out of range now and then is no sensor that lies, or is lost.
@@ -58,16 +58,18 @@ class ToldFaces(_FaceAlarm):
 class UnreadFaces(_FaceAlarm):
     """Raises `face-unread` for faces without a reading while others have one: the tracker goes on by three.
 
-    What a digital sensor says of itself (`cube-sensor`) is not said twice.
+    A face whose digital sensor says so itself (`cube-sensor`) is not named twice.
     """
 
     _qualities = (Quality.OVER_RANGE, Quality.STALE, Quality.MISSING)
 
     def _tell(self, scan: Scan) -> None:
-        if len(self._faces) in (0, len(FACES)) or any(alarm.name == "cube-sensor" for alarm in self._alarms.active):
+        sensors = next((alarm.text for alarm in self._alarms.active if alarm.name == "cube-sensor"), "")
+        faces = [name for name in self._faces if not tells(sensors, (name,))]
+        if not faces or len(self._faces) == len(FACES):
             self._alarms.set("face-unread", None)
             return
         read = dict(zip(FACES, scan.faces, strict=True))
-        if all(read[name].quality in self._qualities for name in self._faces):
-            each = ", ".join(f"{name} ({read[name].quality})" for name in self._faces)
-            self._alarms.set("face-unread", f"no reading of {each} while other faces are read", of=self._faces)
+        if all(read[name].quality in self._qualities for name in faces):
+            each = ", ".join(f"{name} ({read[name].quality})" for name in faces)
+            self._alarms.set("face-unread", f"no reading of {each} while other faces are read", of=faces)

@@ -90,7 +90,7 @@ class Alarms:
                 self._clear(before)
         elif before is None or not before.on:
             self._raise(name, text, before)
-        elif not _tells(before.text, of):
+        elif not tells(before.text, of):
             self._raise(name, text, None)
         elif before.text != text:
             self._shown[name] = replace(before, text=text)
@@ -173,7 +173,7 @@ class Alarms:
         """Forget of what was acknowledged before the start what is over or another, and after a while all."""
         if self._clock.monotonic() - self._started_s > _SAME_AFTER_START_S:
             self._before = {}
-        elif text is None or (name in self._before and not _tells(self._before[name].text, of)):
+        elif text is None or (name in self._before and not tells(self._before[name].text, of)):
             self._before.pop(name, None)
         self._save()
 
@@ -194,5 +194,6 @@ class Alarms:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "alarm", text))
 
 
-def _tells(text: str, of: Iterable[str]) -> bool:
+def tells(text: str, of: Iterable[str]) -> bool:
+    """Return whether the text of an alarm has all the words `of`."""
     return set(of) <= set(re.findall(r"\w+", text))

@@ -123,11 +123,8 @@ class PyranometerCube:
     async def read(self) -> CubeReading:
         """Read the four sensors."""
         east, south, west, zenith = await self._read()
-        notes = [sensor.note for line in self._lines for _, sensor in line.sensors if sensor.note]
         # Digits end at 0.01 to 1 W/m2, where a steady light stands still.
-        return CubeReading(
-            east=east, south=south, west=west, zenith=zenith, unit="W/m2", rounded=True, notes=tuple(notes)
-        )
+        return CubeReading(east=east, south=south, west=west, zenith=zenith, unit="W/m2", rounded=True)
 
     async def _read(self) -> list[FaceSample]:
         samples = dict(pair for read in await asyncio.gather(*(line.read() for line in self._lines)) for pair in read)

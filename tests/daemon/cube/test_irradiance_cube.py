@@ -8,13 +8,15 @@ import pytest
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import LoopClock
-from daemon.base.records import Quality
+from daemon.base.records import FACES, Quality
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.sections import CubeSettings
 from daemon.cube.acquisition import Acquisition
 from drivers.interfaces import CubeReading, FaceSample
 
 NIGHT = -20.0
+OVERFLOW = "the east sensor reports overflow"
+SILENT = "the zenith sensor does not answer"
 
 
 class Pyranometers:
@@ -25,7 +27,7 @@ class Pyranometers:
         self.faces = [300.0, 410.0, 60.0, 470.0]
         self.proven = True
         self.rounded = False
-        self.notes = ()
+        self.notes = {}
 
     async def open(self):
         return "four pyranometers"
@@ -34,7 +36,7 @@ class Pyranometers:
         pass
 
     async def read(self):
-        east, south, west, zenith = (self._sample(face) for face in self.faces)
+        east, south, west, zenith = map(self._sample, FACES, self.faces)
         return CubeReading(
             east=east,
             south=south,
@@ -43,12 +45,11 @@ class Pyranometers:
             unit="W/m2",
             proven=self.proven,
             rounded=self.rounded,
-            notes=self.notes,
         )
 
-    def _sample(self, face):
-        flaw = face if isinstance(face, str) else None
-        return FaceSample(math.nan if flaw else face, self._clock.utc(), self._clock.monotonic(), flaw)
+    def _sample(self, name, face):
+        flaw, note = face if isinstance(face, str) else None, self.notes.get(name, "")
+        return FaceSample(math.nan if flaw else face, self._clock.utc(), self._clock.monotonic(), flaw, note)
 
 
 @pytest.fixture
@@ -118,32 +119,54 @@ def test_values_in_steps_may_stand_still_for_a_while_but_not_by_day_for_ever(sca
     assert {face.quality for face in scan_of(count=361, rounded=True, faces=[-1.0] * 4).faces} == {Quality.OK}
 
 
-def test_what_the_instruments_have_against_themselves_is_an_alarm_until_it_is_over():
-    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
-        clock = LoopClock(runner.get_loop().time, 1.7e9)
-        cube, events = Pyranometers(clock), []
-        alarms = Alarms(clock, events.append)
-        acquisition = Acquisition(
-            CubeSettings(),
-            cube,
-            clock,
-            Random(1),
-            lambda _scan: None,
-            events.append,
-            lambda _utc_s: NIGHT,
-            simulated=True,
-            alarms=alarms,
-        )
+@pytest.fixture
+def alarmed():
+    """Run a scenario with a cube, its alarms, and what scans once and returns the alarms that are on then."""
 
-        async def scans():
-            shown = []
-            for notes in ((), ("the east sensor reports overflow",), ("the east sensor reports overflow",), ()):
+    def run(scenario):
+        with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+            clock = LoopClock(runner.get_loop().time, 1.7e9)
+            cube, events = Pyranometers(clock), []
+            alarms = Alarms(clock, events.append)
+            acquisition = Acquisition(
+                CubeSettings(),
+                cube,
+                clock,
+                Random(1),
+                lambda _scan: None,
+                events.append,
+                lambda _utc_s: NIGHT,
+                simulated=True,
+                alarms=alarms,
+            )
+
+            async def scan(**notes):
                 cube.notes = notes
                 await acquisition.scan()
-                shown.append([(alarm.name, alarm.text) for alarm in alarms.active])
-            return shown
+                return [(alarm.name, alarm.state, alarm.text) for alarm in alarms.active]
 
-        shown = runner.run(scans())
-    on = [("cube-sensor", "the east sensor reports overflow")]
-    assert shown == [[], on, on, []]
-    assert len(events) == 2
+            runner.run(scenario(scan, alarms))
+            return [event.text.partition(":")[0] for event in events]
+
+    return run
+
+
+def test_what_the_instruments_have_against_themselves_is_an_alarm_until_it_is_over(alarmed):
+    async def scenario(scan, _alarms):
+        assert await scan() == []
+        for _ in range(2):
+            assert await scan(east=OVERFLOW) == [("cube-sensor", "raised", OVERFLOW)]
+        assert await scan() == []
+
+    assert alarmed(scenario) == ["raised cube-sensor", "cleared cube-sensor"]
+
+
+def test_a_second_sensor_that_fails_after_the_first_was_acknowledged_is_an_alarm_of_its_own(alarmed):
+    async def scenario(scan, alarms):
+        await scan(east=OVERFLOW)
+        alarms.acknowledge("ana")
+        assert await scan(east=OVERFLOW) == [("cube-sensor", "acknowledged", OVERFLOW)]
+        both = f"{OVERFLOW}; {SILENT}"
+        assert await scan(east=OVERFLOW, zenith=SILENT) == [("cube-sensor", "raised", both)]
+
+    assert alarmed(scenario) == ["raised cube-sensor", "acknowledged cube-sensor by ana", "raised cube-sensor"]

@@ -85,5 +85,7 @@ def test_no_face_is_named_where_none_is_read(unread):
 def test_a_face_whose_sensor_has_said_so_itself_is_not_named_again(alarms, unread):
     alarms.set("cube-sensor", "the west sensor is silent")
     assert unread(30, west=LOST) == ["the west sensor is silent"]
+    assert unread(10, west=LOST, zenith=LOST)[1:] == ["no reading of zenith (over-range) while other faces are read"]
+    assert len(unread(10, west=LOST)) == 1
     alarms.set("cube-sensor", None)
     assert unread(1, west=LOST) == ["no reading of west (over-range) while other faces are read"]
