@@ -14,6 +14,7 @@ from daemon.config.sections import CubeSettings
 from daemon.cube.calibration import DarkOffsets, calibrated
 from daemon.cube.face_watch import FaceWatch
 from daemon.cube.repeats import Repeats
+from daemon.cube.told_faces import ToldSensors
 from drivers.errors import DeviceError, DriverHungError
 from drivers.interfaces import Cube, CubeReading, FaceFlaw, FaceSample
 
@@ -68,7 +69,7 @@ class Acquisition:
         alarms: Alarms | None = None,
     ) -> None:
         self._face_watch = face_watch
-        self._alarms = alarms
+        self._told_sensors = None if alarms is None else ToldSensors(alarms)
         self._settings = settings
         self._cube = cube
         self._clock = clock
@@ -132,9 +133,8 @@ class Acquisition:
     async def scan(self) -> Scan:
         """Read and judge the four faces once; raises `DeviceError` when the link is gone."""
         reading = await self._cube.read()
-        if self._alarms is not None:
-            told = {name: sample.note for name, sample in zip(FACES, reading.faces, strict=True) if sample.note}
-            self._alarms.set("cube-sensor", "; ".join(told.values()) or None, of=told)
+        if self._told_sensors is not None:
+            self._told_sensors.note(reading)
         faces = [self._face(index, sample, reading) for index, sample in enumerate(reading.faces)]
         east, south, west, zenith = self._believed(faces, reading.proven)
         scan = Scan(

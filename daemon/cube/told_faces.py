@@ -1,10 +1,11 @@
-"""Which faces are not believed, or not read, said where the tracker is operated: each scan brings its quality."""
+"""Which faces are not believed, or not read, said where the tracker is operated, and what their sensors say of it."""
 
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
 from daemon.base.alarms.alarms import Alarms, tells
 from daemon.base.records import FACES, Quality, Scan
+from drivers.interfaces import CubeReading
 
 # At 5 s a scan not quite a minute: a reading out of range now and then is no sensor that lies, or is lost.
 _SCANS = 10
@@ -53,6 +54,30 @@ class ToldFaces(_FaceAlarm):
         read = "faces read" if len(self._faces) > 1 else "face reads"
         text = f"the {', '.join(self._faces)} {read} what cannot be true and is not used; the cube's own alarms say why"
         self._alarms.set("cube-face", text, of=self._faces)
+
+
+class ToldSensors:
+    """Raises `cube-sensor` for what sensors say of themselves, until they have not said it for ten scans.
+
+    Parameters
+    ----------
+    alarms
+        Of what belongs to no tracker.
+    """
+
+    def __init__(self, alarms: Alarms) -> None:
+        self._alarms = alarms
+        self._notes = [""] * len(FACES)
+        self._quiet = [0] * len(FACES)
+
+    def note(self, reading: CubeReading) -> None:
+        """Take in a reading: a note is told at once, and ended late, since a bad cable comes and goes."""
+        for place, sample in enumerate(reading.faces):
+            self._quiet[place] = 0 if sample.note else self._quiet[place] + 1
+            if sample.note or self._quiet[place] >= _SCANS:
+                self._notes[place] = sample.note
+        told = {name: note for name, note in zip(FACES, self._notes, strict=True) if note}
+        self._alarms.set("cube-sensor", "; ".join(told.values()) or None, of=told)
 
 
 class UnreadFaces(_FaceAlarm):

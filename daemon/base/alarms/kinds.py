@@ -168,7 +168,7 @@ _ALL = (
         Severity.WARNING,
         "a digital sensor reports a fault, is silent for the third time, or is another one than configured",
         "its face has no reading, or a doubtful one",
-        "do what the alarm's text says; docs/instruments.md explains the flags",
+        "do what the alarm's text says; docs/instruments.md explains the flags; ten scans without it end the alarm",
     ),
     _kind(
         "no-readings",

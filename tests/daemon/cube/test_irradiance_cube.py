@@ -156,9 +156,19 @@ def test_what_the_instruments_have_against_themselves_is_an_alarm_until_it_is_ov
         assert await scan() == []
         for _ in range(2):
             assert await scan(east=OVERFLOW) == [("cube-sensor", "raised", OVERFLOW)]
+        for _ in range(9):
+            assert len(await scan()) == 1
         assert await scan() == []
 
     assert alarmed(scenario) == ["raised cube-sensor", "cleared cube-sensor"]
+
+
+def test_a_sensor_that_comes_and_goes_is_one_alarm(alarmed):
+    async def scenario(scan, _alarms):
+        for number in range(120):
+            await scan(**({"zenith": SILENT} if number % 12 < 6 else {}))
+
+    assert alarmed(scenario) == ["raised cube-sensor"]
 
 
 def test_a_second_sensor_that_fails_after_the_first_was_acknowledged_is_an_alarm_of_its_own(alarmed):
