@@ -65,8 +65,9 @@ class Commands:
             _refuse_retained(message)
             _refuse_empty(message)
             command = parse(name, message.payload, "MQTT")
-            self._dates.check(command)
+            # First: what a flood is refused for takes no memory, and may be given again.
             self._refuse_flood(command.wanted)
+            self._dates.check(command)
         except CommandError as error:
             self._refuse(name, None if command is None else command.identifier, error)
             return

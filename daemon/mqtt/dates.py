@@ -3,9 +3,13 @@
 from daemon.base.clock import Clock
 from daemon.config.links import MqttSettings
 from daemon.service.operator import CommandError
-from daemon.service.operator_commands import Command
+from daemon.service.operator_commands import URGENT, Command
 
 _MOST_REMEMBERED = 4096
+
+# Identifier and time [s] of a command; and when it came.
+_Date = tuple[str | None, float]
+_Given = dict[_Date, float]
 
 
 class Dates:
@@ -24,7 +28,8 @@ class Dates:
         self._age_s = settings.command_age_s
         self._clock = clock
         self._began_s = clock.monotonic()
-        self._given: dict[tuple[str | None, float], float] = {}
+        # By whether it is urgent: a flood of wishes must not take the memory of what makes things safe.
+        self._given: dict[bool, _Given] = {False: {}, True: {}}
 
     def check(self, command: Command) -> None:
         """Refuse what is old, or has been given before, or has no date where one is required; never a stop.
@@ -53,19 +58,20 @@ class Dates:
         # The beginning is told by the clock of now, which may have been set since.
         if command.time_utc_s < utc_s - (now_s - self._began_s):
             raise CommandError("it was given before this service began to listen: give it again")
-        self._refuse_again(command.identifier, command.time_utc_s, now_s)
+        self._refuse_again((command.identifier, command.time_utc_s), now_s, urgent=command.wanted in URGENT)
 
-    def _refuse_again(self, identifier: str | None, time_utc_s: float, now_s: float) -> None:
-        if (identifier, time_utc_s) in self._given:
+    def _refuse_again(self, date: _Date, now_s: float, *, urgent: bool) -> None:
+        if any(date in given for given in self._given.values()):
             raise CommandError("the same command, with this id and time, has been given before")
-        if len(self._given) >= _MOST_REMEMBERED:
-            self._forget_oldest(now_s)
-        self._given[identifier, time_utc_s] = now_s
+        given = self._given[urgent]
+        if len(given) >= _MOST_REMEMBERED:
+            self._forget_oldest(given, now_s)
+        given[date] = now_s
 
-    def _forget_oldest(self, now_s: float) -> None:
+    def _forget_oldest(self, given: _Given, now_s: float) -> None:
         """Make room for one more; what needs no room is kept, because a clock that is set back makes it new again."""
-        oldest = next(iter(self._given))
+        oldest = next(iter(given))
         # Twice the age: one may be ahead of the clock by as much when it comes.
-        if now_s - self._given[oldest] <= 2.0 * self._age_s:
+        if now_s - given[oldest] <= 2.0 * self._age_s:
             raise CommandError("more dated commands have come than can be remembered: ask again later")
-        del self._given[oldest]
+        del given[oldest]

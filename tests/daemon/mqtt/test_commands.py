@@ -9,6 +9,8 @@ import pytest
 
 from daemon.base.records import Mode
 from daemon.config.links import MqttSettings
+from daemon.mqtt.commands import Commands
+from daemon.mqtt.connection import Incoming
 from daemon.mqtt.dates import Dates
 from daemon.mqtt.outbox import Lane, Message, Outbox
 from daemon.service.operator import CommandError
@@ -206,6 +208,50 @@ def test_dated_commands_that_flood_take_no_memory_without_end():
     assert "ask again later" in answers[-1]
     given.clock.now_s += 121.0
     assert given.refusal(identifier="again") is None
+
+
+def test_dated_wishes_that_flood_leave_room_for_what_makes_things_safe():
+    given = Given(dated_commands=True)
+    given.clock.now_s += 100.0
+    assert "ask again later" in [given.refusal("auto", identifier=str(number)) for number in range(4100)][-1]
+    assert [given.refusal(name, identifier=name) for name in ("stow", "maintenance", "stop")] == [None] * 3
+    assert "has been given before" in given.refusal("stow", identifier="7"), "a date is of one command alone"
+
+
+def test_a_command_that_is_refused_because_others_are_carried_out_may_be_given_again_with_its_date():
+    class Slow:
+        """Carries commands out when it is told to."""
+
+        def __init__(self):
+            self.free = asyncio.Event()
+
+        async def carry_out(self, command):
+            await self.free.wait()
+            return {"id": command.identifier, "text": "done"}
+
+    async def scenario():
+        slow, clock, replies = Slow(), Watch(), []
+        clock.now_s += 100.0
+        commands = Commands(slow, replies.append, MqttSettings(dated_commands=True), clock)
+
+        def give(identifier):
+            body = {"id": identifier, "time": datetime.fromtimestamp(clock.utc(), UTC).isoformat()}
+            commands.take("auto", Incoming("auto", json.dumps(body).encode(), retained=False))
+
+        async def others():
+            await asyncio.gather(*asyncio.all_tasks() - {asyncio.current_task()})
+
+        for number in range(9):
+            give(f"{number}")
+        ((refused, text),) = [(reply["id"], reply["text"]) for reply in replies]
+        assert (refused, "ask again" in text) == ("8", True)
+        slow.free.set()
+        await others()
+        give("8")
+        await others()
+        assert replies[-1] == {"id": "8", "text": "done"}
+
+    asyncio.run(scenario())
 
 
 @pytest.mark.parametrize("time", ["yesterday", "2022-10-14T10:20:00", "9" * 100, "0001-01-01T00:00:00"])
