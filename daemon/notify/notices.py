@@ -1,9 +1,12 @@
 """What there is to tell: the changes of alarms from one look at a service to the next, in words."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
+
+# Alarms by tracker (empty for the cube's) and name.
+_Shown = dict[tuple[str, str], dict[str, Any]]
 
 SEVERITIES = ("notice", "warning", "critical")
 
@@ -61,13 +64,14 @@ class ServiceWatch:
         self._heard_s = now_s
         self._name = address
         self._silent = False
-        self._known: dict[tuple[str, str], dict[str, Any]] = {}
+        self._known: _Shown = {}
 
     def answered(self, state: Mapping[str, Any], now_s: float) -> list[Notice]:
         """Take in the JSON of /api/state; anything else raises an error such as `KeyError`, and is not heard."""
         before, self._name = self._name, f"{state['site']['name']}{' SIMULATED' if state['simulated'] else ''}"
         try:
             shown = {(alarm["tracker"] or "", alarm["name"]): alarm for alarm in state["alarms"]}
+            shown |= self._hidden(_muted(state), shown)
             changes = list(self._changes(shown))
         except Exception:
             self._name = before
@@ -89,7 +93,12 @@ class ServiceWatch:
     def _back(self) -> Notice:
         return self._notice("answers again", "critical", (f"The service at {self._address} answers.",), good=True)
 
-    def _changes(self, shown: Mapping[tuple[str, str], dict[str, Any]]) -> Iterator[Notice]:
+    def _hidden(self, muted: Collection[str], shown: _Shown) -> _Shown:
+        """Return the alarms that maintenance hides: whether they last is not known before its end."""
+        known = self._known.items()
+        return {key: alarm | {"hidden": True} for key, alarm in known if key[0] in muted and key not in shown}
+
+    def _changes(self, shown: _Shown) -> Iterator[Notice]:
         for key, alarm in shown.items():
             if self._matters(alarm):
                 yield from self._change(alarm, self._known.get(key))
@@ -102,7 +111,9 @@ class ServiceWatch:
             if before is not None and before["state"] != "cleared":
                 yield self._over(alarm)
             return
-        known = before is not None and before["state"] != "cleared" and before["raised_at"] == alarm["raised_at"]
+        # What lasts through maintenance is raised anew at its end, at another time.
+        same = "text" if before is not None and "hidden" in before else "raised_at"
+        known = before is not None and before["state"] != "cleared" and before[same] == alarm[same]
         if not known and alarm["state"] == "raised":
             yield self._raised(alarm)
 
@@ -124,6 +135,13 @@ class ServiceWatch:
         urgency = "" if good else f"{severity.upper()} "
         whole = [*lines, *([] if self._link is None else [self._link])]
         return Notice(f"heliocube {self._name}: {urgency}{what}", "\n".join(whole).replace("`", "'"), severity, good)
+
+
+def _muted(state: Mapping[str, Any]) -> set[str]:
+    """Return the trackers in maintenance; if all are, the cube is too, which has no name."""
+    trackers = state["trackers"]
+    muted = {name for name, tracker in trackers.items() if tracker["mode"]["name"] == "maintenance"}
+    return muted | {""} if muted and len(muted) == len(trackers) else muted
 
 
 def _of(alarm: Mapping[str, Any]) -> str:

@@ -40,7 +40,7 @@ class Lab:
     def __init__(self):
         self.alarms, self.up, self.taking = [], True, True
         self.told, self.beats = [], 0
-        self.instead = None
+        self.instead, self.mode = None, "tracking"
         lab = self
 
         class Handler(BaseHTTPRequestHandler):
@@ -48,6 +48,7 @@ class Lab:
                 if self.path == "/beat":
                     lab.beats += 1
                 state = {"site": {"name": "roof"}, "simulated": True, "alarms": lab.alarms}
+                state["trackers"] = {"tracker": {"mode": {"name": lab.mode}}}
                 self.answer(200 if lab.up else 503, lab.instead or json.dumps(state).encode())
 
             def do_POST(self):
@@ -99,6 +100,10 @@ class Lab:
     @property
     def titles(self):
         return [json.loads(body)["title"] for path, _, body in self.told if path == "/json"]
+
+    @property
+    def messages(self):
+        return [json.loads(body)["message"] for path, _, body in self.told if path == "/json"]
 
 
 class Way:
@@ -189,6 +194,30 @@ def test_a_latched_one_is_over_once_and_says_that_somebody_has_to_look(lab, told
         await step()
         assert [title.rpartition(": ")[2] for title in lab.titles] == ["CRITICAL move-failed", "move-failed"]
         assert "'heliocube alarms ack move-failed'" in lab.told[1][2]
+
+    told(scenario)
+
+
+def test_maintenance_is_no_end_of_an_alarm_and_what_lasts_through_it_is_not_told_anew(lab, told):
+    async def scenario(step):
+        cube = lab.alarm("cube-face") | {"tracker": None}
+        lab.alarms = [lab.alarm(), lab.alarm("move-failed"), lab.alarm("reference"), cube]
+        await step()
+        lab.alarms, lab.mode = [], "maintenance"
+        await step()
+        await step()
+        assert len(lab.titles) == 1
+        later = "2026-06-21T13:00:00.000Z"
+        other = lab.alarm("move-failed", raised=later) | {"text": "another axis does not move"}
+        lab.alarms = [lab.alarm(raised=later), other, cube | {"raised_at": later}]
+        lab.mode = "tracking"
+        await step()
+        await step()
+        assert len(lab.titles) == 2
+        assert [line.rpartition("SIMULATED: ")[2] for line in lab.messages[1].splitlines()] == [
+            "CRITICAL move-failed",
+            "over: reference",
+        ]
 
     told(scenario)
 

@@ -17,7 +17,7 @@ __all__ = ["lab", "told"]
 
 pytestmark = pytest.mark.slow
 
-ROOF = '{"site": {"name": "roof"}, "simulated": true'
+ROOF = '{"site": {"name": "roof"}, "simulated": true, "trackers": {}'
 
 
 def test_a_service_that_is_silent_is_told_once_and_its_return_too(lab, told):
