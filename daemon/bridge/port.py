@@ -10,6 +10,7 @@ import struct
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from daemon.base.addresses import Address, BridgeError
@@ -26,6 +27,7 @@ _LARGEST_READ = 65536
 # The kernel grants what net.core.rmem_max lets it, on many machines 208 KiB.
 _BUFFER_BYTES = 4 << 20
 _MOST_LINES = 4
+_JOIN_AGAIN_S = 5.0
 # Nobody loses a line for somebody else's sake within this time after the last scan that came over it.
 _HELD_S = 60.0
 # socket(7), <asm-generic/socket.h>: the kernel stamps each datagram with the system's time when it comes.
@@ -33,6 +35,8 @@ _SO_TIMESTAMPNS = 35
 _STAMP = struct.Struct("@ll")
 # ip(7), <linux/in.h>: else a socket hears the groups that other programs of the machine have joined, too.
 _IP_MULTICAST_ALL = 49
+# ip(7), the end of struct ip_mreqn: no address, and the index of the network's interface.
+_BY_INDEX = struct.Struct("@4xi")
 # Whatever waited while no process read: more than a buffer holds, and an end to it where somebody floods the port.
 _MOST_WAITING = 8192
 # A longer wait is a clock that was set meanwhile.
@@ -72,6 +76,8 @@ class UdpPort:
         self._keeper = keeper
         self._bound: socket.socket | None = None
         self._was_kept = False
+        self._joining: asyncio.TimerHandle | None = None
+        self._networks: set[int] = set()
         self._lines: dict[Peer, socket.socket] = {}
         self._proven_s: dict[Peer, float] = {}
 
@@ -86,6 +92,7 @@ class UdpPort:
         self._was_kept = kept is not None
         self._bound = self._bind() if kept is None else kept
         self._bound.setblocking(False)
+        self._networks = set() if self._group is None else _networks()
         if kept is None:
             self._keeper.keep(self._name_kept, self._bound)
         return self._bound
@@ -97,6 +104,8 @@ class UdpPort:
         """
         bound = self._bound or self.bind()
         waited, self._was_kept = self._was_kept, False
+        if self._group is not None:
+            self._stay_in(self._group, bound)
         if waited:
             self._read_what_waited(bound)
         self._read_from(bound)
@@ -106,6 +115,8 @@ class UdpPort:
         """Release the port."""
         for peer in tuple(self._lines):
             self._drop(peer)
+        if self._joining is not None:
+            self._joining.cancel()
         if self._bound is not None:
             asyncio.get_running_loop().remove_reader(self._bound)
             self._bound.close()
@@ -142,6 +153,24 @@ class UdpPort:
             for _ in range(_MOST_WAITING):
                 data, ancillary, _, peer = kept.recvmsg(_LARGEST_READ, socket.CMSG_SPACE(_STAMP.size))
                 self._receive(data, peer, _waited_s(ancillary))
+
+    def _stay_in(self, group: Address, bound: socket.socket) -> None:
+        """Join a group anew where its network has gone and come back: with the network, the kernel forgets it."""
+        # As long as nothing has gone it is EADDRINUSE, and ENODEV as long as nothing has come back.
+        with contextlib.suppress(OSError):
+            self._join(group, bound)
+            _log.info("joined the multicast group %s anew: its network had gone, or another is used now", group)
+        self._joining = asyncio.get_running_loop().call_later(_JOIN_AGAIN_S, self._stay_in, group, bound)
+
+    def _join(self, group: Address, bound: socket.socket) -> None:
+        address = socket.inet_aton(group.host)
+        bound.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, address + socket.inet_aton(self._interface))
+        there = _networks()
+        # A membership in a network that has gone counts among the few that a socket may have (igmp_max_memberships).
+        for index in self._networks - there:
+            with contextlib.suppress(OSError):
+                bound.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, address + _BY_INDEX.pack(index))
+        self._networks = there
 
     def _drop(self, peer: Peer) -> None:
         # What has come over it would be lost with it; read before it goes, it asks for no second line.
@@ -202,8 +231,7 @@ class UdpPort:
             if sys.platform == "linux":
                 bound.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
             try:
-                membership = socket.inet_aton(self._group.host) + socket.inet_aton(self._interface)
-                bound.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+                self._join(self._group, bound)
             except OSError as error:
                 bound.close()
                 raise BridgeError(
@@ -218,6 +246,16 @@ def _prepare(opened: socket.socket) -> None:
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
     if sys.platform == "linux":
         opened.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+
+
+def _networks() -> set[int]:
+    """Return the indices of the interfaces that are there; an adapter that comes back has another one than before."""
+    found = set()
+    # The units let nobody open the netlink socket that the library's way needs. Elsewhere than on Linux there are none.
+    for file in Path("/sys/class/net").glob("*/ifindex"):
+        with contextlib.suppress(OSError, ValueError):
+            found.add(int(file.read_text(encoding="ascii")))
+    return found
 
 
 def _waited_s(ancillary: list[tuple[int, int, bytes]]) -> float:

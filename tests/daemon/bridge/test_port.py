@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from daemon.base.addresses import BridgeError
+from daemon.base.timeloop import ScaledTimeLoop
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.config.links import BridgeSettings
 from tests.daemon.bridge.desk import KEY, HandClock, place_of, port, scan, signed
@@ -240,6 +241,49 @@ def test_what_waited_longer_than_a_restart_takes_or_not_yet_is_dated_now(manager
         await after.close()
 
     asyncio.run(main())
+
+
+def group_on_loopback():
+    with udp() as probe:
+        probe.bind(("0.0.0.0", 0))
+        number = probe.getsockname()[1]
+    return BridgeSettings(
+        listen=f"0.0.0.0:{number}", multicast_group=f"239.255.20.71:{number}", multicast_interface="127.0.0.1"
+    )
+
+
+@only_linux
+@pytest.mark.parametrize("restarted", [False, True])
+def test_a_group_is_heard_again_after_the_kernel_has_forgotten_it_with_its_network(manager, restarted):
+    loopback = socket.inet_aton("127.0.0.1")
+
+    async def main():
+        scans, settings = [], group_on_loopback()
+        receiver = BridgeReceiver(settings, KEY, HandClock(), scans.append, manager)
+        try:
+            receiver.bind()
+        except BridgeError as error:
+            pytest.skip(f"multicast does not work here: {error}")
+        await receiver.open()
+        (held,) = manager.held.values()
+        held.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, socket.inet_aton("239.255.20.71") + loopback)
+        if restarted:
+            await receiver.close()
+            receiver = BridgeReceiver(settings, KEY, HandClock(), scans.append, manager)
+            await receiver.open()
+        with udp() as cube:
+            cube.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
+            for number in range(100):
+                cube.sendto(signed(scan(number, time_s=0.1 * number)), ("239.255.20.71", place_of(receiver)[1]))
+                await asyncio.sleep(0.2)
+                if scans:
+                    break
+        await receiver.close()
+        assert scans
+        assert number == 0 or not restarted, "the next process hears from its start"
+
+    with asyncio.Runner(loop_factory=lambda: ScaledTimeLoop(50.0)) as runner:
+        runner.run(main())
 
 
 @only_linux
