@@ -198,10 +198,13 @@ class Store:
         except OSError:
             return False
         self._moved_s = self._clock.monotonic()
-        self._run = None
-        self._days.clear()
+        self._forget_file()
         log.error("the store %s cannot be used (%s): it is %s now, and a new one begins", self._path, error, aside)
         return True
+
+    def _forget_file(self) -> None:
+        self._run = None
+        self._days.clear()
 
     def _unusable(self, error: Exception) -> str | None:
         """Return why what is in the store's place can never be used, of `KINDS`; None if the disk may yet let it."""
@@ -222,6 +225,7 @@ class Store:
             self._set_alarm(name, text)
 
     def _serve(self, connection: sqlite3.Connection) -> None:
+        opened = self._path.stat()
         while True:
             self._check_aside()
             with self._changed:
@@ -229,10 +233,22 @@ class Store:
                 ended = self._closing
                 batch = [self._waiting[index] for index in range(min(len(self._waiting), _BATCH_ROWS))]
             if batch:
+                self._check_place(connection, opened)
                 self._write(connection, batch)
                 self._written_to(batch[-1][0], len(batch))
             if ended and len(batch) < _BATCH_ROWS:
                 return
+
+    def _check_place(self, connection: sqlite3.Connection, opened: os.stat_result) -> None:
+        """Raise `StoreError` if another file is in the store's place, or none: SQLite would go on with the old one."""
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(opened, self._path.stat()):
+                return
+        # What still lies in the log belongs to the file that was moved, and not to the one that comes.
+        with contextlib.suppress(sqlite3.Error):
+            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        self._forget_file()
+        raise StoreError(f"{self._path} was removed or replaced while it was in use")
 
     def _write(self, connection: sqlite3.Connection, batch: list[tuple[int, Record]]) -> None:
         days = {int(record.time_utc_s // _DAY_S) for _, record in batch}

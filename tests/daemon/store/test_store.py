@@ -73,6 +73,37 @@ def test_after_one_record_from_the_future_the_oldest_days_still_give_way(tmp_pat
     assert count(tmp_path, "events") == 3
 
 
+def written(store, number):
+    deadline_s = time.monotonic() + 60.0
+    while store.status.written < number:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_a_file_that_is_removed_or_moved_while_in_use_costs_none_of_the_records_that_come_after(tmp_path, moved):
+    told, (store_folder, other) = [], (tmp_path / "store", tmp_path / "moved")
+    other.mkdir()
+    store = Store(store_folder, 0.01, 3, ORIGIN, SystemClock(), lambda event: told.append(event.text))
+    store.keep(scan(0))
+    written(store, 1)
+    if moved:
+        (store_folder / FILE_NAME).rename(other / FILE_NAME)
+    else:
+        for path in store_folder.iterdir():
+            path.unlink()
+    store.keep(scan(1))
+    written(store, 2)
+    store.keep(scan(2))
+    store.close()
+    assert count(store_folder, "scans") == 2
+    assert count(store_folder, "runs") == 1
+    assert told[0].endswith("heliocube.sqlite was removed or replaced while it was in use; records wait in memory")
+    assert told[1:] == ["writes again; nothing was lost"]
+    if moved:
+        assert count(other, "scans") == 1
+
+
 def test_a_place_that_the_disk_does_not_even_look_at_is_told_and_tried_again(tmp_path):
     # As a folder that is closed to the service, or a disk that fails: what is there cannot be told.
     told, folder = queue.Queue(), tmp_path / ("x" * 300)
