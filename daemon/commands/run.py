@@ -42,6 +42,8 @@ from daemon.service.snapshot import Snapshot, snapshot
 from daemon.service.state import state_json
 from daemon.store.place import claimed
 from daemon.store.release_kept import CUBE_FILE_NAME, FILE_NAME, Releases
+from daemon.store.settings_kept import CUBE_FILE_NAME as CUBE_SETTINGS_NAME
+from daemon.store.settings_kept import FILE_NAME as SETTINGS_NAME
 from daemon.store.settings_kept import tell_changes
 from daemon.store.store import Origin, Store, new_run_id
 from daemon.sunspec.server import SunSpecServer
@@ -248,7 +250,9 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop, consol
     )
     store = Store(settings.directory, settings.batch_s, settings.keep_days, origin, service.clock, publish, alarm)
     service.bus.subscribe(store.keep)
-    tell_changes(service.settings.model_dump(mode="json"), settings.directory, service.clock, service.bus.publish)
+    name = CUBE_SETTINGS_NAME if role is Role.CUBE else SETTINGS_NAME
+    said = service.settings.model_dump(mode="json")
+    tell_changes(said, settings.directory, service.clock, service.bus.publish, name)
     try:
         yield store
     finally:

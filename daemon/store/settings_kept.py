@@ -15,6 +15,7 @@ from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 log = logging.getLogger("heliocube.store")
 
 FILE_NAME = "configuration.json"
+CUBE_FILE_NAME = "cube-configuration.json"
 SUBJECT = "configuration"
 
 _MOST = 40
@@ -29,7 +30,13 @@ class SettingsKept(BaseModel):
     values: dict[str, str]
 
 
-def tell_changes(settings: Mapping[str, Any], directory: Path, clock: Clock, publish: Callable[[Event], None]) -> None:
+def tell_changes(
+    settings: Mapping[str, Any],
+    directory: Path,
+    clock: Clock,
+    publish: Callable[[Event], None],
+    name: str = FILE_NAME,
+) -> None:
     """Publish an event for each key that says something else than at the last start, and keep what is said now.
 
     Parameters
@@ -42,8 +49,10 @@ def tell_changes(settings: Mapping[str, Any], directory: Path, clock: Clock, pub
         For the events' times.
     publish
         Takes them.
+    name
+        Of the file, `FILE_NAME` or `CUBE_FILE_NAME`: two services may share a folder.
     """
-    file = StateFile(StateFolder(directory), FILE_NAME, SettingsKept, log, "what the configuration said")
+    file = StateFile(StateFolder(directory), name, SettingsKept, log, "what the configuration said")
     now = _flat(settings)
     try:
         kept = file.load()

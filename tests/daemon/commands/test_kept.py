@@ -45,6 +45,19 @@ def test_what_has_no_name_is_exported_under_the_name_that_its_topics_have(tmp_pa
         assert {row["tracker"] for row in csv.DictReader(rows)} == {name}
 
 
+def test_what_two_services_of_one_folder_say_differently_is_no_change_of_either(tmp_path):
+    for role in ("cube", "tracker"):
+        file = tmp_path / f"{role}.toml"
+        file.write_text(
+            f'[store]\ndirectory = "{tmp_path}"\n[bridge]\ninsecure = true\nlisten = "127.0.0.1:0"\n'
+            f'[api]\nenabled = false\n[mqtt]\nname = "{role}"\n'
+        )
+        assert heliocube("run", "--role", role, "--config", file, "--for", "0.2")[0] == 0
+    assert heliocube("export", "--store", tmp_path, "--out", tmp_path / "out", "--kind", "events")[0] == 0
+    with (tmp_path / "out" / "events.csv").open() as rows:
+        assert [row["text"] for row in csv.DictReader(rows) if row["subject"] == "configuration"] == []
+
+
 def test_what_is_kept_without_being_asked_is_found_by_export_and_by_no_second_service(tmp_path):
     file, kept = tmp_path / "east.toml", tmp_path / "east-records"
     file.write_text(
