@@ -135,7 +135,6 @@ class Ingester:
             for topic in self._filters:
                 if not await connection.subscribe(topic):
                     raise ConnectionLostError(f"the broker does not let this user listen to {topic}")
-            self._broker.up(self._clock.monotonic())
             await self._take_in(connection, writer)
         finally:
             await connection.close()
@@ -153,6 +152,7 @@ class Ingester:
     async def _write(self, connection: Connection, writer: ArchiveWriter, heard: "asyncio.Queue[Incoming]") -> None:
         while True:
             self._manager.watchdog()
+            self._broker.up(self._clock.monotonic())
             messages = await _within(_HUNG_S, heard)
             if messages:
                 await self._take(connection, writer, messages)

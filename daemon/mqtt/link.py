@@ -236,6 +236,8 @@ class Link:
                     self._date_the_first_loss()
                     self._note_end_at(message)
                 raise
+            if not self._outage.is_down:
+                self._works()
 
     def _note_end_at(self, message: Message) -> None:
         """Take a second end of the connection at one and the same message for a limit that the broker does not say."""
@@ -292,18 +294,23 @@ class Link:
             log.info("connected to the MQTT broker at %s:%d", self._settings.host, self._settings.port)
         if self._outage.is_down:
             self._reported_back_s = now_s
-        if self._outage.up(now_s):
+        self._works()
+
+    def _works(self) -> None:
+        text = self._outage.up(self._clock.monotonic())
+        if text:
             lost = self._outbox.dropped - self._reported_dropped
             self._reported_dropped = self._outbox.dropped
             dropped = f"; {lost} messages were dropped meanwhile, the oldest first" if lost else ""
-            self._report(f"the broker is back{dropped}")
+            self._report(f"{text}{dropped}")
 
     def _lost(self, why: str) -> None:
         self._down_why = why
         now_s = self._clock.monotonic()
         self._unsteady = self._unsteady or now_s - self._reported_back_s < _STEADY_S * self._speed
-        if self._outage.down(now_s, why):
-            self._report(f"the broker is down: {why}")
+        text = self._outage.down(now_s, why)
+        if text:
+            self._report(text)
 
     def _date_the_first_loss(self) -> None:
         if self._outbox.dropped and self._dropped_since_utc_s is None:

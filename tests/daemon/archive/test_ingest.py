@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import logging
 import math
 import signal
 import threading
@@ -14,6 +15,7 @@ from daemon.archive.writer import ArchiveWriter, SentPage
 from daemon.base.clock import SystemClock
 from daemon.base.process import Notifier
 from daemon.config.links import ArchiveSettings, MqttSettings
+from tests.daemon.bridge.desk import HandClock
 from tests.support import forks
 from tests.support.archive import T0, Sender, archived, batch_of, event, origin, pose, pose_row, scan
 from tests.support.mqtt import SPEED, needs_mosquitto, observer, until
@@ -221,6 +223,34 @@ def test_a_database_without_rights_is_one_sentence(postgres, database, heliocube
     )
     code, _, err = heliocube("archive", "--to", database + "x")
     assert (code, "make it with createdb" in err, len(err.splitlines())) == (2, True, 1)
+
+
+def test_a_broker_that_holds_again_after_coming_and_going_is_told_as_steady(database, broker, caplog):
+    caplog.set_level(logging.INFO, "heliocube")
+    clock = HandClock()
+
+    async def heard():
+        async with observer(broker.port) as lab:
+            while not lab.on("heliocube/roof/records/kept"):
+                await lab.say("heliocube/roof/records", {"run": {"id": "none"}})
+                await asyncio.sleep(1.0)
+
+    async def scenario():
+        settings = MqttSettings(port=broker.port, keepalive_s=2)
+        ingester = Ingester(settings, ArchiveSettings(), parse_archive(database), clock, Notifier({}, 0))
+        work = asyncio.create_task(ingester.run())
+        for _ in range(7):
+            await heard()
+            broker.kill()
+            broker.start()
+        await heard()
+        clock.now_s += 1900.0
+        await heard()
+        await until(lambda: "the MQTT broker is steady again: it has worked for 32 min" in caplog.text, "the line")
+        work.cancel()
+        await asyncio.wait([work])
+
+    running(scenario)
 
 
 def test_a_database_that_is_away_at_the_start_keeps_no_manager_waiting():

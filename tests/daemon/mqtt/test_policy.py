@@ -222,3 +222,28 @@ def test_a_link_that_comes_and_goes_is_told_as_few_outages(caplog):
     delays_after([40.0] * 30)
     lines = [record.getMessage() for record in caplog.records if record.levelno >= logging.INFO]
     assert 2 <= len(lines) <= 10
+
+
+def test_a_link_that_holds_again_after_coming_and_going_is_told_as_steady(caplog):
+    caplog.set_level(logging.INFO, "heliocube")
+    bound, bus, told = bound_socket(), Bus(), []
+    bus.subscribe(lambda record: told.append(record.text))
+
+    async def scenario():
+        broker = ScriptedBroker([700.0] * 8 + [1e6])
+        await broker.serve(bound)
+        link = link_to(bound.getsockname()[1], bus, asyncio.get_running_loop())
+        running = asyncio.create_task(link.run())
+        for _ in range(150):
+            link.send(Message("heliocube/tracker/state", b"{}"))
+            await asyncio.sleep(60)
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+        await broker.close()
+        await until(lambda: len(broker.ended_s) == 9, "their ends")
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
+    assert told[-1].startswith("the MQTT broker is steady again: it has worked for 3")
+    assert told[-1] == caplog.records[-1].getMessage()
+    assert sum("is steady" in text for text in told) == 1
