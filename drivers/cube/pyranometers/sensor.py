@@ -110,7 +110,7 @@ class BusSensor:
             return self._without("late")
         self._misses = 0
         self.note = self._sentence(told.note) if told.note else ""
-        return FaceSample(told.w_m2, self._utc_s(), self._now(), told.flaw, self.note)
+        return FaceSample(told.w_m2, self._utc_s(), self._now(), told.flaw, note=self.note)
 
     async def _prove(self) -> None:
         """Ask who it is. The replies have other lengths than those to `data`, so a late one passes for neither."""
@@ -157,7 +157,7 @@ class BusSensor:
         return self._without(flaw)
 
     def _without(self, flaw: FaceFlaw) -> FaceSample:
-        return FaceSample(math.nan, self._utc_s(), self._now(), flaw, self.note)
+        return FaceSample(math.nan, self._utc_s(), self._now(), flaw, note=self.note)
 
     def _sentence(self, text: str) -> str:
         return f"the {self._face} sensor (address {self._unit}) {text}"

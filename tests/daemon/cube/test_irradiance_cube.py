@@ -49,7 +49,7 @@ class Pyranometers:
 
     def _sample(self, name, face):
         flaw, note = face if isinstance(face, str) else None, self.notes.get(name, "")
-        return FaceSample(math.nan if flaw else face, self._clock.utc(), self._clock.monotonic(), flaw, note)
+        return FaceSample(math.nan if flaw else face, self._clock.utc(), self._clock.monotonic(), flaw, note=note)
 
 
 @pytest.fixture
