@@ -42,18 +42,11 @@ class Retries:
         count = self._stows + self._others
         return count & (count - 1) == 0
 
-    def lost(self, now_s: float, text: str, *, stow: bool) -> None:
-        """Take note of a move that ended with the link: from the third in a row on as of any other failure.
-
-        A stow is told and has no pause: each time it may get a little nearer.
-        """
+    def lost(self, text: str, *, stow: bool) -> None:
+        """Take note of a move that ended with the link: the third in a row is told; the next has no pause for it."""
         self._losses += 1
-        if self._losses < _LOSSES:
-            return
-        if stow:
-            self._tell(text, stow=True)
-        else:
-            self.failed(now_s, text, stow=False)
+        if self._losses >= _LOSSES:
+            self._tell(text, stow=stow)
 
     def _tell(self, text: str, *, stow: bool) -> None:
         self.text = text

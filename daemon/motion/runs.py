@@ -141,7 +141,7 @@ class Runs:
             level = logging.DEBUG
             if outcome is MoveOutcome.LINK_LOST:
                 # The outage has its own line.
-                self._retries.lost(self._clock.monotonic(), text, stow=self._stow)
+                self._retries.lost(text, stow=self._stow)
             elif self._retries.failed(self._clock.monotonic(), text, stow=self._stow):
                 level = logging.WARNING
             log.log(level, "move failed: %s", why, extra={"fields": {"outcome": outcome}})

@@ -50,16 +50,16 @@ def test_the_failure_is_an_alarm_until_it_is_forgotten():
     assert ours.due_s(stow=False) == 35.0
 
 
-def test_the_third_link_lost_in_a_row_is_a_failure_and_a_stow_has_no_pause_for_it():
+def test_the_third_link_lost_in_a_row_is_an_alarm_and_the_next_move_has_no_pause():
     ours, alarms = retries()
     for stow in (False, True):
-        ours.lost(1000.0, "link lost", stow=stow)
+        ours.lost("link lost", stow=stow)
     assert (ours.text, alarms.active) == (None, ())
-    ours.lost(1000.0, "link lost", stow=True)
+    ours.lost("link lost", stow=True)
     assert alarms.active[0].text == "the stow failed and is tried again: link lost"
+    ours.lost("link lost", stow=False)
+    assert alarms.active[0].text == "a move failed and is tried again: link lost"
     assert ours.due_s(stow=True) == ours.due_s(stow=False) == -math.inf
-    ours.lost(1000.0, "link lost", stow=False)
-    assert ours.due_s(stow=False) == 1030.0
     ours.forget()
-    ours.lost(2000.0, "link lost", stow=False)
+    ours.lost("link lost", stow=False)
     assert not alarms.active
