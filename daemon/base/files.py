@@ -88,6 +88,11 @@ def numbered(path: Path) -> Iterator[Path]:
     yield from (path.with_name(f"{path.name}-{again}") for again in itertools.count(2))
 
 
+def first_free(path: Path) -> Path:
+    """Return the first of `numbered` that is not there."""
+    return next(each for each in numbered(path) if not each.exists())
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder, and those above it, for whom the folder belongs to that is there already."""
     if folder.is_dir():

@@ -92,9 +92,10 @@ class UdpPort:
         self._was_kept = kept is not None
         self._bound = self._bind() if kept is None else kept
         self._bound.setblocking(False)
-        self._networks = set() if self._group is None else _networks()
         if kept is None:
             self._keeper.keep(self._name_kept, self._bound)
+        elif self._group is not None:
+            self._networks = _networks()
         return self._bound
 
     def open(self) -> bool:

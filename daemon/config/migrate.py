@@ -11,7 +11,7 @@ from typing import Any
 import tomli_w
 
 from daemon.base.errors import UserError
-from daemon.base.files import numbered, rewrite_file, toml_text, write_new
+from daemon.base.files import first_free, numbered, rewrite_file, toml_text, write_new
 from daemon.base.installation import release
 from daemon.config.file import load_settings
 from daemon.config.plugged import DRIVER, SECTIONS
@@ -75,7 +75,7 @@ def kept_before(path: Path) -> list[Path]:
 
 def _replace(path: Path, text: str) -> Path:
     """Write the file and keep the old one; the owner and the mode of the file stay as they are."""
-    old = next(each for each in numbered(before(path)) if not each.exists())
+    old = first_free(before(path))
     try:
         write_new(old, path.read_bytes().decode(), path.stat())
         rewrite_file(path, text)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
-from daemon.base.files import give, make_folder, numbered, rewrite_file, toml_text, write_new
+from daemon.base.files import first_free, give, make_folder, rewrite_file, toml_text, write_new
 from daemon.base.installation import release
 from daemon.base.state import StateFolder
 from daemon.commands.kept import records_of
@@ -117,8 +117,7 @@ def _file(config: Path, to: Program) -> Iterator[str]:
         mistakes = f"{to.name} finds mistakes in it{also}"
         yield f"{config} stays as it is: {mistakes}; see 'heliocube config check {config}' then"
         return
-    newer = config.with_name(f"{config.name}.newer-{release()}")
-    newer = next(each for each in numbered(newer) if not each.exists())
+    newer = first_free(config.with_name(f"{config.name}.newer-{release()}"))
     write_new(newer, toml_text(config), config.stat())
     rewrite_file(config, toml_text(old))
     yield f"{config}: as it was before the upgrade; what you have changed since is in {newer} alone"

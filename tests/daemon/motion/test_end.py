@@ -15,10 +15,14 @@ async def ended(rig, within_s=3.0):
     return await finish(rig.motion, rig.clock, within_s)
 
 
+async def under_way(rig):
+    rig.motion.order(Target(40.0, 60.0, "far"))
+    await asyncio.sleep(3.0)
+
+
 def test_what_moves_is_stopped_and_shown_to_stand():
     async def scenario(rig):
-        rig.motion.order(Target(40.0, 60.0, "far"))
-        await asyncio.sleep(3.0)
+        await under_way(rig)
         start_s = rig.clock.monotonic()
         assert await ended(rig) is None
         assert rig.motion.telemetry.time_monotonic_s >= start_s
@@ -62,8 +66,7 @@ def test_a_stop_that_was_under_way_before_counts_with_its_last_look():
 
 def test_of_what_does_not_obey_the_last_look_is_told_with_its_age():
     async def scenario(rig):
-        rig.motion.order(Target(40.0, 60.0, "far"))
-        await asyncio.sleep(3.0)
+        await under_way(rig)
         rig.unit.is_deaf = True
         start_s = rig.clock.monotonic()
         said = await ended(rig, 4.0)
@@ -89,8 +92,7 @@ def test_a_stop_that_cannot_be_sent_is_told_with_what_was_seen_last():
 
 def test_a_move_that_goes_on_while_the_link_is_down_is_stopped_when_it_is_back():
     async def scenario(rig):
-        rig.motion.order(Target(40.0, 60.0, "far"))
-        await asyncio.sleep(3.0)
+        await under_way(rig)
         rig.unit.is_lost = True
         asyncio.get_running_loop().call_later(1.0, setattr, rig.unit, "is_lost", False)
         assert await ended(rig, 8.0) is None
@@ -102,8 +104,7 @@ def test_a_move_that_goes_on_while_the_link_is_down_is_stopped_when_it_is_back()
 
 def test_a_move_that_goes_on_while_the_link_is_down_for_long_is_told_as_one_that_was_not_stopped():
     async def scenario(rig):
-        rig.motion.order(Target(40.0, 60.0, "far"))
-        await asyncio.sleep(3.0)
+        await under_way(rig)
         rig.unit.is_lost = True
         start_s = rig.clock.monotonic()
         said = await ended(rig, 8.0)
@@ -123,8 +124,7 @@ def test_of_what_was_never_seen_nothing_is_known():
 
 def test_at_the_end_what_moves_is_halted_and_the_unit_is_closed():
     async def scenario(rig):
-        rig.motion.order(Target(40.0, 60.0, "far"))
-        await asyncio.sleep(3.0)
+        await under_way(rig)
 
     rig = run_motion(scenario)
     assert rig.unit.sent[-2:] == ["halt", "close"]
@@ -140,8 +140,7 @@ def test_at_the_end_what_moves_is_halted_and_the_unit_is_closed():
 
 def test_at_the_end_a_halt_that_hangs_is_waited_for_three_seconds():
     async def scenario(rig):
-        rig.motion.order(Target(40.0, 60.0, "far"))
-        await asyncio.sleep(3.0)
+        await under_way(rig)
         rig.unit.halt = lambda: asyncio.sleep(1e6)
         rig.end_s = rig.clock.monotonic()
 
