@@ -38,6 +38,11 @@ def say(text: str, *, err: bool = False, hang: int = 2, end: str = "\n") -> None
     typer.echo(wrapped(text, sys.stderr if err else sys.stdout, hang=hang) + end, err=err, nl=False)
 
 
+def warn(text: str) -> None:
+    """Tell a warning of a result on standard error."""
+    say(f"heliocube: warning: {text}", err=True)
+
+
 def wrapped(text: str, stream: TextIO, *, hang: int = 2) -> str:
     """Return text whose lines fit the terminal behind a stream, broken between words; as it is for a file or a pipe.
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from daemon.base.errors import UserError
-from daemon.commands.answers import JsonOption, print_json, say
+from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.studies.inputs import instant
 
 app = typer.Typer(help="Calibrate the cube: beside a reference pyranometer, or where it stands.", no_args_is_help=True)
@@ -195,7 +195,7 @@ def _check_there(*paths: Path | None) -> None:
 
 def _warn(*notes: str) -> None:
     for note in filter(None, notes):
-        say(f"heliocube: warning: {note}", err=True)
+        warn(note)
 
 
 def _print(lines: list[str], identifier: str, out: Path) -> None:

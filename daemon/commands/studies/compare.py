@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
-from daemon.commands.answers import JsonOption, print_json, say
+from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, TableFormat, chosen_workers
 from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW
 from daemon.store.outputs import check_outputs
@@ -100,7 +100,7 @@ def simulate(
     sky, warning = build_weather(settings, begin_s, begin_s + days * DAY_S, with_gaps=True)
     console = Console(stderr=True)
     if warning:
-        say(f"heliocube: warning: {warning}", err=True)
+        warn(warning)
     with ExitStack() as stack:
         tables = None if out is None else stack.enter_context(writer(out, table_format.value, force=force))
         keep: Callable[[str, Record], None] = _forget
@@ -229,7 +229,7 @@ def report(
     rows = write_report(pairs, found, flat, place, spans, curve, out, force=force)
     far = extrapolation(rows, cube)
     if far is not None:
-        say(f"heliocube: warning: {far}", err=True)
+        warn(far)
     if as_json:
         page = {"simulated": pairs.simulated, "trackers": pairs.names, "corrected": found is not None}
         print_json(page | {"gains": rows, "page": out / "report.html"})
@@ -332,7 +332,7 @@ def _pairs(data: list[Path] | None, stores: list[str] | None, cube: str, chrono:
     if data:
         frame, notes = read_tables(data)
         for note in notes:
-            say(f"heliocube: warning: {note}", err=True)
+            warn(note)
         return pair(frame, (cube, chrono)), None
     with _readable(stores or []) as folders:
         frame, site = read_stores(folders)

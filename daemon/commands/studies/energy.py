@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import InterruptedEarlyError, UserError
-from daemon.commands.answers import JsonOption, print_json, say
+from daemon.commands.answers import JsonOption, print_json, warn
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, chosen_workers
 from daemon.commands.studies.simulate import progress_bar
 from daemon.store.outputs import check_outputs
@@ -242,7 +242,7 @@ def _laid_out(
 
     minutes = measured_minutes(weather, Site(*place))
     for warning in minutes.warnings:
-        say(f"heliocube: warning: {warning}", err=True)
+        warn(warning)
     try:
         days = lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, Site(*place))
     except ValueError as error:
@@ -298,7 +298,7 @@ def _compare_sites(
         outcomes, ended = run_sites(sites, benchmark, workers, progress)
     for outcome in outcomes:
         for warning in outcome.warnings:
-            say(f"heliocube: warning: {outcome.site.name}: {warning}", err=True)
+            warn(f"{outcome.site.name}: {warning}")
     refused = [outcome for outcome in outcomes if outcome.refused is not None]
     if len(refused) == len(outcomes):
         raise UserError(f"no site could be used; the first: {refused[0].site.name}: {refused[0].refused}")

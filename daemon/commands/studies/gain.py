@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import track
 
 from daemon.base.errors import UserError
-from daemon.commands.answers import JsonOption, print_json, say
+from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ForceOption
 from daemon.store.outputs import check_outputs
 from daemon.studies.gain.choices import AnswerFormat, Device, PlotKind, check_plot
@@ -118,7 +118,7 @@ def gain(
     )
     sky = _sky(weather, asked, lon, altitude)
     if sky is not None and sky.warning:
-        say(f"heliocube: warning: {sky.warning}", err=True)
+        warn(sky.warning)
     along = asked.latitudes_deg.tolist()
     if sky is not None and len(along) > 1:
         along = track(along, "latitudes", console=errors, transient=True, disable=not errors.is_terminal)

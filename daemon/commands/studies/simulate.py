@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from daemon.base.errors import InterruptedEarlyError, UserError
-from daemon.commands.answers import JsonOption, print_json, say
+from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ForceOption, LawOption, ReportOption, TrackerOption, ZoneOption
 from daemon.store.outputs import check_outputs
 from daemon.studies.text_table import signed
@@ -57,7 +57,7 @@ def page_of(summary: "Summary", settings: "Settings", out: Path, pages: "Sequenc
 def report(summary: "Summary", settings: "Settings", out: Path) -> None:
     """Print what was simulated and where the tables are; a warning goes to standard error."""
     if summary.warning:
-        say(f"heliocube: warning: {summary.warning}", err=True)
+        warn(summary.warning)
     site = settings.site
     hours = ", ".join(f"{mode} {seconds / 3600:.1f} h" for mode, seconds in summary.mode_s.items() if seconds >= 180)
     laws = ", ".join(dict.fromkeys(own.law.driver for _, own in settings.trackers))
