@@ -15,6 +15,8 @@ _STALLED_AFTER_S = 6.0
 _SPARE_S = 20.0
 # Telemetry comes several times a second: two looks closer than this may be of the same.
 _STANDS_AFTER_S = 0.3
+# A position that is rounded stays what it is while an axis turns on: two steps of it show the slowest motion.
+_STANDS_STEPS, _STALLED_STEPS = 2.0, 3.0
 # An axis that is near enough may yet be taken up by the positioner after the other one, to go all the way.
 _TAKES_UP_S = 3.0
 
@@ -66,6 +68,9 @@ class MoveWatch:
             )
         self._start_s = now_s
         self._jitter, self._elsewhere = jitter(expected), elsewhere(expected)
+        step_s = expected.resolution() / expected.slowest_deg_per_s
+        self._stands_after_s = max(_STANDS_AFTER_S, _STANDS_STEPS * step_s)
+        self._stalled_after_s = max(_STALLED_AFTER_S, _STALLED_STEPS * step_s)
         self._positions: tuple[float, float] | None = None
         self._moved_s = now_s
 
@@ -88,16 +93,17 @@ class MoveWatch:
             if way.overshot(place):
                 return Progress.OVERSHOT, f"{way.name} stands at {place:.1f} deg, beyond its target {way.target:.1f}"
         if self._there(angles):
-            after_s = _TAKES_UP_S if self._aims_elsewhere(telemetry) else _STANDS_AFTER_S
-            stands = still and now_s - self._moved_s >= after_s
-            return (Progress.ARRIVED if stands else Progress.GOING), ""
+            after_s = max(self._stands_after_s, _TAKES_UP_S if self._aims_elsewhere(telemetry) else 0.0)
+            if still and now_s - self._moved_s >= after_s:
+                return Progress.ARRIVED, ""
         where = f"A {angles[0]:.1f}, B {angles[1]:.1f} deg"
-        if now_s - self._moved_s > _STALLED_AFTER_S:
+        if now_s - self._moved_s > self._stalled_after_s:
             text = f"no movement for {now_s - self._moved_s:.0f} s at {where}"
             return Progress.STALLED, "; ".join((text, *_hints(telemetry)))
         budget_s = sum(way.length for way in ways) / self._slowest_deg_per_s + _SPARE_S
         if now_s - self._start_s > budget_s:
-            return Progress.TIMED_OUT, f"not there after {now_s - self._start_s:.0f} s, at {where}"
+            missing = "at rest" if self._there(angles) else "there"
+            return Progress.TIMED_OUT, f"not {missing} after {now_s - self._start_s:.0f} s, at {where}"
         return Progress.GOING, ""
 
     def _aims_elsewhere(self, telemetry: Telemetry) -> bool:

@@ -105,3 +105,36 @@ def test_creeping_slower_than_agreed_runs_out_of_time():
     verdicts = [move.judge(look(now * 0.1, 90), now)[0] for now in range(1, 70)]
     assert verdicts[-1] is Progress.TIMED_OUT
     assert verdicts.index(Progress.TIMED_OUT) == 60, "40 s for 20 degrees at 0.5 deg/s, and 20 s to spare"
+
+
+def test_an_axis_that_hunts_around_its_target_runs_out_of_time_as_well():
+    move = follow(a=20, b=90)
+    verdicts = [move.judge(look(20.0 + 0.2 * (now % 2), 90), now) for now in range(1, 70)]
+    assert verdicts.index((Progress.TIMED_OUT, "not at rest after 61 s, at A 20.2, B 90.0 deg")) == 60
+
+
+class WholeDegrees(PositionerSettings):
+    def resolution(self):
+        return 1.0
+
+
+def creep(deg_per_s, start_deg, target_deg):
+    """Return the verdicts on a rotator of whole degrees that goes on at this speed, second by second."""
+    move = MoveWatch(
+        Target(target_deg, 60.0, "test"),
+        Pose(0.0, 0.0, start_deg, 60.0, moving=False),
+        Limits(),
+        MotionSettings(tolerance_deg=1.5),
+        WholeDegrees(slowest_deg_per_s=0.3),
+        now_s=0.0,
+    )
+    for second in range(1, 100):
+        a_deg = float(round(min(start_deg + deg_per_s * second, target_deg)))
+        yield move.judge(Telemetry(0.0, a_deg, 60.0, a_deg, 60.0, target_deg, 60.0), second)[0]
+
+
+def test_a_rotator_of_whole_degrees_has_arrived_when_its_slowest_motion_would_have_shown():
+    verdicts = list(creep(0.31, 0.0, 20.0))
+    assert Progress.STALLED not in verdicts, "two steps take seven seconds"
+    # Within the tolerance since 58 s, and at its end after 64.5 s.
+    assert verdicts.index(Progress.ARRIVED) + 1 >= 65
