@@ -8,6 +8,8 @@ from daemon.base.clock import Clock
 
 _STEP_S = 2.0
 _DISTRUST_S = 30.0
+# Smaller steps count together for so long: what a daily correction adds in a year is no doubt.
+_ADD_UP_S = 3600.0
 # What synchronises the clock needs some time after a start of the machine, and to notice that somebody has set it.
 _SYNCHRONISE_WITHIN_S = 120.0
 _ASK_EVERY_S = 60.0
@@ -45,6 +47,7 @@ class ClockWatch:
         self._alarms = alarms
         self._synchronised = synchronised
         self._offset_s = self._believed_s = clock.utc() - clock.monotonic()
+        self._believed_at_s = clock.monotonic()
         self._ask_s = clock.monotonic() + _SYNCHRONISE_WITHIN_S
         # None: not asked yet, and nothing to tell of.
         self._never: bool | None = None
@@ -54,26 +57,28 @@ class ClockWatch:
     def step_s(self) -> float | None:
         """Return by how much UTC has stepped since the last call [s], or None if it has not.
 
-        Slow corrections (slewing) add up unnoticed; a step of more than 30 s makes the sun's position doubtful. That a
-        clock has run on since proves nothing: it is trusted again when it is back where it would be without the step,
-        or synchronised.
+        Slow corrections (slewing) add up unnoticed; a step of more than 30 s, or steps that make as much within an
+        hour, make the sun's position doubtful. That a clock has run on since proves nothing: it is trusted again when
+        it is back where it would be without the step, or synchronised.
         """
         now_s = self._clock.monotonic()
         offset_s = self._clock.utc() - now_s
         step_s = offset_s - self._offset_s
         self._offset_s = offset_s
-        if abs(step_s) > _DISTRUST_S:
+        if self.trusted and abs(step_s) < _STEP_S:
+            self._believed_s += step_s
+        if abs(step_s) > _DISTRUST_S or (self.trusted and self._off_s > _DISTRUST_S):
             self.trusted, self._never = False, bool(self._never)
             self._ask_s = now_s + _SYNCHRONISE_WITHIN_S
         self._ask(now_s)
-        if self.trusted or abs(offset_s - self._believed_s) <= _DISTRUST_S:
-            self.trusted, self._believed_s = True, offset_s
+        if now_s - self._believed_at_s >= _ADD_UP_S if self.trusted else self._off_s <= _DISTRUST_S:
+            self._believe(now_s)
         self._report()
         return step_s if abs(step_s) >= _STEP_S else None
 
     @property
     def believed_utc_s(self) -> float:
-        """UTC [s] as it was believed last: while the clock is in doubt, what it would show had nobody set it."""
+        """UTC [s] as it was believed last: what the clock would show had nobody set it, within 30 s if undoubted."""
         return self._clock.monotonic() + self._believed_s
 
     @property
@@ -87,10 +92,17 @@ class ClockWatch:
         synchronised = self._synchronised()
         self._never = synchronised is False
         if synchronised is True and not self.trusted:
-            self.trusted = True
+            self._believe(now_s)
             self.corrections += 1
         # Once synchronised, a clock of this machine keeps time well enough for the sun.
         self._ask_s = now_s + _ASK_EVERY_S if self._never or not self.trusted else math.inf
+
+    @property
+    def _off_s(self) -> float:
+        return abs(self._offset_s - self._believed_s)
+
+    def _believe(self, now_s: float) -> None:
+        self.trusted, self._believed_s, self._believed_at_s = True, self._offset_s, now_s
 
     def _report(self) -> None:
         if self._alarms is None:

@@ -93,6 +93,27 @@ def test_two_steps_that_undo_each_other_leave_no_doubt_and_two_of_one_direction_
         assert watch.trusted == trusted
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_small_steps_within_an_hour_add_up_to_a_doubt_and_are_told_as_one(sign):
+    told = Told(answer=None)
+    doubts = []
+    for _ in range(6):
+        told.clock.offset += 10.0 * sign
+        doubts += told.after(600)
+    told_of = [doubt.partition(",")[0] for doubt in doubts]
+    assert told_of == [f"the clock was set by {sign * steps:+.0f} s" for steps in (40, 50, 60)]
+    told.clock.offset -= 40.0 * sign
+    assert not told.after(5)
+
+
+def test_small_corrections_hours_apart_do_not_add_up():
+    told = Told(answer=None)
+    for _ in range(20):
+        told.clock.offset += 10.0
+        assert not told.after(7200)
+    assert told.watch.believed_utc_s == told.clock.utc()
+
+
 class Told:
     """Alarms on a clock, with the kernel's answer in hand."""
 
