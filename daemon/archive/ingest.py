@@ -160,9 +160,13 @@ class Ingester:
 
     async def _take(self, connection: Connection, writer: ArchiveWriter, messages: list[Incoming]) -> None:
         pages, answers = await asyncio.to_thread(self._read, messages)
+        await self._say_back(connection, answers)
         for part in _parts(pages):
-            answers += await self._keep(writer, part)
+            await self._say_back(connection, await self._keep(writer, part))
+
+    async def _say_back(self, connection: Connection, answers: list[Message]) -> None:
         for answer in answers:
+            self._manager.watchdog()
             # Not confirmed itself: who misses it sends its page again.
             await connection.publish(answer)
 
@@ -214,6 +218,7 @@ class Ingester:
 
     async def _bounded(self, writer: ArchiveWriter, call: Callable[[], Result]) -> Result:
         """Return what a call of the database returns; one that hangs is ended, and so is one that nobody waits for."""
+        self._manager.watchdog()
         job = asyncio.ensure_future(asyncio.to_thread(call))
         timer = asyncio.get_running_loop().call_later(_HUNG_S, writer.give_up)
         try:

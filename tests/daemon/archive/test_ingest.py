@@ -6,6 +6,7 @@ import logging
 import math
 import signal
 import threading
+from itertools import pairwise
 
 import pytest
 
@@ -15,6 +16,7 @@ from daemon.archive.writer import ArchiveWriter, SentPage
 from daemon.base.clock import SystemClock
 from daemon.base.process import Notifier
 from daemon.config.links import ArchiveSettings, MqttSettings
+from daemon.store.batches import encoded
 from tests.daemon.bridge.desk import HandClock
 from tests.support import forks
 from tests.support.archive import T0, Sender, archived, batch_of, event, origin, pose, pose_row, scan
@@ -270,3 +272,38 @@ def test_a_database_that_is_away_at_the_start_keeps_no_manager_waiting():
         await asyncio.wait([work])
 
     asyncio.run(scenario())
+
+
+def test_the_manager_hears_between_the_parts_of_a_long_backlog_that_the_archive_lives(database, broker):
+    class Manager(Notifier):
+        def __init__(self):
+            super().__init__({}, 0)
+            self.told = []
+
+        def status(self, text):
+            self.told.append(text)
+
+        def watchdog(self):
+            self.told.append("alive")
+
+    async def scenario():
+        manager, run = Manager(), origin()
+        settings = MqttSettings(port=broker.port, keepalive_s=2)
+        ingester = Ingester(settings, ArchiveSettings(), parse_archive(database), SystemClock(), manager)
+        work = asyncio.create_task(ingester.run())
+        async with observer(broker.port) as lab:
+            while not lab.on("heliocube/roof/records/kept"):
+                await lab.say("heliocube/roof/records", {"run": {"id": "none"}})
+                await asyncio.sleep(1.0)
+            pages = [{"poses": [pose_row(n) for n in range(page, page + 5000)]} for page in range(0, 20_000, 5000)]
+            async with asyncio.TaskGroup() as group:
+                for page in pages:
+                    group.create_task(lab.say("heliocube/roof/records", encoded(batch_of(run, page))))
+            await until(lambda: "20000 records since the start" in manager.told, "all records")
+        work.cancel()
+        await asyncio.wait([work])
+        counts = [at for at, text in enumerate(manager.told) if text.endswith("since the start")]
+        assert all("alive" in manager.told[one:other] for one, other in pairwise(counts))
+        assert len(counts) > 1
+
+    running(scenario)
