@@ -2,7 +2,11 @@
 
 import asyncio
 import logging
+from collections.abc import Callable
+from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
+from threading import Thread
 from types import ModuleType
 from typing import Protocol
 
@@ -13,6 +17,8 @@ from daemon.notify.notices import Notice
 log = logging.getLogger("heliocube.notify")
 
 _LONGEST_FILE = 65536
+# Each step of a way has a limit of its own in apprise, and some have many steps.
+_TAKEN_WITHIN_S = 120.0
 _EXAMPLE = "such as ntfy://ntfy.lab/roof"
 
 
@@ -46,20 +52,27 @@ class AppriseRecipient:
             raise ValueError("apprise knows no such address")
         self._kinds = apprise.NotifyType
         self._service = service
+        self._sending: Future[bool] | None = None
         self.name = str(service.url(privacy=True)).partition("?")[0]
 
     async def tell(self, notice: Notice) -> bool:
-        """Send a notice; whatever the way has against it is a False.
+        """Send a notice; whatever the way has against it is a False, and so is its silence of 120 s.
 
-        In a thread of the loop's: apprise's own for such calls outlive every loop.
+        A way that hangs gets no more before it has returned.
         """
+        if self._sending is not None and not self._sending.done():
+            return False
         kind = self._kinds.FAILURE if notice.urgent else self._kinds.WARNING
         if notice.good:
             kind = self._kinds.SUCCESS
+        send = partial(self._service.notify, title=notice.title, body=notice.body, notify_type=kind)
         try:
-            return bool(
-                await asyncio.to_thread(self._service.notify, title=notice.title, body=notice.body, notify_type=kind)
-            )
+            self._sending = _in_thread(send)
+            async with asyncio.timeout(_TAKEN_WITHIN_S):
+                return await asyncio.wrap_future(self._sending)
+        except TimeoutError:
+            log.warning("the way to %s has not returned within %g s", self.name, _TAKEN_WITHIN_S)
+            return False
         except Exception:
             # Of some hundred ways by other hands one may fail as its author did not expect: the others go on.
             log.exception("the way to %s has failed", self.name)
@@ -85,6 +98,21 @@ def recipients_of(path: Path | None) -> list[AppriseRecipient]:
     if not found:
         raise UserError(f"{called} names nobody: write one apprise address on each line, {_EXAMPLE}")
     return found
+
+
+def _in_thread(call: Callable[[], object]) -> "Future[bool]":
+    """Call in a thread that neither another one nor the end of the process has to wait for."""
+    future: Future[bool] = Future()
+    future.set_running_or_notify_cancel()
+
+    def run() -> None:
+        try:
+            future.set_result(bool(call()))
+        except BaseException as error:  # noqa: BLE001 - handed to whoever waits, as it is
+            future.set_exception(error)
+
+    Thread(target=run, name="notify", daemon=True).start()
+    return future
 
 
 def _apprise() -> ModuleType:

@@ -1,12 +1,16 @@
 """Who is told: the file that names them, and a try of each way and of the heartbeat."""
 
 import asyncio
+import threading
 
 import pytest
+from apprise.decorators import notify
 
 from daemon.base.errors import UserError
 from daemon.config.links import NotifySettings
+from daemon.notify import recipients
 from daemon.notify.courier import test as try_out
+from daemon.notify.notices import Notice
 from daemon.notify.recipients import recipients_of
 from tests.daemon.notify.test_courier import lab
 from tests.support import forks
@@ -57,3 +61,71 @@ def test_a_try_that_does_not_reach_everybody_ends_with_4(lab, tmp_path):
         people.write_text(f"json://127.0.0.1:{port}/\n")
         done = forks.run("notify", "--config", config, "--test")
         assert (done.returncode, "Traceback" in done.stderr) == (code, False), done.stderr
+
+
+class Hung:
+    """What takes a message only once it is set free, or much later; how many it was given, and has taken."""
+
+    def __init__(self):
+        self.calls, self.taken, self.free = 0, 0, threading.Event()
+
+    def take(self):
+        self.calls += 1
+        self.free.wait(20.0)
+        self.taken += 1
+        return True
+
+
+# apprise knows a way for good.
+HANGING = [Hung()]
+
+
+@notify(on="hang")
+def hang(*_, **__):
+    return HANGING[0].take()
+
+
+@pytest.fixture
+def hung():
+    HANGING[0] = Hung()
+    yield HANGING[0]
+    HANGING[0].free.set()
+
+
+def named(folder, *addresses):
+    people = folder / "people"
+    people.write_text("\n".join(addresses))
+    people.chmod(0o600)
+    return recipients_of(people)
+
+
+def test_ways_that_hang_keep_neither_others_nor_the_end_of_the_process_waiting(hung, lab, tmp_path):
+    *stuck, good = named(tmp_path, *(f"hang://{n}" for n in range(10)), f"json://{lab.address}/json")
+
+    async def scenario():
+        telling = [asyncio.create_task(each.tell(Notice("a title", "a text", "warning"))) for each in stuck]
+        await asyncio.sleep(0)
+        assert await good.tell(Notice("a title", "a text", "warning"))
+        for each in telling:
+            each.cancel()
+
+    asyncio.run(scenario())
+    assert (hung.calls, hung.taken) == (10, 0)
+
+
+def test_a_way_that_hangs_is_told_and_gets_no_more_before_it_has_returned(hung, tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr(recipients, "_TAKEN_WITHIN_S", 0.05)
+    (stuck,) = named(tmp_path, "hang://roof")
+    notice = Notice("a title", "a text", "warning")
+
+    async def scenario():
+        assert not await stuck.tell(notice)
+        assert not await stuck.tell(notice)
+        assert hung.calls == 1
+        hung.free.set()
+        while hung.calls == 1:
+            await stuck.tell(notice)
+            await asyncio.sleep(0.01)
+
+    asyncio.run(scenario())
+    assert "has not returned within 0.05 s" in caplog.text
