@@ -159,7 +159,7 @@ class NotifySettings(Section):
     most_per_hour: int = Field(
         20, ge=1, le=1000, description="Messages an hour to each address; more are gathered into one."
     )
-    poll_every_s: Duration = Field(10.0, ge=1, description="How often the services are asked [s].")
+    poll_every_s: float = Field(10.0, ge=1, le=120, description="How often the services are asked [s].")
     silent_after_s: Duration = Field(
         120.0, ge=10, description="A service that has not answered for this long is a critical message [s]."
     )

@@ -2,9 +2,12 @@
 
 import asyncio
 import json
+import re
+from pathlib import Path
 
 import httpx
 import pytest
+from pydantic import ValidationError
 
 from daemon.base.addresses import parse_address
 from daemon.base.clock import LoopClock
@@ -85,3 +88,11 @@ def test_an_answer_without_an_end_is_told_like_silence():
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         runner.run(scenario())
+
+
+def test_services_are_not_asked_so_seldom_that_the_service_manager_takes_the_pause_for_an_end():
+    unit = (Path(__file__).parents[3] / "deploy" / "heliocube-notify.service").read_text()
+    watchdog_s = float(re.search(r"^WatchdogSec=(\d+)$", unit, re.MULTILINE)[1])
+    assert NotifySettings(poll_every_s=120.0).poll_every_s < watchdog_s / 2
+    with pytest.raises(ValidationError):
+        NotifySettings(poll_every_s=watchdog_s)
