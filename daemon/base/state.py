@@ -186,7 +186,7 @@ class StateFolder:
     def retry(self) -> None:
         """Try again what could not be written; to be called every few seconds."""
         with self._changed:
-            if not self._failed:
+            if not self._waiting:
                 return
             for path in self._failed:
                 self._waiting[path].tried = False
@@ -213,7 +213,13 @@ class StateFolder:
             self._working = True
         if self._behind:
             # Not waited for at the end of the process: a disk may never answer.
-            threading.Thread(target=self._work, name="kept state", daemon=True).start()
+            thread = threading.Thread(target=self._work, name="kept state", daemon=True)
+            try:
+                thread.start()
+            except RuntimeError:
+                # The machine has no room for one: what waits is tried again.
+                with self._changed:
+                    self._working = False
         else:
             self._work()
 
@@ -245,6 +251,8 @@ class StateFolder:
             self._replace(path, text)
         except OSError as error:
             return error.strerror or str(error)
+        except Exception as error:  # noqa: BLE001 - whatever it is, the other files are written, and this one tried again
+            return str(error) or repr(error)
         return None
 
     def _note(self, path: Path, kept: _Content, reason: str | None) -> None:

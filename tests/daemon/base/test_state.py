@@ -190,3 +190,44 @@ def test_a_spare_that_root_has_left_is_made_anew(tmp_path, monkeypatch):
         state_file(tmp_path).save(Kept(count=2))
         assert left.read() == '{"count":1}', "not written to"
     assert state_file(tmp_path).load() == Kept(count=2)
+
+
+def test_what_no_thread_can_write_at_present_is_told_and_written_later(tmp_path, monkeypatch):
+    now_s = 0.0
+    folder = StateFolder(tmp_path, behind=True, now_s=lambda: now_s)
+    kept = StateFile(folder, "kept.json", Kept, LOG, "the count")
+
+    def refuse(_):
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as full:
+        full.setattr(threading.Thread, "start", refuse)
+        kept.save(Kept(count=1))
+        folder.retry()
+        now_s = 6.0
+        assert folder.trouble is not None
+        assert not folder.at_work
+    folder.retry()
+    assert folder.settle(60.0)
+    assert kept.load() == Kept(count=1)
+
+
+def test_an_error_that_nobody_expects_of_a_disk_is_told_and_keeps_no_other_file_waiting(tmp_path):
+    broken = True
+
+    def replace(path, text):
+        if broken and path.name == "one.json":
+            raise MemoryError
+        replace_file(path, text)
+
+    folder = StateFolder(tmp_path, behind=True, replace=replace)
+    one, other = (StateFile(folder, name, Kept, LOG, "the count") for name in ("one.json", "other.json"))
+    one.save(Kept(count=1))
+    other.save(Kept(count=2))
+    assert not folder.settle(60.0)
+    assert "one.json cannot be written (MemoryError())" in folder.trouble
+    assert other.load() == Kept(count=2)
+    broken = False
+    folder.retry()
+    assert folder.settle(60.0)
+    assert one.load() == Kept(count=1)
