@@ -1,5 +1,6 @@
 """Which faces are not believed, or not read, said where the tracker is operated, and what their sensors say of it."""
 
+import math
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
@@ -69,15 +70,25 @@ class ToldSensors:
         self._alarms = alarms
         self._notes = [""] * len(FACES)
         self._quiet = [0] * len(FACES)
+        self._told_unread = [False] * len(FACES)
 
     def note(self, reading: CubeReading) -> None:
-        """Take in a reading: a note is told at once, and ended late, since a bad cable comes and goes."""
+        """Take in a reading: a note is told at once, and ended late, since a bad cable comes and goes.
+
+        A face that had a note and gave readings, and gives none for another reason now, is told anew.
+        """
+        worse = False
         for place, sample in enumerate(reading.faces):
             self._quiet[place] = 0 if sample.note else self._quiet[place] + 1
+            if sample.note and math.isnan(sample.value) and sample.note != self._notes[place]:
+                worse = worse or not self._told_unread[place]
+                self._told_unread[place] = True
             if sample.note or self._quiet[place] >= _SCANS:
                 self._notes[place] = sample.note
+            if not self._notes[place]:
+                self._told_unread[place] = False
         told = {name: note for name, note in zip(FACES, self._notes, strict=True) if note}
-        self._alarms.set("cube-sensor", "; ".join(told.values()) or None, of=told)
+        self._alarms.set("cube-sensor", "; ".join(told.values()) or None, of=told, worse=worse)
 
 
 class UnreadFaces(_FaceAlarm):

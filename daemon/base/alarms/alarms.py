@@ -70,11 +70,11 @@ class Alarms:
         """Whether they are kept silent."""
         return self._muted
 
-    def set(self, name: str, text: str | None, *, of: Iterable[str] = ()) -> None:
+    def set(self, name: str, text: str | None, *, of: Iterable[str] = (), worse: bool = False) -> None:
         """Raise the alarm `name`, or end it with None. A new text for one that is on replaces the old one silently.
 
-        Where the old text has not all the words `of`, the new one is raised as another alarm would be: nobody has seen
-        what it tells.
+        Where the old text has not all the words `of`, or what it tells has become `worse`, the new one is raised as
+        another alarm would be: nobody has seen what it tells.
         """
         if self._muted:
             if text is None:
@@ -90,7 +90,7 @@ class Alarms:
                 self._clear(before)
         elif before is None or not before.on:
             self._raise(name, text, before)
-        elif not tells(before.text, of):
+        elif worse or not tells(before.text, of):
             self._raise(name, text, None)
         elif before.text != text:
             self._shown[name] = replace(before, text=text)

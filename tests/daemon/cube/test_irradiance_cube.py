@@ -140,8 +140,9 @@ def alarmed():
                 alarms=alarms,
             )
 
-            async def scan(**notes):
+            async def scan(lost="", **notes):
                 cube.notes = notes
+                cube.faces = ["missing" if name == lost else 400.0 for name in FACES]
                 await acquisition.scan()
                 return [(alarm.name, alarm.state, alarm.text) for alarm in alarms.active]
 
@@ -180,3 +181,20 @@ def test_a_second_sensor_that_fails_after_the_first_was_acknowledged_is_an_alarm
         assert await scan(east=OVERFLOW, zenith=SILENT) == [("cube-sensor", "raised", both)]
 
     assert alarmed(scenario) == ["raised cube-sensor", "acknowledged cube-sensor by ana", "raised cube-sensor"]
+
+
+def test_a_sensor_that_gives_nothing_any_more_after_its_lesser_fault_was_acknowledged_is_told_anew_once(alarmed):
+    lesser = "the east sensor (address 1) keeps an error from earlier; its values are used"
+    silent = "the east sensor (address 1) does not answer"
+
+    async def scenario(scan, alarms):
+        await scan(east=lesser)
+        alarms.acknowledge("ana")
+        assert await scan(lost="east", east=lesser) == [("cube-sensor", "acknowledged", lesser)], "one late answer"
+        assert await scan(lost="east", east=silent) == [("cube-sensor", "raised", silent)]
+        alarms.acknowledge("ana")
+        for _ in range(5):
+            assert await scan(east=lesser) == [("cube-sensor", "acknowledged", lesser)]
+            assert await scan(lost="east", east=silent) == [("cube-sensor", "acknowledged", silent)]
+
+    assert alarmed(scenario) == ["raised cube-sensor", "acknowledged cube-sensor by ana"] * 2
