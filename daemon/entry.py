@@ -60,7 +60,10 @@ def _told_when_interrupted(sentence: str) -> Iterator[None]:
     """Leave with a sentence where Ctrl-C comes before a command can take it itself: while the libraries are loaded."""
     try:
         yield
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ImportError) as error:
+        # A library in C makes an ImportError of what comes while it is loaded.
+        if not isinstance(error, KeyboardInterrupt) and not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
         sys.stderr.write(f"heliocube: {sentence}\n")
         sys.exit(ExitCode.INTERRUPTED)
 

@@ -174,14 +174,21 @@ def test_a_standard_output_that_is_closed_is_one_that_nobody_reads():
         ("daemon.api.client", ["stop"], "interrupted: the command may have been taken; see 'heliocube status'"),
     ],
 )
-def test_ctrl_c_while_the_libraries_load_is_a_sentence_and_no_defect(library, words, sentence):
+@pytest.mark.parametrize("in_c", [False, True])
+def test_ctrl_c_while_the_libraries_load_is_a_sentence_and_no_defect(library, words, sentence, in_c):
     program = f"""
 import signal, sys
 
 class CtrlC:
     def find_spec(self, name, *rest):
         if name == {library!r}:
-            signal.raise_signal(signal.SIGINT)
+            try:
+                signal.raise_signal(signal.SIGINT)
+            except KeyboardInterrupt as error:
+                if {in_c}:
+                    # As pybind11 does, by which scipy is built.
+                    raise ImportError("initialization failed") from error
+                raise
 
 sys.meta_path.insert(0, CtrlC())
 from daemon.entry import main; main()
