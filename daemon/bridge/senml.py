@@ -149,7 +149,12 @@ def _base(records: list[Any]) -> tuple[str, float]:
     found = _SOURCE.fullmatch(base_name) if isinstance(base_name, str) else None
     if found is None:
         raise _malformed(f"has a base name (bn) that is not the source and a slash: {_shown(base_name)}")
-    return found[1], _number(records[0].pop("bt", None), EARLIEST_UTC_S, LATEST_UTC_S, "base time (bt)")
+    base_time = records[0].pop("bt", None)
+    if isinstance(base_time, _NUMBERS) and base_time < EARLIEST_UTC_S:
+        # One without a battery begins in 1970.
+        unset = "the clock of the cube's machine is not set"
+        raise _malformed(f"has a base time (bt) of before July 1978, {_shown(base_time)}: {unset}")
+    return found[1], _number(base_time, EARLIEST_UTC_S, LATEST_UTC_S, "base time (bt)")
 
 
 def _face(name: str, named: dict[str, dict[str, Any]], time_utc_s: float, monotonic_s: float) -> FaceReading:

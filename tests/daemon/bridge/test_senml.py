@@ -162,6 +162,13 @@ def test_a_base_time_outside_our_century_is_refused(base_time):
     assert "bt" in refusal(json.dumps(records).encode())
 
 
+def test_the_time_of_a_clock_that_is_not_set_is_refused_as_that():
+    records = json.loads(senml.encode(scan()))
+    records[0]["bt"] = 36014.077
+    said = "has a base time (bt) of before July 1978, 36014.077: the clock of the cube's machine is not set"
+    assert said in refusal(json.dumps(records).encode())
+
+
 @pytest.mark.parametrize("base_time", [2**28, 4102444800])
 def test_times_from_the_first_that_is_no_relative_one_to_the_end_of_the_century_are_taken(base_time):
     records = json.loads(senml.encode(scan()))
