@@ -1,7 +1,10 @@
 """A person's stop in every phase of the tracker's life, and every other command after it, through every door."""
 
+from random import Random
+
 import pytest
 
+from daemon.base.records import Mode
 from daemon.studies.campaign.person import known
 from daemon.studies.campaign.run import run_schedule
 from daemon.studies.campaign.schedule import Happening, Schedule
@@ -86,3 +89,37 @@ def test_a_stop_holds_in_every_phase_against_every_other_command(phase, after_s,
 @pytest.mark.parametrize("name", ["goto", "stow", "hold", "home", "clear", "snow", "maintenance"])
 def test_every_command_goes_through_every_door(name):
     assert [door for door, way in DOORS.items() if not way.has(name)] == []
+
+
+class AnyDoor:
+    """Each command through another door, as the drawing has it."""
+
+    def __init__(self, random):
+        self._random = random
+
+    def has(self, name):
+        return all(door.has(name) for door in DOORS.values())
+
+    async def give(self, *command):
+        return await self._random.choice(list(DOORS.values())).give(*command)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_last_of_stop_and_auto_counts_by_whatever_doors_they_come_and_across_a_kill(seed):
+    random, at_s, events = Random(seed), BEGUN_S, list(UNDER_WAY)
+    for killed in (False, True):
+        for _ in range(5):
+            at_s += random.choice((0.02, 0.1, 0.3, 1.0, 4.0))
+            events.append(command(at_s, random.choice(("stop", "auto"))))
+        if not killed:
+            # Also while the last command is still being carried out.
+            at_s += random.choice((0.01, 0.3, 2.0))
+            events.append(fault(at_s, "kill", 3.0))
+            at_s += 8.0
+    chosen = Schedule(
+        0, (at_s + 120) / 3600, "2022-10-12T10:00", "mu-prime", "operator", False, (700.0, 90.0), tuple(events)
+    )
+    outcome = run_schedule(chosen, AnyDoor(random), heal=False)
+    assert not outcome.violations, "\n".join([*map(str, outcome.violations), chosen.text()])
+    last = {"stop": Mode.HOLD, "auto": Mode.TRACKING}[events[-1].name]
+    assert outcome.entered[-1][1] is last, chosen.text()
