@@ -134,6 +134,10 @@ class Link:
         self._outbox.put(message, Lane.ANSWERS if answer else Lane.TELEMETRY)
         self._date_the_first_loss()
 
+    def waits(self, message: Message) -> bool:
+        """Return whether this very message waits to be sent."""
+        return message in self._outbox
+
     def send_now(self, message: Message) -> None:
         """Send a message before all that wait; without a connection it is not sent at all."""
         if self._connected:

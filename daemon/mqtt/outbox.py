@@ -56,6 +56,9 @@ class Outbox:
         """How many messages wait."""
         return sum(map(len, self._lanes.values()))
 
+    def __contains__(self, message: Message) -> bool:
+        return any(message is waiting for lane in self._lanes.values() for _, waiting in lane)
+
     def put(self, message: Message, lane: Lane = Lane.TELEMETRY) -> None:
         """Append a message; never waits."""
         queue = self._lanes[lane]

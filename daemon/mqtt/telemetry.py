@@ -59,7 +59,8 @@ class TelemetryPublisher:
         self._every_s = every_s
         self._simulated = simulated
         self._wake = asyncio.Event()
-        link.at_birth(lambda: [self._state_message()])
+        self._lasting: dict[str, Message] = {}
+        link.at_birth(self._birth_messages)
 
     def note(self, record: Record) -> None:
         """Queue one record; a change of mode and an alarm bring the state at once."""
@@ -70,7 +71,10 @@ class TelemetryPublisher:
         payload = encoded({**record_json(record), "simulated": self._simulated})
         # What persons and programs ask for in a loop is not to push out what was measured.
         asked = isinstance(record, Event) and record.subject == "operator"
-        self._link.send(Message(self._topics.of(kind), payload, qos, retain), answer=asked)
+        message = Message(self._topics.of(kind), payload, qos, retain)
+        if retain:
+            self._lasting[kind] = message
+        self._link.send(message, answer=asked)
         if isinstance(record, ModeChange) or (isinstance(record, Event) and record.subject == "alarm"):
             self._wake.set()
 
@@ -79,6 +83,13 @@ class TelemetryPublisher:
         while True:
             await wait_at_most(self._wake, self._every_s)
             self._link.send_now(self._state_message())
+
+    def _birth_messages(self) -> list[Message]:
+        """Return the state, and the last of what a broker keeps: it may have begun anew, or the queue been full.
+
+        What still waits comes in its turn, behind older ones.
+        """
+        return [self._state_message(), *(each for each in self._lasting.values() if not self._link.waits(each))]
 
     def _state_message(self) -> Message:
         seen = self._see()

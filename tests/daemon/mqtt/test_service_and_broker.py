@@ -164,6 +164,24 @@ def test_a_killed_broker_costs_no_control_and_the_truth_is_back_with_it(broker, 
     scaled(scenario)
 
 
+def test_what_lasts_is_true_after_an_outage_that_filled_the_queue_and_cost_the_broker_its_memory(broker, scaled):
+    async def scenario():
+        rig = broker_rig(broker.port, mqtt={"queue_messages": 10})
+        async with serving(rig):
+            await rig.until_mode(Mode.TRACKING, 400)
+            await until(lambda: rig.mqtt.status.waiting == 0, "an empty queue")
+            broker.kill()
+            await until(lambda: rig.mqtt.status.down_why, "the loss")
+            await Operator(rig.tracker, SPEED).hold("x")
+            await until(lambda: rig.mqtt.status.dropped > 10, "a queue without the change of mode")
+            broker.start()
+            async with observer(broker.port) as late:
+                assert (await late.until(f"{BASE}/mode"))["after"] == "hold"
+                assert (await late.until(f"{BASE}/decision"))["moved"] is True
+
+    scaled(scenario)
+
+
 def test_an_offline_that_is_not_true_is_corrected(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
