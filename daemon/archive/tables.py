@@ -64,7 +64,7 @@ def ensure(connection: "psycopg.Connection") -> None:
     Raises
     ------
     ArchiveError
-        This user may not, or what is there is of a newer program.
+        This user may not, or may not write into them, or what is there is of a newer program.
     """
     import psycopg  # noqa: PLC0415 - it is in an extra
 
@@ -77,11 +77,25 @@ def ensure(connection: "psycopg.Connection") -> None:
             for name in KINDS:
                 for column in missing_columns(connection, name):
                     connection.execute(f"ALTER TABLE {SCHEMA}.{name} ADD COLUMN {column.name} {TYPES[column.holds]}")
+        _check_rights(connection)
     except psycopg.errors.InsufficientPrivilege as error:
         raise ArchiveError(
             f"this user may not make the archive's tables ({one_line(error)}): make it the owner of the database, or"
             f" grant it CREATE on it"
         ) from None
+
+
+def _check_rights(connection: "psycopg.Connection") -> None:
+    """Raise `ArchiveError` for a reader: it would take pages from who may write, and keep none of them."""
+    row = connection.execute(
+        # Only its owner divides a table further.
+        "SELECT min(pg_get_userbyid(relowner)) FROM pg_class"
+        " WHERE relnamespace = %s::regnamespace AND relname = ANY(%s) AND NOT"
+        " (has_table_privilege(oid, 'INSERT') AND (relkind <> 'p' OR pg_has_role(relowner, 'USAGE')))",
+        (SCHEMA, ["runs", *KINDS]),
+    ).fetchone()
+    if row is not None and row[0] is not None:
+        raise ArchiveError(f"this user may not write into the archive's tables: name their owner, {row[0]}, instead")
 
 
 def version_of(connection: "psycopg.Connection") -> int | None:

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import pytest
 
-from daemon.archive.address import ArchiveAwayError, PagesRefusedError, parse_archive
+from daemon.archive.address import ArchiveAwayError, ArchiveError, PagesRefusedError, parse_archive
 from daemon.archive.ingest import Ingester
 from daemon.archive.writer import ArchiveWriter, SentPage
 from daemon.base.clock import SystemClock
@@ -225,6 +225,22 @@ def test_a_database_without_rights_is_one_sentence(postgres, database, heliocube
     )
     code, _, err = heliocube("archive", "--to", database + "x")
     assert (code, "make it with createdb" in err, len(err.splitlines())) == (2, True, 1)
+
+
+def test_who_may_only_read_the_archive_takes_no_page_from_who_may_write(postgres, database):
+    with contextlib.closing(ArchiveWriter(parse_archive(database))) as writer:
+        writer.prepare()
+    name = database.rpartition("/")[2]
+    postgres.sql("DROP ROLE IF EXISTS reader; CREATE ROLE reader LOGIN")
+    postgres.sql("GRANT USAGE ON SCHEMA heliocube TO reader", name)
+    postgres.sql("GRANT SELECT ON ALL TABLES IN SCHEMA heliocube TO reader", name)
+    with contextlib.closing(ArchiveWriter(parse_archive(database.replace("archive@", "reader@")))) as reader:
+        with pytest.raises(ArchiveError) as refusal:
+            reader.prepare()
+        assert str(refusal.value) == (
+            "this user may not write into the archive's tables: name their owner, archive, instead"
+        )
+    postgres.sql("DROP OWNED BY reader; DROP ROLE reader", name)
 
 
 def test_a_broker_that_holds_again_after_coming_and_going_is_told_as_steady(database, broker, caplog):
