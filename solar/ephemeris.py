@@ -10,13 +10,19 @@ refusing a configuration, which knows sites and laws from here.
 """
 
 import math
+from datetime import UTC, datetime
 from functools import lru_cache
-from typing import Generic, NamedTuple, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Self, TypeAlias, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from solar.frames import Array, direction_from_azimuth
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import pandas as pd
 
 SOLAR_CONSTANT_W_M2 = 1366.1
 TEMPERATURE_DEGC = 12.0
@@ -35,6 +41,10 @@ _PATH_EVERY_S = 60.0
 _YEAR_10000_S = 253402300800.0
 
 Number = TypeVar("Number", float, Array)
+Instant: TypeAlias = float | datetime | np.datetime64
+"""Seconds since 1970-01-01 UTC, or a date and time, in UTC where it has no zone."""
+Instants: TypeAlias = "Sequence[float] | NDArray[Any] | pd.Index[Any] | pd.Series[Any]"
+"""Many of them, as seconds or as dates of numpy, such as the index of a frame."""
 
 
 class _Place(NamedTuple):
@@ -94,20 +104,20 @@ class SunDay(NamedTuple):
 
 @overload
 def sun_position(
-    utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m: float = ...
+    utc_s: Instant, latitude_deg: float, longitude_deg: float, altitude_m: float = ...
 ) -> SunPosition[float]: ...
 @overload
 def sun_position(
-    utc_s: Array, latitude_deg: float, longitude_deg: float, altitude_m: float = ...
+    utc_s: Instants, latitude_deg: float, longitude_deg: float, altitude_m: float = ...
 ) -> SunPosition[Array]: ...
 def sun_position(
-    utc_s: float | Array, latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0
+    utc_s: "Instant | Instants", latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0
 ) -> SunPosition[float] | SunPosition[Array]:
     """Return the sun's position at `utc_s` [s since 1970-01-01 UTC], one instant or an array of any shape.
 
-    Dates of numpy and the index of a frame are taken too, as UTC where they have no zone. Refraction is that of mean
-    pressure at `altitude_m` and 12 deg C. Raises `ValueError` for an instant that is not finite or after 9999, and for
-    a place that is not on Earth.
+    A date with its time, dates of numpy and the index of a frame are taken too, as UTC where they have no zone.
+    Refraction is that of mean pressure at `altitude_m` and 12 deg C. Raises `ValueError` for what is no instant, is not
+    finite, after 9999 or in 32 bits, and for a place that is not on Earth.
     """
     _check_place(latitude_deg, longitude_deg, altitude_m)
     instants = _finite(utc_s)
@@ -118,7 +128,9 @@ def sun_position(
     return SunPosition(azimuth.reshape(shape), apparent.reshape(shape), geometric.reshape(shape))
 
 
-def sun_direction(utc_s: float | Array, latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0) -> Array:
+def sun_direction(
+    utc_s: "Instant | Instants", latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0
+) -> Array:
     """Return the unit vector(s) towards the apparent sun, shape (..., 3), in the frame of :mod:`solar.frames`.
 
     Raises `ValueError` as `sun_position` does.
@@ -128,7 +140,7 @@ def sun_direction(utc_s: float | Array, latitude_deg: float, longitude_deg: floa
     return direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, latitude_deg)
 
 
-def extraterrestrial_dni(utc_s: float | Array) -> Array:
+def extraterrestrial_dni(utc_s: "Instant | Instants") -> Array:
     """Return the normal irradiance outside the atmosphere [W/m2], of the shape of `utc_s` [s UTC]."""
     instants = _finite(utc_s)
     *_, distance_au = _geocentric(instants.ravel())
@@ -144,13 +156,16 @@ def solar_days(utc_s: Array, longitude_deg: float) -> Array:
     return np.floor((utc_s + longitude_deg * 240.0) / DAY_S)
 
 
-def sun_day(utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0) -> SunDay:
-    """Return sunrise, noon and sunset of the solar day that `utc_s` [s UTC] falls in at that longitude.
+def sun_day(utc_s: Instant, latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0) -> SunDay:
+    """Return sunrise, noon and sunset of the solar day that one instant falls in at that longitude.
 
-    Raises `ValueError` as `sun_position` does.
+    Raises `ValueError` as `sun_position` does, and for more than one instant.
     """
     _check_place(latitude_deg, longitude_deg, altitude_m)
-    mean_solar_day = (float(_finite(utc_s)) + longitude_deg * 240.0) // DAY_S
+    instant = _finite(utc_s)
+    if instant.ndim:
+        raise ValueError(f"a solar day is asked for by one instant, not by an array of {instant.shape}")
+    mean_solar_day = (float(instant) + longitude_deg * 240.0) // DAY_S
     return _sun_day(mean_solar_day, latitude_deg, longitude_deg, altitude_m)
 
 
@@ -293,13 +308,23 @@ def _check_place(latitude_deg: float, longitude_deg: float, altitude_m: float) -
         )
 
 
-def _finite(utc_s: float | Array) -> Array:
-    if getattr(getattr(utc_s, "dtype", None), "kind", "") == "M":
+def _finite(utc_s: "Instant | Instants") -> Array:
+    kept_as = getattr(utc_s, "dtype", None)
+    if getattr(kept_as, "kind", "") == "M":
         # numpy would hand out the count of whatever unit the dates are kept in.
         dates = np.asarray(utc_s, dtype="datetime64[us]")
         instants: Array = np.asarray((dates - np.datetime64(0, "us")) / np.timedelta64(1, "s"))
+    elif kept_as in (np.float16, np.float32):
+        raise ValueError(f"seconds since 1970 in {kept_as} are wrong by a minute: make them float64 where they arise")
     else:
-        instants = np.asarray(utc_s, dtype=np.float64)
+        try:
+            if isinstance(utc_s, datetime):
+                utc_s = (utc_s if utc_s.tzinfo else utc_s.replace(tzinfo=UTC)).timestamp()
+            instants = np.asarray(utc_s, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"a time is seconds since 1970, a datetime, dates of numpy or an index of them, and not {utc_s!r}"
+            ) from None
     # NaN is within no limit.
     if not np.all(np.abs(instants) < _YEAR_10000_S):
         raise ValueError(f"the time must be finite seconds since 1970, no milliseconds, and not {utc_s}")

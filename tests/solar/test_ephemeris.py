@@ -212,6 +212,26 @@ def test_dates_are_taken_for_the_instants_that_they_are(zone, unit):
         np.testing.assert_array_equal(extraterrestrial_dni(instants), extraterrestrial_dni(seconds))
 
 
+@pytest.mark.parametrize("zone", ["UTC", "Asia/Kolkata"])
+def test_a_single_date_is_the_instant_that_it_is_with_its_zone_or_without(zone):
+    stamp = pd.Timestamp("2024-02-29T12:00", tz=zone)
+    expected = sun_position(stamp.timestamp(), *SIRTA)
+    for instant in (stamp, stamp.to_pydatetime(), stamp.tz_convert(None).to_pydatetime()):
+        assert sun_position(instant, *SIRTA) == expected
+        assert sun_day(instant, *SIRTA) == sun_day(stamp.timestamp(), *SIRTA)
+
+
+@pytest.mark.parametrize("wrong", ["2024-02-29", ["noon"], pd.NaT, [pd.Timestamp(0)], np.array([1.7e9], np.float32)])
+def test_what_tells_no_time_exactly_is_refused_with_what_would(wrong):
+    with pytest.raises(ValueError, match="seconds since 1970"):
+        sun_position(wrong, *SIRTA)
+
+
+def test_a_solar_day_is_that_of_one_instant():
+    with pytest.raises(ValueError, match=r"by one instant, not by an array of \(2,\)"):
+        sun_day(np.array([1.7e9, 1.71e9]), *SIRTA)
+
+
 @pytest.mark.parametrize("wrong", [1665705600e3, -1665705600e6, np.datetime64("NaT"), pd.DatetimeIndex(["NaT"])])
 def test_milliseconds_and_no_time_are_no_instants(wrong):
     with pytest.raises(ValueError, match="no milliseconds"):
