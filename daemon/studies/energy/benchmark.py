@@ -47,6 +47,8 @@ _HEADS = ("law", "kWh/m2", "gain %", *DAY_TYPES, "share %", "worst clear", "deg/
 _BY_TYPE = tuple(f"gain_{day_type}_pct" for day_type in DAY_TYPES)
 # Where less than this share of the daylight is known, the ways from and to the night position weigh too much.
 _MOSTLY_WHOLE = 0.9
+# What the tables show as a gain of 0.00 %, and a share of so little would be any number.
+_LEAST_ROOM_PCT = 0.005
 _OF_TRAVEL = ("travel_deg_per_day", "return_deg_per_day", "moves_per_day")
 CSV_NUMBERS = ("energy_kwh_m2", "gain_pct", *_BY_TYPE, "share_pct", "worst_clear_day_pct", *_OF_TRAVEL)
 
@@ -62,7 +64,7 @@ class EnergyRow:
     gain_pct
         Over the ideal chronometric tracker, overall and by day type (NaN where there is no such day).
     share_pct
-        Of what the bound gains over the ideal chronometric tracker.
+        Of what the bound gains over the ideal chronometric tracker; NaN where that is next to nothing.
     worst_clear_day_pct
         Least gain of a clear day.
     travel_deg_per_day, return_deg_per_day, moves_per_day
@@ -237,7 +239,7 @@ def as_page(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *
 def _cells(row: EnergyRow) -> list[str]:
     by_type = [signed(value, 2) for value in row.gain_by_type_pct]
     travel = [_rounded(value) for value in (row.travel_deg_per_day, row.return_deg_per_day, row.moves_per_day)]
-    numbers = [f"{row.energy_kwh_m2:.1f}", signed(row.gain_pct, 2), *by_type, f"{row.share_pct:z.1f}"]
+    numbers = [f"{row.energy_kwh_m2:.1f}", signed(row.gain_pct, 2), *by_type, _rounded(row.share_pct, 1)]
     return [row.law, *numbers, signed(row.worst_clear_day_pct, 3), *travel]
 
 
@@ -245,8 +247,8 @@ def _days(count: int) -> str:
     return "1 day" if count == 1 else f"{count} days"
 
 
-def _rounded(value: float) -> str:
-    return "-" if np.isnan(value) else f"{value:.0f}"
+def _rounded(value: float, digits: int = 0) -> str:
+    return "-" if np.isnan(value) else f"{value:z.{digits}f}"
 
 
 def _row(
@@ -262,6 +264,7 @@ def _row(
     energy = result.energy_kwh_m2
     lit = types >= 0
     room = float((bound[lit] - reference[lit]).sum())
+    has_room = room > _LEAST_ROOM_PCT / 100.0 * float(reference[lit].sum())
     clear = types == 0
     return EnergyRow(
         sky=sky_name,
@@ -269,7 +272,7 @@ def _row(
         energy_kwh_m2=float(energy.sum()),
         gain_pct=_gain(energy, reference, lit),
         gain_by_type_pct=tuple(_gain(energy, reference, types == index) for index in range(len(DAY_TYPES))),
-        share_pct=100.0 * float((energy - reference).sum()) / room if room > 0.0 else np.nan,
+        share_pct=100.0 * float((energy - reference).sum()) / room if has_room else np.nan,
         worst_clear_day_pct=float((100.0 * (energy[clear] / reference[clear] - 1.0)).min()) if clear.any() else np.nan,
         travel_deg_per_day=float(result.travel_deg[lit].sum()) / whole_days,
         return_deg_per_day=float(result.return_deg[lit].sum()) / whole_days,

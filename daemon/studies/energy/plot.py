@@ -150,9 +150,14 @@ def _finish_wear(axes: Axes, with_mark: Sequence[EnergyRow], rows: Sequence[Ener
     )
     low = dict.fromkeys(row.law for row in rows if row.share_pct < _LOWEST_SHARE_PCT)
     still = dict.fromkeys(row.law for row in rows if row.law.startswith(FIXED) and row.law not in low)
+    unknown = dict.fromkeys(row.law for row in rows if np.isnan(row.share_pct) and row.law not in (*still, BOUND))
     without = [
         f"{why}: {', '.join(laws)}"
-        for why, laws in ((f"below {_LOWEST_SHARE_PCT:g} %", low), ("never moves", still))
+        for why, laws in (
+            (f"below {_LOWEST_SHARE_PCT:g} %", low),
+            ("never moves", still),
+            ("without a share, as the bound gains next to nothing", unknown),
+        )
         if laws
     ]
     axes.set_xlabel("\n".join(["travel, A and B added [deg/day]", *(["; ".join(without)] if without else [])]))

@@ -44,6 +44,17 @@ def energy(monkeypatch, *arguments):
     return ended.value.code
 
 
+def test_there_is_no_share_of_what_the_bound_does_not_gain(monkeypatch, tmp_path, capsys):
+    sunny = tmp_path / "weather.csv"
+    sunny.write_text("time,ghi,dni,dhi\n2016-06-05T11:00Z,400,500,0\n2016-06-05T12:00Z,400,500,0\n")
+    asked = ("--site", SITE, "--albedo", 0, "--ideal", "--laws", "flat,bound", "--out", tmp_path / "o")
+    assert energy(monkeypatch, sunny, *asked) == 0
+    flat = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("flat"))
+    assert flat.split()[7] == "-"
+    rows = csv.DictReader((tmp_path / "o" / "energy.csv").read_text().splitlines())
+    assert [row["share_pct"] for row in rows] == ["", ""]
+
+
 def test_it_writes_table_csv_and_picture(monkeypatch, short_weather, tmp_path, capsys):
     laws = "flat,fixed:35,mu-prime,optimal,optimal:4,bound"
     asked = ("--laws", laws, "--sky", "isotropic,perez1993", "--out", tmp_path / "o")

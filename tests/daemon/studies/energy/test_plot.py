@@ -36,6 +36,8 @@ CLEAR = (
 STILL = (row("flat", 33.14, 99.9, 0.0), row("optimal", 33.01, 99.6, 0.05))
 
 
+NO_ROOM = (row("flat", -76.0, np.nan, 0.0), row("optimal", -0.02, np.nan, 196.0), row("bound", 0.0, np.nan))
+
 DAYS = {"overcast": OVERCAST, "clear": CLEAR, "still": STILL}
 
 
@@ -72,6 +74,8 @@ def test_what_has_no_mark_in_the_panel_of_wear_is_named_below_it(pictures):
     assert pictures["overcast"].axes[1].get_xlabel().endswith("\nnever moves: fixed:35")
     both = picture((*OVERCAST, row("optimal:16", -2.0, -70.0, 100.0)))
     assert both.axes[1].get_xlabel().endswith("\nbelow -60 %: optimal:16; never moves: fixed:35")
+    label = picture(NO_ROOM).axes[1].get_xlabel()
+    assert label.endswith("\nwithout a share, as the bound gains next to nothing: flat, optimal")
 
 
 @pytest.mark.parametrize("day", DAYS)
