@@ -195,7 +195,7 @@ def site_mismatch(weather: MeasuredWeather, site: Site) -> str | None:
     if error > 0.08:
         return (
             f"{weather.name} does not fit {where}: ghi - dhi differs from dni sin(elevation) by {error:.0%} there; "
-            "check the site and that times are UTC"
+            "check the site, that times are UTC, and that means are stamped with their middle"
         )
     return None
 

@@ -306,6 +306,18 @@ def test_times_that_are_an_hour_off_are_noticed():
     )
 
 
+def test_hours_stamped_with_their_end_are_noticed_and_those_with_their_middle_are_not():
+    minutes = utc("2022-04-12") + np.arange(0.0, 86400.0, 60.0)
+    now = GeneratedWeather("clear", SIRTA, 1).at(minutes)
+    light = {"ghi": now.ghi_w_m2, "dni": now.dni_w_m2, "dhi": now.dhi_w_m2}
+    means = {key: value.reshape(24, 60).mean(axis=1) for key, value in light.items()}
+    means |= {key: np.full(24, np.nan) for key in ("wind_speed", "temp_air")}
+    assert site_mismatch(MeasuredWeather("it", minutes[30::60], means), SIRTA) is None
+    assert "that means are stamped with their middle" in site_mismatch(
+        MeasuredWeather("it", minutes[::60] + 3600.0, means), SIRTA
+    )
+
+
 def test_a_day_without_sun_fits_everywhere():
     instants = utc("2022-10-12") + np.arange(0.0, 86400.0, 60.0)
     grey = np.full(instants.shape, 80.0)
