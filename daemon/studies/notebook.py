@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Event
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,16 +26,17 @@ __all__ = ["UserError", "read_faces", "read_store", "replay", "simulate"]
 
 Tables = dict[str, pd.DataFrame]
 Place = Site | tuple[float, float, float]
+Date = str | datetime | np.datetime64
 
 
 def simulate(
-    start: str | datetime,
+    start: Date,
     *,
     days: float = 1.0,
     weather: str | Path | None = None,
     law: str | None = None,
     site: Place | None = None,
-    seed: int | None = None,
+    seed: int | np.integer[Any] | None = None,
     config: Path | str | None = None,
 ) -> Tables:
     """Run the service on the simulated rig under virtual time and return its records; a day takes some seconds.
@@ -70,6 +72,10 @@ def simulate(
     """
     if not 0.0 < days < math.inf:
         raise ValueError(f"days must be a number above 0, not {days}")
+    # A float of numpy in 32 bits would make every later time one, too coarse for the clock to advance.
+    days = float(days)
+    if isinstance(seed, np.integer):
+        seed = seed.item()
     settings = settings_for(_path(config), weather=_text(weather), law=law, site=_place(site), seed=seed)
     with TemporaryDirectory(prefix="heliocube-") as folder:
         first, out = _instant(start, "start"), Path(folder)
@@ -80,8 +86,8 @@ def simulate(
 def read_store(
     directory: Path | str,
     *,
-    start: str | datetime | None = None,
-    end: str | datetime | None = None,
+    start: Date | None = None,
+    end: Date | None = None,
     kinds: Collection[str] = (),
 ) -> Tables:
     """Return what a store holds from `start` up to, not including, `end`; the service may go on writing meanwhile.
@@ -220,8 +226,8 @@ def _tables(folder: Path) -> Tables:
     return {file.stem: pd.read_parquet(file) for file in sorted(folder.glob("*.parquet"))}
 
 
-def _instant(at: str | datetime, name: str) -> datetime:
-    return instant(at if isinstance(at, str) else at.isoformat(), name)
+def _instant(at: Date, name: str) -> datetime:
+    return instant(str(at), name)
 
 
 def _place(site: Place | None) -> dict[str, object] | None:

@@ -8,6 +8,7 @@ import signal
 import threading
 from datetime import date
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -58,6 +59,14 @@ def test_a_date_is_its_first_instant_and_a_year_beyond_the_calendar_is_refused(t
         heliocube.simulate("0001-01-01", days=0.01)
     with pytest.raises(heliocube.UserError, match="there is no store"):
         heliocube.read_store(tmp_path, start=date(2022, 10, 14))
+
+
+def test_numbers_and_dates_of_numpy_do_as_those_of_python():
+    of_python = heliocube.simulate("2022-10-14T11:00Z", days=0.015625, weather="clear", seed=3)
+    of_numpy = heliocube.simulate(
+        np.datetime64("2022-10-14T11:00"), days=np.float32(0.015625), weather="clear", seed=np.int64(3)
+    )
+    pd.testing.assert_frame_equal(of_numpy["scans"], of_python["scans"])
 
 
 def test_what_is_wrong_is_told_there_too():
