@@ -200,7 +200,8 @@ def _in_a_loop_of_its_own(work: Callable[[Callable[[float], None]], object]) -> 
 
 
 def _rows(faces: pd.DataFrame) -> Sequence[RecordedScan]:
-    index = faces.index
+    # Whoever has no frame, such as the array in it, is told the same.
+    index = getattr(faces, "index", None)
     if not isinstance(index, pd.DatetimeIndex) or index.tz is None or not index.is_monotonic_increasing:
         raise UserError("the readings need an index of times with their zone, in rising order, as read_faces gives it")
     if not index.is_unique:
@@ -245,4 +246,6 @@ def _path(file: Path | str | None) -> Path | None:
 
 
 def _text(choice: str | Path | None) -> str | None:
+    if isinstance(choice, pd.DataFrame):
+        raise UserError('weather: a file is needed; write the frame with to_csv("weather.csv", index_label="time")')
     return None if choice is None else str(choice)

@@ -42,6 +42,14 @@ def test_readings_with_a_time_or_a_face_twice_are_refused():
         heliocube.replay(pd.concat([readings, readings[["south"]]], axis=1), site=site)
 
 
+def test_an_array_for_a_frame_and_a_frame_for_a_file_are_refused_with_what_is_needed():
+    readings = heliocube.read_faces(heliocube.sample("mixed")).iloc[600:610]
+    with pytest.raises(heliocube.UserError, match="an index of times with their zone"):
+        heliocube.replay(readings.to_numpy(), site=heliocube.Site(48.7176, 2.209, 156.0))
+    with pytest.raises(heliocube.UserError, match="weather: a file is needed; write the frame with to_csv"):
+        heliocube.simulate("2022-10-13", weather=readings)
+
+
 @pytest.mark.parametrize(("start", "days"), [("1978-12-31", 0.1), ("2099-12-31", 1.1), ("2022-10-14", 1e300)])
 def test_a_time_of_which_scans_cannot_tell_is_not_simulated(start, days):
     with pytest.raises(heliocube.UserError, match="within the years 1979 to 2099"):
