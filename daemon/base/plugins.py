@@ -35,12 +35,13 @@ def load(group: str, name: str) -> ModuleType:
 
     Returns
     -------
-    A module with ``SETTINGS``, a class of settings, and ``build``, which makes the thing of them.
+    A module with ``SETTINGS``, a class made from that of its kind, and ``build``, which makes the thing of them.
 
     Raises
     ------
     PluginError
-        Nobody offers the name, two packages do, or what they offer cannot be imported or has no such contents.
+        Nobody offers the name, two packages do, or what they offer cannot be imported or has no such contents, or a key
+        without a default.
     """
     kind = group.rpartition(".")[2]
     found = [point for point in _points(group) if point.name == name]
@@ -50,12 +51,20 @@ def load(group: str, name: str) -> ModuleType:
     if len(found) > 1:
         owners = " and ".join(_owner(point) for point in found)
         raise PluginError(f'the {kind} "{name}" is offered by {owners}; remove one of the packages')
+    whose = f'the {kind} "{name}" of {_owner(found[0])}'
     try:
         module = found[0].load()
-    except Exception as error:
-        raise PluginError(f'the {kind} "{name}" of {_owner(found[0])} cannot be imported: {error}') from error
+    # One that leaves must not take with it whoever only looks for names.
+    except (Exception, SystemExit) as error:
+        raise PluginError(f"{whose} cannot be imported: {error}") from error
     if not (hasattr(module, "SETTINGS") and callable(getattr(module, "build", None))):
-        raise PluginError(f'the {kind} "{name}" of {_owner(found[0])} is no module with SETTINGS and build')
+        raise PluginError(f"{whose} is no module with SETTINGS and build")
+    fields = getattr(module.SETTINGS, "model_fields", {})
+    if "driver" not in fields:
+        raise PluginError(f"{whose} has SETTINGS that are not made from the settings class of its kind")
+    needed = [key for key, field in fields.items() if field.is_required()]
+    if needed:
+        raise PluginError(f"{whose} has no default for its key {needed[0]}, which a file may leave out")
     return module  # type: ignore[no-any-return]
 
 

@@ -1,6 +1,7 @@
 """What `heliocube energy` can be asked for by name, checked before the science is loaded."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from types import ModuleType
 from typing import NamedTuple
 
@@ -77,4 +78,6 @@ def choice(name: str) -> AskedLaw:
 
 def _laws() -> Iterator[tuple[str, ModuleType]]:
     for name in plugins.names(plugins.LAWS):
-        yield name, plugins.load(plugins.LAWS, name)
+        # One that nobody has asked for may be broken.
+        with suppress(plugins.PluginError):
+            yield name, plugins.load(plugins.LAWS, name)

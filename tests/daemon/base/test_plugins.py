@@ -55,3 +55,27 @@ def test_a_module_of_other_contents_is_named(offered):
     offered("acme", "empty", "")
     with pytest.raises(PluginError, match='"empty" of the package acme is no module with SETTINGS and build'):
         load(LAWS, "empty")
+
+
+@pytest.mark.parametrize(
+    ("source", "flaw"),
+    [
+        ("raise SystemExit('no licence')", "cannot be imported: no licence"),
+        (
+            "SETTINGS, build = {'gain': 1.0}, print",
+            "has SETTINGS that are not made from the settings class of its kind",
+        ),
+        (
+            "from pydantic import BaseModel\nclass SETTINGS(BaseModel):\n    gain: float = 1.0\nbuild = print",
+            "has SETTINGS that are not made from the settings class of its kind",
+        ),
+        (
+            "from solar.laws.law import LawSettings\nclass SETTINGS(LawSettings):\n    gain: float\nbuild = print",
+            "has no default for its key gain",
+        ),
+    ],
+)
+def test_a_module_that_leaves_or_whose_settings_are_of_no_use_is_named(offered, source, flaw):
+    offered("acme", "bent", source)
+    with pytest.raises(PluginError, match=f'"bent" of the package acme {flaw}'):
+        load(LAWS, "bent")

@@ -1,0 +1,14 @@
+"""What laws can be asked for by name."""
+
+import pytest
+
+from daemon.base.errors import UserError
+from daemon.base.plugins import LAWS
+from daemon.studies.energy.names import check_names
+from tests.support.packages import install
+
+
+def test_a_law_that_there_is_not_is_told_also_beside_a_package_that_is_broken(tmp_path, monkeypatch):
+    install(monkeypatch, tmp_path, f"[{LAWS}]\nbent = bent\n", {"bent": "raise OSError('no licence')"}, name="acme")
+    with pytest.raises(UserError, match=r"there is no law 'best'; choose from .*bent.*optimal:THRIFT"):
+        check_names(["isotropic"], ["best"])
