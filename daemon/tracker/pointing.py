@@ -338,7 +338,9 @@ def _facts(settings: Settings, utc_s: float, file: LawFile, common: Common | Non
 
 
 def _checked(law: Law, name: str, key: str = "law.driver") -> Law:
-    """Return the law; `UserError` for one that asks for what there is not."""
+    """Return the law; `UserError` for one that is none, or asks for what there is not."""
+    if not hasattr(law, "faces_needed"):
+        raise UserError(f"{key}: what the law {name} builds is no law but {law!r}")
     if not 1 <= law.faces_needed <= len(FACES):
         raise UserError(f"{key}: the law {name} asks for {law.faces_needed} good faces, not for 1 to {len(FACES)}")
     if not 0.0 < law.decide_every_s < math.inf:
@@ -347,10 +349,14 @@ def _checked(law: Law, name: str, key: str = "law.driver") -> Law:
 
 
 def _build(settings: Settings, tracker: TrackerFacts, file: LawFile) -> Law:
-    module = plugins.load(plugins.LAWS, settings.law.driver)
-    if tracker.kept is not None:
-        try:
-            return cast("Law", module.build(settings.law, tracker))
-        except ValueError:
-            file.refuse()
-    return cast("Law", module.build(settings.law, replace(tracker, kept=None)))
+    name = settings.law.driver
+    module = plugins.load(plugins.LAWS, name)
+    try:
+        if tracker.kept is not None:
+            try:
+                return cast("Law", module.build(settings.law, tracker))
+            except ValueError:
+                file.refuse()
+        return cast("Law", module.build(settings.law, replace(tracker, kept=None)))
+    except Exception as error:
+        raise UserError(f"the law {name} cannot be built: {type(error).__name__}: {error}") from error

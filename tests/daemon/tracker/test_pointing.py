@@ -201,6 +201,19 @@ def test_a_move_is_worth_its_way_beyond_the_deadband_and_from_a_place_that_is_kn
     assert said.worth_moving(None if heading is None else Angles(*heading), 5.0) is worth
 
 
+@pytest.mark.parametrize(
+    ("build", "words"),
+    [
+        (lambda: None, "the law flat cannot be built: TypeError: .* takes 0 positional arguments but 2 were given"),
+        (lambda _settings, _tracker: None, "what the law flat builds is no law but None"),
+    ],
+)
+def test_a_law_that_cannot_be_built_is_refused_in_a_sentence(monkeypatch, build, words):
+    monkeypatch.setattr(load(LAWS, "flat"), "build", build)
+    with pytest.raises(UserError, match=words):
+        pointing.build_pointing(Settings(law={"driver": "flat"}), NOON, StateFolder(None))
+
+
 @pytest.mark.parametrize(("name", "value", "words"), [
     ("faces_needed", 0, "asks for 0 good faces, not for 1 to 4"),
     ("faces_needed", 5, "asks for 5 good faces, not for 1 to 4"),
