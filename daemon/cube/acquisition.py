@@ -168,9 +168,11 @@ class Acquisition:
 
     def _irradiance(self, index: int, sample: FaceSample, reading: CubeReading) -> float:
         """Return an irradiance [W/m2]; dark offset, gain and voltage are of sensors that give volts."""
+        # A number of numpy, which a driver may well have, goes into no message.
+        value = float(sample.value)
         if reading.unit == "W/m2":
-            return sample.value
-        read_mv = sample.value * 1e3
+            return value
+        read_mv = value * 1e3
         self._read_mv[index] = read_mv
         dark_mv = self._dark.learn(index, read_mv, sample.time_utc_s) if self._dark else 0.0
         return calibrated(read_mv - dark_mv, self._faces[index])

@@ -4,12 +4,14 @@ import asyncio
 import math
 from random import Random
 
+import numpy as np
 import pytest
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import LoopClock
 from daemon.base.records import FACES, Quality
 from daemon.base.timeloop import VirtualTimeLoop
+from daemon.bridge.senml import encode
 from daemon.config.sections import CubeSettings
 from daemon.cube.acquisition import Acquisition
 from drivers.interfaces import CubeReading, FaceSample
@@ -85,6 +87,13 @@ def test_irradiances_are_taken_as_they_are(scan_of):
     scan = scan_of()
     assert [face.irradiance_w_m2 for face in scan.faces] == [300.0, 410.0, 60.0, 470.0]
     assert {face.quality for face in scan.faces} == {Quality.OK}
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.int16])
+def test_numbers_of_numpy_are_sent_as_those_of_python_are(scan_of, kind):
+    scans = scan_of(), scan_of(faces=list(map(kind, [300, 410, 60, 470])))
+    of_python, of_numpy = (encode(scan).split(b'"n":"session"')[0] for scan in scans)
+    assert of_numpy == of_python
 
 
 def test_they_learn_no_dark_offset(scan_of):
