@@ -7,7 +7,7 @@ after ``close``; it always identifies and configures the instrument anew. Times 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 AxisName = Literal["a", "b"]
 
@@ -201,6 +201,17 @@ class Telemetry:
     a_motor_current_a: float = math.nan
     b_motor_current_a: float = math.nan
     details: Mapping[str, str | float] = field(default_factory=dict, hash=False)
+
+    def __post_init__(self) -> None:
+        """Make numbers of numpy those of Python: neither the store nor any message takes others."""
+        for name in self.__slots__:
+            object.__setattr__(self, name, _of_python(getattr(self, name)))
+        if any(hasattr(value, "item") for value in self.details.values()):
+            object.__setattr__(self, "details", {name: _of_python(value) for name, value in self.details.items()})
+
+
+def _of_python(value: Any) -> Any:
+    return value.item() if hasattr(value, "item") else value
 
 
 class Positioner(Protocol):
