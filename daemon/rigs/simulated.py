@@ -33,6 +33,7 @@ from daemon.service.rig import Rig, Role, TrackerInstruments
 from drivers.interfaces import Cube, ElectronicLoad, Positioner
 from drivers.load.chroma63600 import Chroma63600
 from drivers.load.connection import sweep_settings
+from drivers.positioners.pozsol.driver import PozsolSettings
 from drivers.positioners.rotctld.driver import RotctldSettings
 from sim_drivers.load.core import LoadCore
 from sim_drivers.pv_source import PvSource, SourceLight
@@ -288,6 +289,11 @@ def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[Callab
     if simulate is not None:
         truth, positioner = simulate(own, positioner_surroundings(settings, clock))
         return truth, positioner
+    if not isinstance(own, PozsolSettings):
+        raise UserError(
+            f'instruments.positioner.driver = "{own.driver}" cannot be simulated and instruments.kind is "simulated":'
+            ' set instruments.positioner.driver to "pozsol"'
+        )
     core = build_unit(settings, clock)
     return core.truth, build_pozsol(settings, clock, InMemoryStream(core, clock.monotonic))
 

@@ -13,6 +13,7 @@ from daemon.base.state import StateFolder
 from daemon.commands.file_check import check_file
 from daemon.config.file import ConfigError
 from daemon.rigs.real import build_positioner
+from daemon.rigs.simulated import build_simulated_positioner
 from daemon.studies.simulate import simulate
 from daemon.tracker.pointing import build_pointing
 from tests.support.packages import install
@@ -160,6 +161,13 @@ def test_its_driver_says_what_it_misses(package, file):
     settings = check_file(file)
     with pytest.raises(UserError, match="serial_number is missing"):
         build_positioner(settings, SystemClock())
+
+
+def test_a_driver_that_cannot_simulate_its_unit_is_refused_with_what_to_do(package, file, tmp_path):
+    module = tmp_path / "site" / "acme_turntable.py"
+    module.write_text(module.read_text().replace("def simulate(", "def simulated("))
+    with pytest.raises(UserError, match=r'"turntable" cannot be simulated .*: set instruments\.positioner\.driver to'):
+        build_simulated_positioner(check_file(file), SystemClock())
 
 
 @pytest.mark.parametrize(
