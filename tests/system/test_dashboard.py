@@ -254,6 +254,23 @@ def test_seven_tabs_of_one_browser_are_all_live_over_one_stream(site, open_page)
     wait_until(lambda: listeners(site) in (1, 2), 60, "one stream for seven tabs")
 
 
+def test_what_was_shown_before_a_machine_slept_is_old_when_it_wakes(open_page):
+    page = open_page()
+    page.sees(".hero h1", "Tracking")
+    # Of a browser's two clocks, the one that counts from its start stands in the sleep of a machine.
+    seen = page.page.evaluate(
+        """() => {
+            const now = Date.now;
+            Date.now = () => now() + 3600e3;
+            document.dispatchEvent(new Event("visibilitychange"));
+            Date.now = now;
+            return document.querySelector(".hero h1").textContent;
+        }"""
+    )
+    assert seen == "No connection: what is shown is old"
+    page.sees(".hero h1", "Tracking")
+
+
 @pytest.fixture(scope="module")
 def any_page(browser, the_site):
     """Give a page that takes every size and every scheme of colours, one after the other."""

@@ -47,7 +47,7 @@ export class Live {
       service.why = data.why ?? null;
       if (data.state) {
         service.state = data.state;
-        service.at = performance.now();
+        service.at = { running: performance.now(), wall: Date.now() };
         service.atUtc = Date.parse(data.state.time);
       }
       this.services.set(data.service, service);
@@ -93,9 +93,13 @@ export class Live {
   }
 }
 
+// How long ago a state came [ms]. The one clock stands while a machine sleeps, and the other may be set: what is too
+// long is so until the next state, what is too short would pass for fresh.
+const since = ({ running, wall }) => Math.max(performance.now() - running, Date.now() - wall);
+
 // How long ago in the service's time its state was taken [s].
 export function elapsed(service) {
-  return service.at === undefined ? NaN : ((performance.now() - service.at) / 1000) * (service.state?.speed ?? 1);
+  return service.at === undefined ? NaN : (since(service.at) / 1000) * (service.state?.speed ?? 1);
 }
 
 // The service's own time now, as far as is known [ms].
@@ -105,5 +109,5 @@ export function serviceNow(service) {
 
 // Whether what is shown of a service is no longer kept up to date.
 export function isOld(service, connected) {
-  return connected === false || !service.up || performance.now() - service.at > 5000;
+  return connected === false || !service.up || since(service.at) > 5000;
 }
