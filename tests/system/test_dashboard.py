@@ -271,6 +271,31 @@ def test_what_was_shown_before_a_machine_slept_is_old_when_it_wakes(open_page):
     page.sees(".hero h1", "Tracking")
 
 
+HIDE = """(state) => {
+    Object.defineProperty(document, "visibilityState", { value: state, configurable: true });
+    document.dispatchEvent(new Event("visibilitychange"));
+}"""
+"""What a browser does with a tab behind another one; playwright keeps all in front."""
+
+
+def test_a_tab_shows_nothing_that_an_older_one_heard_before_it_was_hidden(site, open_page):
+    older = open_page()
+    older.sees(".hero h1", "Tracking")
+    before = listeners(site)
+    older.page.evaluate(HIDE, "hidden")
+    wait_until(lambda: listeners(site) < before, 60, "no stream for a hidden tab")
+    site.order("stop")
+    site.until_mode("hold")
+    older.page.context.add_init_script(
+        """window.seen = new Set();
+        const look = () => window.seen.add(document.querySelector(".hero h1")?.textContent);
+        new MutationObserver(look).observe(document, { subtree: true, childList: true, characterData: true });"""
+    )
+    newer = open_page(context=older.page.context)
+    newer.sees(".hero h1", "Stopped by a person")
+    assert "Tracking" not in newer.page.evaluate("[...window.seen]")
+
+
 @pytest.fixture(scope="module")
 def any_page(browser, the_site):
     """Give a page that takes every size and every scheme of colours, one after the other."""

@@ -25,6 +25,8 @@ export class Stream {
     clearTimeout(this.watch);
     this.source?.close();
     this.source = null;
+    // A tab that is opened later would take it for what is so now.
+    this.newest.clear();
   }
 
   take(kind, data) {
@@ -41,7 +43,6 @@ export class Stream {
 
   lost() {
     this.close();
-    this.newest.clear();
     this.send({ kind: "lost", data: null });
     this.again = setTimeout(() => this.open(), AGAIN_MS);
   }
