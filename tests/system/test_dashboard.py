@@ -296,6 +296,16 @@ def test_a_tab_shows_nothing_that_an_older_one_heard_before_it_was_hidden(site, 
     assert "Tracking" not in newer.page.evaluate("[...window.seen]")
 
 
+def test_a_tab_behind_another_one_has_the_state_in_its_title(site, open_page):
+    behind = open_page()
+    behind.sees(".hero h1", "Tracking")
+    open_page(context=behind.page.context).sees(".hero h1", "Tracking")
+    behind.page.evaluate(HIDE, "hidden")
+    site.order("stop")
+    playwright.expect(behind.page).to_have_title("hold, tracker, SIRTA", timeout=browsers.WITHIN_MS)
+    assert behind.text(".hero h1") == "Tracking"
+
+
 @pytest.fixture(scope="module")
 def any_page(browser, the_site):
     """Give a page that takes every size and every scheme of colours, one after the other."""

@@ -47,8 +47,9 @@ function context() {
 }
 
 function update() {
-  if (document.visibilityState === "hidden") return;
   const found = context();
+  document.title = title(found);
+  if (document.visibilityState === "hidden") return;
   head(found);
   view?.update(found);
 }
@@ -71,7 +72,11 @@ function head({ trackers, entry, service, state, now: time, old }) {
   setAttr(document.body, "data-old", old ? "" : null);
   // Before the first state nothing is known, and nothing is wrong.
   setAttr(document.body, "data-waiting", !state && service.up !== false ? "" : null);
-  document.title = state && entry.tracker ? `${old ? "old: " : ""}${entry.tracker.mode.name}, ${entry.label}` : "heliocube";
+}
+
+// A tab behind others shows nothing else, and stands there for hours.
+function title({ entry, state, old }) {
+  return state && entry.tracker ? `${old ? "old: " : ""}${entry.tracker.mode.name}, ${entry.label}` : "heliocube";
 }
 
 function choose() {
