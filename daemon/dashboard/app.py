@@ -144,7 +144,9 @@ class Dashboard:
             raise HTTPException(401, "no service takes this token: see api.token_file of its configuration")
         before = _session_name(request)
         known = self._sessions.find(before)
-        name = self._sessions.open(by, (known.tokens if known else {}) | tokens)
+        # What does not answer now is asked later, and refuses the token itself if it has another.
+        silent = {service.name: token for service, yes in zip(services, accepted, strict=True) if yes is None}
+        name = self._sessions.open(by, silent | (known.tokens if known else {}) | tokens)
         self._sessions.close(before)
         response = JSONResponse(_session_json(self._sessions.find(name)))
         secure = request.url.scheme == "https"

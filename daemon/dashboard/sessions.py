@@ -19,7 +19,7 @@ class Session:
     by
         Who, for the records of the services.
     tokens
-        That the services have accepted, by service.
+        That the services have accepted, or might, by service.
     used_s
         Monotonic time of the last use.
     """

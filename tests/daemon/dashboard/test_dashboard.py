@@ -112,6 +112,28 @@ def test_a_service_with_another_token_asks_for_that_one_too_and_both_are_kept():
     in_house(scenario)
 
 
+def test_a_service_that_was_away_at_the_login_gets_orders_with_the_token_that_the_others_took():
+    async def scenario(house):
+        away = house.services[NAMES[1]]
+        away.gone = True
+        assert sorted((await house.login()).json()["services"]) == list(NAMES)
+        found = (await house.browser.post("/stow-all", json={})).json()["results"]
+        assert [(each["status"], each["text"]) for each in found] == [
+            (200, "/api/stow done"),
+            (502, "the service does not answer"),
+        ]
+        away.gone = False
+        refused = await house.order(service=NAMES[1])
+        assert (refused.status_code, refused.json()["error"]) == (401, "the token is not the service's")
+        assert sorted((await house.login(OTHER)).json()["services"]) == list(NAMES)
+        away.gone = True
+        await house.login()
+        away.gone = False
+        assert (await house.order(service=NAMES[1])).status_code == 200
+
+    in_house(scenario)
+
+
 def test_stow_for_all_says_of_each_service_what_came_of_it():
     async def scenario(house):
         await house.login()
