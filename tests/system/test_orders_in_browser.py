@@ -153,6 +153,24 @@ def test_stow_for_all_asks_for_the_token_of_a_service_that_has_another_now(conte
     assert page.complaints == []
 
 
+def test_stow_for_all_counts_a_service_that_does_not_answer(context, site, tmp_path, back_to_tracking):
+    gone = f"127.0.0.1:{free_port()}"
+    dashboard, url = browsers.run_dashboard(tmp_path, site.api, gone)
+    try:
+        page = browsers.Page(context, url, "fleet")
+        page.sees(".hero h1", "1 tracker: 1 needs attention")
+        page.sees(".hero .why", "1 tracking, 1 service does not answer")
+        page.page.get_by_role("button", name="Stow all").click()
+        page.log_in()
+        page.page.get_by_role("button", name="Stow now").click()
+        page.sees(".outcome", "Stow was NOT taken by 1 of 2 services: see the list")
+        page.sees(".results .problem", f"{gone}: NOT DONE: the service does not answer")
+        page.sees(".hero .moving", "1 of 1 stand stowed, 1 service does not answer, ")
+        assert page.complaints == []
+    finally:
+        dashboard.stop()
+
+
 def test_while_the_dashboard_does_not_answer_nobody_is_told_that_they_are_logged_out(context, site):
     page = logged_in(context, site)
     page.page.route("**/logout", lambda route: route.abort())

@@ -14,13 +14,15 @@ const FAR_DEG = 5;
 export function fleet(orders) {
   const title = h("h1", null);
   const tally = h("p", { class: "why" });
-  const progress = h("p", { class: "moving", role: "status" });
+  const progress = h("span", { role: "status" });
+  // It changes every second: nobody wants to have it read out.
+  const since = h("span");
   const all = h("button", { type: "button", class: "order stow", onclick: stowAll }, icon("stow"), h("span", null, h("strong", null, "Stow all"), h("small", null, "every tracker of every service")));
   const body = h("tbody");
   const table = h("table", { class: "fleet" }, h("thead", null, h("tr", null, HEADS.map((text) => h("th", { scope: "col" }, text)))), body);
   const results = h("ul", { class: "results" });
   const node = h("div", { class: "whole" },
-    h("section", { class: "hero", "aria-label": "State of the fleet" }, title, tally, progress), all, results,
+    h("section", { class: "hero", "aria-label": "State of the fleet" }, title, tally, h("p", { class: "moving" }, progress, since)), all, results,
     card("Trackers", { class: "wide" }, h("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Trackers, one a row" }, table)));
   let ordered = null;
 
@@ -35,18 +37,23 @@ export function fleet(orders) {
     const rows = trackers.map((entry) => row(entry, live.connected));
     compare(rows);
     const own = rows.filter(({ tracker }) => tracker);
-    const gone = rows.filter(({ kind }) => kind === "lost").length;
+    // Of a service that has never answered nobody knows how many trackers it has.
+    const gone = rows.filter(({ kind, tracker }) => kind === "lost" && !tracker).length;
+    const silent = gone === 1 ? "1 service does not answer" : `${gone} services do not answer`;
     const waiting = rows.every(({ state, up }) => !state && up !== false);
     const troubled = rows.filter(({ kind, alarms }) => kind === "bad" || kind === "lost" || alarms.some(unseen)).length;
-    setText(title, waiting ? "Connecting ..." : !own.length && gone ? (gone === 1 ? "The service does not answer" : `${gone} services do not answer`) : `${own.length} tracker${own.length === 1 ? "" : "s"}: ${troubled ? `${troubled} need${troubled === 1 ? "s" : ""} attention` : "none needs attention"}`);
+    setText(title, waiting ? "Connecting ..." : !own.length && gone ? (gone === 1 ? "The service does not answer" : silent) : `${own.length} tracker${own.length === 1 ? "" : "s"}: ${troubled ? `${troubled} need${troubled === 1 ? "s" : ""} attention` : "none needs attention"}`);
     setAttr(node.firstChild, "data-kind", waiting ? "calm" : troubled ? "bad" : own.some(({ kind }) => kind === "warn") ? "warn" : "ok");
     const counts = {};
     for (const { mode } of own) counts[mode] = (counts[mode] ?? 0) + 1;
-    setText(tally, Object.entries(counts).sort((a, b) => b[1] - a[1]).map(([mode, count]) => `${count} ${mode}`).join(", "));
+    const counted = Object.entries(counts).sort((a, b) => b[1] - a[1]).map(([mode, count]) => `${count} ${mode}`);
+    setText(tally, [...counted, ...(own.length && gone ? [silent] : [])].join(", "));
     const stowed = own.filter(({ mode, tracker }) => mode === "stow" && !tracker.tracker.moving).length;
-    setText(progress, ordered === null ? "" : `${stowed} of ${own.length} stand stowed, ${duration((performance.now() - ordered) / 1000)} after the order`);
-    if (ordered !== null && stowed === own.length) ordered = Infinity;
-    if (ordered === Infinity) setText(progress, stowed === own.length ? `All ${own.length} stand stowed.` : "");
+    const done = stowed === own.length && !gone;
+    if (ordered !== null && done) ordered = Infinity;
+    const underWay = ordered !== null && ordered !== Infinity;
+    setText(progress, underWay ? `${stowed} of ${own.length} stand stowed${gone ? `, ${silent}` : ""}` : ordered && done ? `All ${own.length} stand stowed.` : "");
+    setText(since, underWay ? `, ${duration((performance.now() - ordered) / 1000)} after the order` : "");
     all.disabled = own.length === 0;
     fill(body, rows.map(({ key, label }) => [key, label]), () => rows.map(({ key, label }) => h("tr", null, h("th", { scope: "row" }, h("a", { href: "#now", "data-key": key }, label)), HEADS.slice(1).map((name) => h("td", { "data-name": name })))));
     rows.forEach((each, index) => show(body.children[index], each));
