@@ -237,6 +237,15 @@ def test_ten_trackers_are_seen_at_once_and_stowed_by_one_button(browser, tmp_pat
         assert page.complaints == []
 
 
+def test_a_long_name_leaves_the_mode_of_a_tracker_in_sight(open_page):
+    page = open_page("fleet", browsers.TABLET)
+    page.sees(".fleet td", "tracking")
+    link = page.page.locator(".fleet th a")
+    link.evaluate("link => link.textContent = 'at the long field behind the barn '.repeat(4)")
+    mode = page.page.locator(".fleet td").first.bounding_box()
+    assert mode["x"] + mode["width"] < browsers.TABLET["width"]
+
+
 def listeners(site):
     """Return how many streams the dashboard sends."""
     return browsers.WEB.get(f"{site.url}/healthz").json()["listeners"]
