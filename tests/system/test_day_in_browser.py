@@ -131,6 +131,23 @@ def test_nothing_is_drawn_or_counted_of_a_time_without_records(context, tmp_path
     assert page.complaints == []
 
 
+def test_the_end_of_the_day_is_seen_on_the_narrowest_of_phones(context, tmp_path):
+    site = MadeSite(tmp_path)
+    site.keep(*records(MIDNIGHT + 22 * HOUR, MIDNIGHT + 23 * HOUR))
+    page = site.open(context, MIDNIGHT + 23 * HOUR)
+    shows(page, "2022-09-21 (today)")
+    page.page.set_viewport_size({"width": 320, "height": 640})
+    page.page.wait_for_function(
+        """() => {
+            const end = (part) => part.getBoundingClientRect().right;
+            const ends = [...document.querySelectorAll(".plot canvas")].map(end);
+            const right = end(document.querySelector(".plots"));
+            return right < 320 && ends.length > 0 && ends.every((one) => one <= right);
+        }"""
+    )
+    assert page.complaints == []
+
+
 def test_a_mode_that_lasts_is_known_without_a_change_that_day(context, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(*records(MIDNIGHT, MIDNIGHT + 2 * HOUR))

@@ -33,7 +33,7 @@ export class Plots {
     const axis = { stroke: css("--muted"), grid, ticks: grid, font };
     const data = [x, ...series.map(({ values }) => values)];
     const config = {
-      width: Math.max(280, options.width),
+      width: Math.max(200, options.width),
       height: options.height ?? 210,
       cursor: { sync: { key: this.key.key }, drag: { x: true, y: false }, points: { size: 6 } },
       legend: { live: true, show: !options.bare },
@@ -75,7 +75,7 @@ export class Plots {
   }
 
   resize(width) {
-    for (const plot of this.all) plot.setSize({ width: Math.max(280, width), height: plot.height });
+    for (const plot of this.all) plot.setSize({ width: Math.max(200, width), height: plot.height });
   }
 
   clear() {
