@@ -100,7 +100,7 @@ def test_stow_is_the_biggest_button_of_a_phone_and_two_touches_away_and_moves_th
     stow.tap()
     page.page.get_by_role("button", name="Stow now").tap()
     page.sees(".hero h1", "Stow")
-    page.sees(".outcome", "Stow: ")
+    page.sees(".outcome", "Stow for tracker, SIRTA: ")
     page.sees(".wish", "by ana")
     page.sees(".gauge:nth-child(2) .value", "90.0°")
     page.sees(".moving", "Standing still")
@@ -124,7 +124,7 @@ def test_goto_is_held_to_the_limits_and_says_who_holds(site, open_page):
     page.page.get_by_label("B, flat is 90").fill("84")
     page.page.get_by_role("button", name="Go there and hold").click()
     page.log_in()
-    page.sees(".outcome", "Goto: ")
+    page.sees(".outcome", "Goto for tracker, SIRTA: ")
     page.sees(".wish", "Held by ana")
     page.sees(".control .big", "Both axes stand still")
     wait_until(lambda: abs(site.state()["tracker"]["pose"]["a_deg"] + 6) < 0.5, 60, "the tracker there")
@@ -234,6 +234,7 @@ def test_ten_trackers_are_seen_at_once_and_stowed_by_one_button(browser, tmp_pat
         page.page.get_by_role("link", name="t7, SIRTA").click()
         page.sees(".hero h1", "Stow")
         assert page.page.locator("#tracker").input_value().endswith("/t7")
+        assert page.text(".hero .whose") == "t7, SIRTA"
         assert page.complaints == []
 
 

@@ -65,6 +65,7 @@ def test_what_is_meant_for_a_tracker_that_is_not_to_be_had_goes_to_no_other(cont
             page.sees(".hero .why", why)
             page.sees(".hero h1", "No connection")
             assert chosen(page) == label
+            assert page.text(".hero .whose") == label
             assert page.page.locator("#stow").get_attribute("aria-label") == f"Stow {label}"
             playwright.expect(page.page.locator("#stow:enabled, .order:enabled, .goto :enabled")).to_have_count(2)
         page.page.evaluate("key => sessionStorage.setItem('tracker', key)", site.api)
@@ -179,7 +180,10 @@ def test_while_the_dashboard_does_not_answer_nobody_is_told_that_they_are_logged
     assert page.text("#who") == "ana"
     page.page.route("**/command", lambda route: route.abort())
     page.page.locator(".order.hold").click()
-    page.sees(".outcome", "Hold: The dashboard does not answer. The order may not have arrived: look at the tracker.")
+    page.sees(
+        ".outcome",
+        "Hold for tracker, SIRTA: The dashboard does not answer. The order may not have arrived: look at the tracker.",
+    )
     assert page.complaints == []
 
 
@@ -192,7 +196,10 @@ def test_an_order_without_an_answer_is_said_to_have_none_and_given_up_in_the_end
     page.page.clock.fast_forward(10_000)
     page.sees(".outcome", "Stop: sent to tracker, SIRTA, and no answer yet: look at the tracker.")
     page.page.clock.fast_forward(30_000)
-    page.sees(".outcome", "Stop: The dashboard does not answer. The order may not have arrived: look at the tracker.")
+    page.sees(
+        ".outcome",
+        "Stop for tracker, SIRTA: The dashboard does not answer. The order may not have arrived: look at the tracker.",
+    )
     assert page.complaints == []
 
 
@@ -206,7 +213,7 @@ def test_an_order_says_when_it_was_given_by_the_clock_of_the_dashboard(context, 
 
     page.page.route("**/command", note)
     page.page.locator(".order.hold").click()
-    page.sees(".outcome", "Hold: standing")
+    page.sees(".outcome", "Hold for tracker, SIRTA: standing")
     # Dashboard and test have the clock of one machine.
     assert given_s == [pytest.approx(time.monotonic(), abs=30.0)]
     assert page.complaints == []
@@ -258,7 +265,9 @@ def test_an_order_does_not_wait_behind_what_is_read_of_a_service_that_hangs(cont
             page.page.evaluate(READ_ALL, hung)
             page.page.locator(".order.hold").click()
             # After 30 s the dashboard gives up a service that does not answer: until then nothing else came through.
-            playwright.expect(page.page.locator(".outcome")).to_contain_text("Hold: standing", timeout=25_000)
+            playwright.expect(page.page.locator(".outcome")).to_contain_text(
+                "Hold for tracker, SIRTA: standing", timeout=25_000
+            )
             assert page.page.evaluate(READ_DAYS, site.api) == ["2022-09-21"]
             assert page.complaints == []
         finally:

@@ -184,11 +184,11 @@ export class Orders {
       const found = await this.awaited(`${name}: sent to ${whom}`, action);
       const text = found.text ?? "";
       const seen = { done: "ok", "under-way": "ok", "not-seen": "warn" }[found.state] ?? "ok";
-      this.say(seen === "warn" ? `${name}: no effect seen yet, look at the tracker: ${text}` : `${name}: ${text}`, seen);
+      this.say(seen === "warn" ? `${name} for ${whom}: no effect seen yet, look at the tracker: ${text}` : `${name} for ${whom}: ${text}`, seen);
       return true;
     } catch (error) {
       if (await this.renewed(error, service)) return this.carryOut(name, whom, action, service);
-      this.say(`${name}: ${outcomeOf(error)}`, "bad");
+      this.say(`${name} for ${whom}: ${outcomeOf(error)}`, "bad");
       return false;
     }
   }

@@ -16,6 +16,7 @@ const WISH = { maintenance: "Maintenance", stop: "Stopped", buttons: "Button pre
 
 export function hero(orders) {
   const glyph = h("span", { class: "glyph" });
+  const whose = h("p", { class: "whose" });
   const title = h("h1", null);
   const why = h("p", { class: "why" });
   const since = h("p", { class: "since" });
@@ -23,7 +24,7 @@ export function hero(orders) {
   const alarms = h("div", { class: "alarms" });
   const wishes = h("div", { class: "wishes" });
   const node = h("section", { class: "hero", "aria-label": "State" },
-    h("div", { class: "mode" }, glyph, h("div", null, title, why, since)), simulated, alarms, wishes);
+    h("div", { class: "mode" }, glyph, h("div", null, whose, title, why, since)), simulated, alarms, wishes);
 
   function update({ service, state, tracker, entry, now, old }) {
     const name = tracker ? tracker.mode.name : null;
@@ -31,6 +32,7 @@ export function hero(orders) {
     setAttr(node, "data-kind", kind);
     const shown = !state ? (service?.up === false ? "lost" : "starting") : old ? "lost" : name ?? (state.cube_down_why ? "fault" : "ok");
     fill(glyph, shown, () => icon(shown));
+    setText(whose, entry.label);
     setText(title, headline(service, state, tracker, old));
     setText(why, sentence(explain(service, state, tracker, old)));
     const sinceMs = tracker ? Date.parse(tracker.mode.since) : NaN;
