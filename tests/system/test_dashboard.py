@@ -115,6 +115,15 @@ def test_stow_is_the_biggest_button_of_a_phone_and_two_touches_away_and_moves_th
     page.sees(".hero h1", "Tracking")
 
 
+def test_alarms_push_no_stop_off_the_screen_of_a_phone(open_page):
+    page = open_page("control", browsers.PHONE)
+    page.sees(".hero h1", "Tracking")
+    page.page.locator(".alarms").evaluate("alarms => alarms.style.minHeight = '2000px'")
+    page.page.locator(".alarms").evaluate("alarms => alarms.append('three of them')")
+    stop = page.page.locator(".order.stop").bounding_box()
+    assert stop["y"] + stop["height"] < browsers.PHONE["height"] - 75
+
+
 def test_goto_is_held_to_the_limits_and_says_who_holds(site, open_page):
     page = open_page("control")
     page.page.get_by_label("A, east negative").fill("-6")

@@ -46,7 +46,7 @@ export function hero(orders) {
     fill(wishes, [tracker?.wishes, today], () => wishList(tracker?.wishes ?? {}, now));
   }
 
-  return { node, update };
+  return { node, alarms, update };
 }
 
 function headline(service, state, tracker, old) {
