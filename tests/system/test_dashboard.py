@@ -373,6 +373,29 @@ def test_all_is_reached_with_the_keyboard_alone(site, open_page):
     playwright.expect(dialog).to_have_count(0)
 
 
+def test_a_screen_reader_tells_another_mode_and_an_alarm_and_not_the_seconds(site, open_page):
+    page = open_page("control")
+    page.sees(".hero h1", "Tracking")
+    # What a reader says of its own accord, as it changes.
+    page.page.evaluate(
+        """() => {
+            window.told = [];
+            const live = (node) => node.parentElement?.closest("[role=status], [role=alert], [aria-live]");
+            const tell = ({ target }) => live(target) && told.push(target.textContent);
+            new MutationObserver((found) => found.forEach(tell))
+                .observe(document.querySelector("main"), { subtree: true, childList: true, characterData: true });
+        }"""
+    )
+    site.order("stop")
+    page.sees(".hero h1", "Stopped by a person")
+    before = page.text(".hero .since")
+    playwright.expect(page.page.locator(".hero .since")).not_to_have_text(before, timeout=browsers.WITHIN_MS)
+    told = page.page.evaluate("told")
+    assert "Stopped by a person" in told
+    assert not any(text.startswith("since ") for text in told)
+    assert page.page.locator(".alarms").get_attribute("aria-live") == "polite"
+
+
 def test_the_way_past_the_head_stays_with_the_view_that_is_shown(open_page):
     page = open_page("constructor")
     page.sees(".hero h1", "Tracking")

@@ -21,10 +21,10 @@ export function hero(orders) {
   const why = h("p", { class: "why" });
   const since = h("p", { class: "since" });
   const simulated = h("p", { class: "simulated", hidden: true }, "SIMULATED", h("span", null));
-  const alarms = h("div", { class: "alarms" });
+  const alarms = h("div", { class: "alarms", "aria-live": "polite" });
   const wishes = h("div", { class: "wishes" });
   const node = h("section", { class: "hero", "aria-label": "State" },
-    h("div", { class: "mode" }, glyph, h("div", null, whose, title, why, since)), simulated, alarms, wishes);
+    h("div", { class: "mode" }, glyph, h("div", null, h("div", { role: "status" }, whose, title, why), since)), simulated, alarms, wishes);
 
   function update({ service, state, tracker, entry, now, old }) {
     const name = tracker ? tracker.mode.name : null;
