@@ -128,6 +128,16 @@ def test_neither_a_double_click_nor_a_held_key_answers_the_question_that_it_open
     assert page.complaints == []
 
 
+def test_alarms_push_no_stop_off_the_screen_of_a_phone(context, site):
+    page = browsers.Page(context, site.url, "control")
+    page.page.set_viewport_size(browsers.PHONE)
+    page.sees(".hero h1", "Tracking")
+    page.page.locator(".alarms").evaluate("alarms => alarms.style.minHeight = '2000px'")
+    page.page.locator(".alarms").evaluate("alarms => alarms.append('three of them')")
+    stop = page.page.locator(".order.stop").bounding_box()
+    assert stop["y"] + stop["height"] < browsers.PHONE["height"] - 75
+
+
 def test_stow_for_all_asks_for_the_token_again_when_the_session_is_gone(context, site, back_to_tracking):
     page = logged_in(context, site, "fleet")
     context.clear_cookies()

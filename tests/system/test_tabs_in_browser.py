@@ -1,0 +1,109 @@
+"""Tabs of a real browser: what those say that are behind others, were hidden, or slept with their machine."""
+
+import pytest
+
+from tests.system.processes import wait_until
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+from tests.system import browser as browsers  # noqa: E402 - it needs playwright
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(browsers.CHROMIUM is None, reason="chromium is not installed: no browser for the dashboard"),
+]
+
+HIDE = """(state) => {
+    Object.defineProperty(document, "visibilityState", { value: state, configurable: true });
+    document.dispatchEvent(new Event("visibilitychange"));
+}"""
+"""What a browser does with a tab behind another one; playwright keeps all in front."""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with browsers.chromium() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def the_site(tmp_path_factory):
+    with browsers.simulated_site(tmp_path_factory.mktemp("site")) as found:
+        yield found
+
+
+@pytest.fixture
+def site(the_site):
+    """The site, tracking."""
+    if the_site.mode() != "tracking":
+        wait_until(lambda: the_site.order("auto").get("accepted"), 60, the_site.service.log)
+    the_site.until_mode("tracking")
+    return the_site
+
+
+@pytest.fixture
+def context(browser):
+    with browser.new_context(viewport=browsers.DESKTOP) as found:
+        yield found
+
+
+def listeners(site):
+    """Return how many streams the dashboard sends."""
+    return browsers.WEB.get(f"{site.url}/healthz").json()["listeners"]
+
+
+def test_seven_tabs_of_one_browser_are_all_live_over_one_stream(context, site):
+    first = browsers.Page(context, site.url)
+    # A browser holds six connections to a host.
+    tabs = [first, *(browsers.Page(context, site.url) for _ in range(6))]
+    for tab in tabs:
+        tab.sees(".hero h1", "Tracking")
+    before = [tab.text("#clock") for tab in tabs]
+    wait_until(lambda: all(tab.text("#clock") != old for tab, old in zip(tabs, before, strict=True)), 60, "all go on")
+    # That of a page which another test has closed may end late.
+    wait_until(lambda: listeners(site) in (1, 2), 60, "one stream for seven tabs")
+
+
+def test_what_was_shown_before_a_machine_slept_is_old_when_it_wakes(context, site):
+    page = browsers.Page(context, site.url)
+    page.sees(".hero h1", "Tracking")
+    # Of a browser's two clocks, the one that counts from its start stands in the sleep of a machine.
+    seen = page.page.evaluate(
+        """() => {
+            const now = Date.now;
+            Date.now = () => now() + 3600e3;
+            document.dispatchEvent(new Event("visibilitychange"));
+            Date.now = now;
+            return document.querySelector(".hero h1").textContent;
+        }"""
+    )
+    assert seen == "No connection: what is shown is old"
+    page.sees(".hero h1", "Tracking")
+
+
+def test_a_tab_shows_nothing_that_an_older_one_heard_before_it_was_hidden(context, site):
+    older = browsers.Page(context, site.url)
+    older.sees(".hero h1", "Tracking")
+    before = listeners(site)
+    older.page.evaluate(HIDE, "hidden")
+    wait_until(lambda: listeners(site) < before, 60, "no stream for a hidden tab")
+    site.order("stop")
+    site.until_mode("hold")
+    context.add_init_script(
+        """window.seen = new Set();
+        const look = () => window.seen.add(document.querySelector(".hero h1")?.textContent);
+        new MutationObserver(look).observe(document, { subtree: true, childList: true, characterData: true });"""
+    )
+    newer = browsers.Page(context, site.url)
+    newer.sees(".hero h1", "Stopped by a person")
+    assert "Tracking" not in newer.page.evaluate("[...window.seen]")
+
+
+def test_a_tab_behind_another_one_has_the_state_in_its_title(context, site):
+    behind = browsers.Page(context, site.url)
+    behind.sees(".hero h1", "Tracking")
+    browsers.Page(context, site.url).sees(".hero h1", "Tracking")
+    behind.page.evaluate(HIDE, "hidden")
+    site.order("stop")
+    playwright.expect(behind.page).to_have_title("hold, tracker, SIRTA", timeout=browsers.WITHIN_MS)
+    assert behind.text(".hero h1") == "Tracking"
