@@ -8,6 +8,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
+from daemon.base.alarms.kinds import KINDS
 from daemon.base.records import Mode
 from tests.support import DOCS
 
@@ -41,6 +42,13 @@ def test_a_page_that_fetches_from_elsewhere_is_named(tmp_path):
     assert BUILD.own_scripts(tmp_path) == ["other.html"]
     assert 'src="site/iframe-worker.js"' in (tmp_path / "own.html").read_text()
     assert (DOCS / "site" / "iframe-worker.js").is_file()
+
+
+def test_the_search_takes_the_name_of_an_alarm_for_one_word():
+    settings = tomllib.loads((DOCS / "site" / "zensical.toml").read_text(encoding="utf-8"))
+    separator = settings["project"]["plugins"]["search"]["separator"]
+    assert [name for name in KINDS if re.split(separator, name) != [name]] == []
+    assert re.split(separator, "see [safety]: scan_stale_s=15.0") == ["see", "safety", "scan_stale_s", "15.0"]
 
 
 def test_the_drawing_of_the_angles_is_what_its_script_draws():
