@@ -193,14 +193,18 @@ def site_on_bench(folder):
         bench.stop()
 
 
+def launch(kind, *options):
+    """Return a browser of the one that playwright drives."""
+    # As root a sandbox cannot be had.
+    given = ["--no-sandbox", "--disable-gpu", *options]
+    return kind.launch(executable_path=Path(__file__).with_name("chromium.sh"), args=given)
+
+
 @contextlib.contextmanager
 def chromium():
     """Give a browser."""
     with sync_playwright() as playwright:
-        # As root a sandbox cannot be had.
-        browser = playwright.chromium.launch(
-            executable_path=Path(__file__).with_name("chromium.sh"), args=["--no-sandbox", "--disable-gpu"]
-        )
+        browser = launch(playwright.chromium)
         try:
             yield browser
         finally:

@@ -148,6 +148,20 @@ def test_the_end_of_the_day_is_seen_on_the_narrowest_of_phones(context, tmp_path
     assert page.complaints == []
 
 
+def test_the_page_takes_the_size_of_letters_that_is_set_in_the_browser(browser, tmp_path):
+    large = browsers.launch(browser.browser_type, "--blink-settings=defaultFontSize=32")
+    try:
+        page = MadeSite(tmp_path).open(large.new_context(viewport=browsers.DESKTOP), MIDNIGHT)
+        page.sees(".day", "No stored day to show")
+        size = "parseFloat(getComputedStyle(document.documentElement).fontSize)"
+        assert page.page.evaluate(size) == pytest.approx(32, abs=2)
+        # A desktop with large letters has the room of a phone.
+        width = page.page.evaluate("document.documentElement.scrollWidth")
+        assert width == browsers.DESKTOP["width"]
+    finally:
+        large.close()
+
+
 def test_a_mode_that_lasts_is_known_without_a_change_that_day(context, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(*records(MIDNIGHT, MIDNIGHT + 2 * HOUR))
