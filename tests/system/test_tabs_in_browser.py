@@ -105,5 +105,5 @@ def test_a_tab_behind_another_one_has_the_state_in_its_title(context, site):
     browsers.Page(context, site.url).sees(".hero h1", "Tracking")
     behind.page.evaluate(HIDE, "hidden")
     site.order("stop")
-    playwright.expect(behind.page).to_have_title("hold, tracker, SIRTA", timeout=browsers.WITHIN_MS)
+    playwright.expect(behind.page).to_have_title("stopped, tracker, SIRTA", timeout=browsers.WITHIN_MS)
     assert behind.text(".hero h1") == "Tracking"

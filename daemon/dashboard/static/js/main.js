@@ -8,6 +8,7 @@ import { sunOf } from "./sun.js";
 import { control } from "./views/control.js";
 import { day } from "./views/day.js";
 import { fleet } from "./views/fleet.js";
+import { inAWord } from "./views/hero.js";
 import { now } from "./views/now.js";
 
 const byId = (id) => document.getElementById(id);
@@ -76,7 +77,7 @@ function head({ trackers, entry, service, state, now: time, old }) {
 
 // A tab behind others shows nothing else, and stands there for hours.
 function title({ entry, state, old }) {
-  return state && entry.tracker ? `${old ? "old: " : ""}${entry.tracker.mode.name}, ${entry.label}` : "heliocube";
+  return state && entry.tracker ? `${old ? "old: " : ""}${inAWord(entry.tracker.mode)}, ${entry.label}` : "heliocube";
 }
 
 function choose() {

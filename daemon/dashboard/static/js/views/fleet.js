@@ -5,7 +5,7 @@ import { deg, duration, num, sentence, signedDeg } from "../format.js";
 import { normal, separationDeg } from "../geometry.js";
 import { elapsed, isOld } from "../live.js";
 import { target } from "./dome.js";
-import { KIND, TITLE } from "./hero.js";
+import { inAWord, KIND, TITLE } from "./hero.js";
 
 const HEADS = ["Tracker", "Mode", "A actual / set", "B actual / set", "Off its set point", "Set point off the median", "Wind", "Age", "Alarms"];
 // As independent monitors count a tracker as not available.
@@ -69,7 +69,7 @@ function row({ key, label, service, tracker }, connected) {
   const state = service.state;
   const extra = elapsed(service);
   const old = Boolean(state) && isOld(service, connected);
-  const mode = !state && service.up !== false ? "connecting" : old || !state ? "no connection" : tracker ? (tracker.mode.asked === "stop" ? "stopped" : tracker.mode.name) : state.cube_down_why ? "cube down" : "cube reads";
+  const mode = !state && service.up !== false ? "connecting" : old || !state ? "no connection" : tracker ? inAWord(tracker.mode) : state.cube_down_why ? "cube down" : "cube reads";
   const kind = !state && service.up !== false ? "calm" : old || !state ? "lost" : tracker ? KIND[tracker.mode.name] ?? "warn" : state.cube_down_why ? "bad" : "ok";
   const pose = tracker?.tracker.pose;
   const wanted = target(tracker);

@@ -12,6 +12,7 @@ export const TITLE = {
 };
 // In the mode hold a stop is more than a hold: nothing but Auto ends it.
 const ASKED = { stop: "Stopped by a person", buttons: "A button was pressed at the unit" };
+export const inAWord = (mode) => (mode.asked === "stop" ? "stopped" : mode.name);
 const WISH = { maintenance: "Maintenance", stop: "Stopped", buttons: "Button pressed at the unit", stow: "Stow", snow: "Snow position", hold: "Held" };
 
 export function hero(orders) {
