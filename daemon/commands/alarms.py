@@ -42,7 +42,7 @@ def alarms(
 
 @app.command("ack")
 def acknowledge(
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Of the alarm, such as move-failed.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Name of the alarm, such as move-failed.")] = None,
     everything: Annotated[bool, typer.Option("--all", help="All alarms that are shown.")] = False,
     config: ConfigOption = None,
     api: ApiOption = None,
@@ -51,7 +51,7 @@ def acknowledge(
     tracker: TrackerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say that you have seen an alarm. Nothing moves by it, and no stop ends."""
+    """Say that you have seen an alarm. This moves nothing and ends no stop."""
     if everything is (name is not None):
         raise UserError("name the alarm, such as 'heliocube alarms ack move-failed', or say --all")
     which = {} if name is None else {"alarm": name}
@@ -84,16 +84,24 @@ def notify(
     config: Annotated[
         Path | None,
         typer.Option(
-            "--config", "-c", metavar="FILE", envvar="HELIOCUBE_CONFIG", help="For its sections notify and api."
+            "--config",
+            "-c",
+            metavar="FILE",
+            envvar="HELIOCUBE_CONFIG",
+            help="Configuration file; its sections notify and api are used.",
         ),
     ] = None,
     api: Annotated[
         list[str] | None,
-        typer.Option(metavar="ADDRESS:PORT", help="A service's local interface, instead. May be repeated."),
+        typer.Option(
+            metavar="ADDRESS:PORT", help="Address of a service, instead of the configuration's. May be repeated."
+        ),
     ] = None,
-    test: Annotated[bool, typer.Option("--test", help="Send everybody one message, and say what came of it.")] = False,
+    test: Annotated[
+        bool, typer.Option("--test", help="Send one message to each address, and print which of them accepted it.")
+    ] = False,
 ) -> None:
-    """Tell people of alarms, by e-mail, ntfy, chat or telephone, until Ctrl-C, SIGTERM or SIGHUP."""
+    """Send alarms to people by e-mail, ntfy, chat or telephone, until Ctrl-C, SIGTERM or SIGHUP."""
     import asyncio
     import logging
     import os

@@ -9,7 +9,8 @@ from typing import Annotated, Any, TextIO
 import typer
 
 JsonOption = Annotated[
-    bool, typer.Option("--json", help="The answer as JSON, alone on standard output; all else goes to standard error.")
+    bool,
+    typer.Option("--json", help="Print only the answer, as JSON, on standard output; the rest goes to standard error."),
 ]
 
 # Of a terminal that does not tell.

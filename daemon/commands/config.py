@@ -27,7 +27,7 @@ KEY_NAME = "bridge.key"
 TOKEN_NAME = "api.token"  # noqa: S105 - the name of a file
 
 app = typer.Typer(
-    help="Check a configuration file, write a commented one, or bring an older one into today's form.",
+    help="Check a configuration file, write a commented one, or update an older one.",
     no_args_is_help=True,
     rich_markup_mode="rich",
 )
@@ -39,7 +39,7 @@ def check(
     role: Annotated[
         RoleChoice | None,
         typer.Option(
-            help="What the process will do; if left out, that of the file's unit, or else one role must be able to run."
+            help="What the process will do. If left out: the role of the unit that starts this file, or any possible."
         ),
     ] = None,
     probe: Annotated[
@@ -83,13 +83,13 @@ def _line(subject: str, style: str, text: str) -> Text:
 @app.command()
 def init(
     directory: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder, made if it is not there.", show_default=False)
+        Path, typer.Argument(metavar="DIR", help="Folder; created if it is missing.", show_default=False)
     ],
     role: Annotated[RoleChoice, typer.Option(help="What the machine will do.")] = RoleChoice.both,
     cube: CubeOption = None,
     positioner: PositionerOption = None,
 ) -> None:
-    """Write heliocube.toml, every key explained, and a new bridge.key and api.token into DIR."""
+    """Write heliocube.toml, with every key explained, and a new bridge.key and api.token into DIR."""
     *first, last = write_example(directory, role.value, cube, positioner)
     console = Console(highlight=False, soft_wrap=True)
     names = Text(", ").join(Text(str(path), "bold") for path in first)
@@ -101,10 +101,10 @@ def init(
 def migrate(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The TOML file.", show_default=False)],
     keys_only: Annotated[
-        bool, typer.Option("--keys-only", help="Leave a tracker without a name as it is, as an upgrade does.")
+        bool, typer.Option("--keys-only", help="Give no name to a tracker that has none; an upgrade does the same.")
     ] = False,
 ) -> None:
-    """Bring FILE into today's form; the old one is kept beside it."""
+    """Update FILE to the keys of this release; the old file is kept beside it."""
     from daemon.config.migrate import migrate as bring_up_to_date
 
     say(bring_up_to_date(file, keys_only=keys_only))

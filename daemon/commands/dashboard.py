@@ -27,19 +27,21 @@ def dashboard(
             "-c",
             metavar="FILE",
             envvar="HELIOCUBE_CONFIG",
-            help="Configuration, for its sections dashboard and api.",
+            help="Configuration file; its sections dashboard and api are used.",
         ),
     ] = None,
     api: Annotated[
         list[str] | None,
-        typer.Option(metavar="ADDRESS:PORT", help="A service's local interface, instead. May be repeated."),
+        typer.Option(
+            metavar="ADDRESS:PORT", help="Address of a service, instead of the configuration's. May be repeated."
+        ),
     ] = None,
     listen: Annotated[
         str | None, typer.Option(metavar="ADDRESS:PORT", help="Where to serve the page, instead of dashboard.listen.")
     ] = None,
     with_parent: Annotated[bool, typer.Option("--with-parent", help="End when standard input ends.")] = False,
 ) -> None:
-    """Serve the dashboard for browsers until Ctrl-C, SIGTERM or SIGHUP; it shows services that run already, or will."""
+    """Serve the dashboard for browsers until Ctrl-C, SIGTERM or SIGHUP; services may start before or after it."""
     import logging
     import os
 

@@ -30,11 +30,13 @@ class KindChoice(StrEnum):
 
 @app.command(rich_help_panel=FILES)
 def export(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the tables; made if it is not there.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the tables; created if it is missing.")],
     start: Annotated[
         str | None, typer.Option("--from", metavar="UTC", help="First instant, such as 2022-10-14.")
     ] = None,
-    end: Annotated[str | None, typer.Option("--to", metavar="UTC", help="End, itself not included.")] = None,
+    end: Annotated[
+        str | None, typer.Option("--to", metavar="UTC", help="End; this instant itself is not included.")
+    ] = None,
     table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of tables.")] = TableFormat.csv,
     kind: Annotated[
         list[KindChoice] | None,
@@ -43,10 +45,12 @@ def export(
         ),
     ] = None,
     store: Annotated[
-        str | None, typer.Option(metavar="DIR|URL", help="Folder of the store, without a configuration, or an archive.")
+        str | None,
+        typer.Option(metavar="DIR|URL", help="Folder of the store, or URL of an archive, instead of a configuration."),
     ] = None,
     config: Annotated[
-        Path | None, typer.Option("--config", "-c", metavar="FILE", help="Configuration file, for its section store.")
+        Path | None,
+        typer.Option("--config", "-c", metavar="FILE", help="Configuration file; its section store is used."),
     ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,

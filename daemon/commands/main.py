@@ -117,7 +117,7 @@ SeedOption = Annotated[
 
 
 @app.callback(invoke_without_command=True)
-def _top(show_version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False) -> None:
+def _top(show_version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
     if show_version:
         typer.echo(f"heliocube {version('heliocube')}")
         raise typer.Exit
@@ -129,9 +129,13 @@ def run(
     role: Annotated[RoleChoice, typer.Option(help="What this process does.")] = RoleChoice.both,
     speed: Annotated[
         float | None,
-        typer.Option(metavar="FACTOR", help="Simulated rig: how many times real speed, 60 unless configured."),
+        typer.Option(
+            metavar="FACTOR", help="Simulated rig: how many times faster than real time, 60 unless configured."
+        ),
     ] = None,
-    start: Annotated[str | None, typer.Option(metavar="UTC", help="Simulated rig: where its clock starts.")] = None,
+    start: Annotated[
+        str | None, typer.Option(metavar="UTC", help="Simulated rig: the time at which its clock starts.")
+    ] = None,
     weather: WeatherOption = None,
     law: LawOption = None,
     site: SiteOption = None,
@@ -139,7 +143,7 @@ def run(
     cube: CubeOption = None,
     positioner: PositionerOption = None,
     for_s: Annotated[
-        float | None, typer.Option("--for", min=0, metavar="SECONDS", help="End after so many seconds of real time.")
+        float | None, typer.Option("--for", min=0, metavar="SECONDS", help="End after this many seconds of real time.")
     ] = None,
     with_dashboard: Annotated[
         bool, typer.Option("--dashboard", help="Serve the dashboard as well, in a process of its own beside this one.")
@@ -180,7 +184,7 @@ def run(
 
 @app.command(rich_help_panel=SERVICE)
 def simulate(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the tables; made if it is not there.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the tables; created if it is missing.")],
     start: Annotated[str, typer.Option(metavar="UTC", help="First day or instant, such as 2022-10-14.")],
     days: Annotated[float, typer.Option(min=0.01, max=366, metavar="DAYS", help="How many days.")] = 1.0,
     weather: WeatherOption = None,
@@ -192,13 +196,18 @@ def simulate(
     positioner: PositionerOption = None,
     trackers: Annotated[
         int | None,
-        typer.Option(min=1, max=9999, metavar="NUMBER", help="So many trackers by one cube, named t1 and so on."),
+        typer.Option(
+            min=1,
+            max=9999,
+            metavar="NUMBER",
+            help="Number of trackers that one cube serves; they are named t1, t2 and so on.",
+        ),
     ] = None,
     table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of tables.")] = TableFormat.csv,
     plot: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Draw light, angles and insolation too: their names are added to this one's."
+            metavar="FILE", help="Also draw light, angles and insolation: FILE.png gives FILE-light.png and so on."
         ),
     ] = None,
     report_to: ReportOption = None,
@@ -267,12 +276,12 @@ def bench(
     positioner: PositionerOption = None,
     rotctld: Annotated[
         str | None,
-        typer.Option(metavar="HOST:PORT", help="A rotctld of your own, instead of a simulated positioner."),
+        typer.Option(metavar="HOST:PORT", help="Your own rotctld, instead of a simulated positioner."),
     ] = None,
 ) -> None:
-    """Run simulated instruments on real transports, for `heliocube run --config DIR/heliocube.toml` to drive.
+    """Run simulated instruments on real ports; `heliocube run --config DIR/heliocube.toml` then drives them.
 
-    The configuration that is given is the basis of the one that is written.
+    DIR/heliocube.toml is written from the file of --config, if there is one, with the ports of the bench.
     """
     settings = _settings(
         config,

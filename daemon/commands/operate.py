@@ -14,7 +14,9 @@ app = typer.Typer()
 TokenOption = Annotated[
     Path | None,
     typer.Option(
-        "--token-file", metavar="FILE", help="The service's token, without a configuration; or set HELIOCUBE_TOKEN."
+        "--token-file",
+        metavar="FILE",
+        help="File with the service's token, instead of a configuration; or set HELIOCUBE_TOKEN.",
     ),
 ]
 WhyOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, for the records.")]
@@ -43,10 +45,10 @@ def _plain(name: str, meaning: str) -> None:
 
 _plain("stow", "Go to the stow position now and stay there until 'auto'.")
 _plain("hold", "Stay where the tracker is until 'auto'.")
-_plain("auto", "Track again: end what stop, maintenance, stow, snow, hold or goto asked for.")
+_plain("auto", "Track again: end a stop, maintenance, stow, snow, hold or goto.")
 _plain("stop", "Stop the axes at once; nothing moves them until 'auto'.")
 _plain("snow", "Go to the steep position that sheds snow and hail and stay there until 'auto'.")
-_plain("maintenance", "Let nothing move and no alarm sound until 'auto'.")
+_plain("maintenance", "Stop the axes and keep them still and all alarms silent until 'auto'.")
 
 
 @app.command(rich_help_panel=OPERATION, context_settings={"ignore_unknown_options": True})

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 # Headings of the list of commands.
 SERVICE = "The service"
-OPERATION = "To the running service"
+OPERATION = "Commands to the running service"
 FILES = "Files and tools"
 SCIENCE = "Science"
 BENCH = "Instruments and the bench"
@@ -22,18 +22,22 @@ BENCH = "Instruments and the bench"
 
 # The names are not listed here: to find those of all installed packages takes a tenth of a second of every command.
 LawOption = Annotated[
-    str | None, typer.Option(metavar="LAW", help="Pointing law by name, as law.driver; a wrong one lists them all.")
+    str | None, typer.Option(metavar="LAW", help="Pointing law, as in law.driver; an unknown name prints the list.")
 ]
 CubeOption = Annotated[
     str | None,
     typer.Option(
-        "--cube", metavar="NAME", help="What reads the faces, as instruments.cube.driver; a wrong one lists all."
+        "--cube",
+        metavar="NAME",
+        help="Driver that reads the faces, as in instruments.cube.driver; an unknown name prints the list.",
     ),
 ]
 PositionerOption = Annotated[
     str | None,
     typer.Option(
-        "--positioner", metavar="NAME", help="What turns it, as instruments.positioner.driver; a wrong one lists all."
+        "--positioner",
+        metavar="NAME",
+        help="Driver of the positioner, as in instruments.positioner.driver; an unknown name prints the list.",
     ),
 ]
 CONFIG_VARIABLE = "HELIOCUBE_CONFIG"
@@ -51,25 +55,30 @@ ConfigOption = Annotated[
 ]
 ApiOption = Annotated[
     str | None,
-    typer.Option("--api", metavar="ADDRESS:PORT", help="Where the service listens, without a configuration."),
+    typer.Option("--api", metavar="ADDRESS:PORT", help="Address of the service, instead of a configuration."),
 ]
 TrackerOption = Annotated[
-    str | None, typer.Option("--tracker", metavar="NAME", help="Which tracker, where there are several.")
+    str | None, typer.Option("--tracker", metavar="NAME", help="Name of the tracker, if there are several.")
 ]
 
 ReportOption = Annotated[
-    Path | None, typer.Option("--report", metavar="DIR", help="Folder for a page about it, like that of 'report'.")
+    Path | None,
+    typer.Option(
+        "--report", metavar="DIR", help="Also write a report page, as 'heliocube report' does, into this folder."
+    ),
 ]
 ZoneOption = Annotated[
     str | None,
-    typer.Option("--zone", metavar="ZONE", help="Zone of local times, such as Europe/Paris; else the machine's."),
+    typer.Option(
+        "--zone", metavar="ZONE", help="Time zone of local times, such as Europe/Paris; if left out, the machine's."
+    ),
 ]
-JobsOption = Annotated[int, typer.Option("--jobs", min=1, max=256, metavar="N", help="In how many processes.")]
+JobsOption = Annotated[int, typer.Option("--jobs", min=1, max=256, metavar="N", help="Number of processes.")]
 ClusterOption = Annotated[
     str | None,
-    typer.Option("--cluster", metavar="HOST:PORT", help="On the workers of this dask scheduler, in place of --jobs."),
+    typer.Option("--cluster", metavar="HOST:PORT", help="Use the workers of this dask scheduler instead of --jobs."),
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite existing files.")]
 
 
 def show_values_in_words() -> None:

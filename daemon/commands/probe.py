@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from drivers.transcript import Direction, Tap
 
 app = typer.Typer(
-    help="Look at one real instrument and report; nothing is changed unless asked for.",
+    help="Query one real instrument and report; nothing is changed unless you ask for it.",
     no_args_is_help=True,
 )
 
@@ -40,7 +40,7 @@ WriteOption = Annotated[bool, typer.Option("--write", help="Also do what changes
 
 @app.command()
 def positioner(
-    port: Annotated[str | None, typer.Option(help="Its port, instead of the configuration's.")] = None,
+    port: Annotated[str | None, typer.Option(help="Port of the positioner, instead of the configuration's.")] = None,
     config: ConfigOption = None,
     tracker: TrackerOption = None,
     seconds: Annotated[float, typer.Option(min=1, max=3600, help="How long to listen.")] = 10.0,
@@ -62,13 +62,15 @@ def positioner(
 
 @app.command()
 def voltmeter(
-    resource: Annotated[str | None, typer.Option(help="Its VISA name, instead of the configuration's.")] = None,
+    resource: Annotated[
+        str | None, typer.Option(help="VISA name of the instrument, instead of the configuration's.")
+    ] = None,
     config: ConfigOption = None,
     write: WriteOption = False,
     record: RecordOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Ask the voltmeter who it is and how it is set; with --write, configure it and take ten readings."""
+    """Read the voltmeter's identity and settings; with --write, configure it and take ten readings."""
     from daemon.base.clock import SystemClock
     from daemon.rigs.probe_cube import probe_voltmeter
 
@@ -105,15 +107,17 @@ def cube(
     ] = None,
     config: ConfigOption = None,
     name: CubeOption = None,
-    addresses: Annotated[str, typer.Option(metavar="FIRST-LAST", help="Where to look, within 1-247.")] = "1-32",
+    addresses: Annotated[
+        str, typer.Option(metavar="FIRST-LAST", help="Modbus addresses to query, within 1-247.")
+    ] = "1-32",
     clear: Annotated[bool, typer.Option("--clear", help="Also clear the old error that an SMP keeps.")] = False,
     set_address: Annotated[
-        bool, typer.Option("--set-address", help="Lead through giving new sensors their addresses, one at a time.")
+        bool, typer.Option("--set-address", help="Give new sensors their addresses in a dialogue, one at a time.")
     ] = False,
     record: RecordOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List the pyranometers that answer on their line of Modbus, with make, serial number and value."""
+    """List the pyranometers that answer on a Modbus line, with make, serial number and value."""
     from daemon.base.clock import SystemClock
     from daemon.rigs.probe_modbus import ModbusProbe, unit_range
     from daemon.studies.inputs import settings_for
@@ -145,8 +149,12 @@ class LoadChoice(StrEnum):
 
 @app.command()
 def load(
-    resource: Annotated[str | None, typer.Option(help="Its VISA name, instead of the configuration's.")] = None,
-    driver: Annotated[LoadChoice | None, typer.Option(help="Its make, instead of the configuration's.")] = None,
+    resource: Annotated[
+        str | None, typer.Option(help="VISA name of the instrument, instead of the configuration's.")
+    ] = None,
+    driver: Annotated[
+        LoadChoice | None, typer.Option(help="Driver of the load, instead of the configuration's.")
+    ] = None,
     config: ConfigOption = None,
     tracker: TrackerOption = None,
     write: Annotated[
@@ -155,7 +163,7 @@ def load(
     record: RecordOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Ask the electronic load who it is and how it is set; with --write, trace one curve."""
+    """Read the electronic load's identity and settings; with --write, trace one curve."""
     from daemon.base.clock import SystemClock
     from daemon.config.file import load_settings, override
     from daemon.config.settings import Settings, settings_of_one

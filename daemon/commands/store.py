@@ -8,7 +8,7 @@ import typer
 
 from daemon.commands.answers import JsonOption, print_json, say
 
-app = typer.Typer(help="The file of the records: salvage what a damaged one still holds.", no_args_is_help=True)
+app = typer.Typer(help="Work on the file of the records: salvage what a damaged one still holds.", no_args_is_help=True)
 
 
 @app.callback()
@@ -18,11 +18,11 @@ def _group() -> None:
 
 @app.command()
 def salvage(
-    file: Annotated[Path, typer.Argument(help="Store that is damaged, or was moved aside. It is only read.")],
+    file: Annotated[Path, typer.Argument(help="Store that is damaged, or was moved aside. It is read, never changed.")],
     into: Annotated[
         Path,
         typer.Option(
-            metavar="DIR", help="Folder of the store that takes the records: the service's own, or a new one."
+            metavar="DIR", help="Folder of the store to write the records into: the service's own, or a new one."
         ),
     ],
     as_json: JsonOption = False,

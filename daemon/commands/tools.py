@@ -25,16 +25,26 @@ def send_csv(
     config: Annotated[
         Path | None,
         typer.Option(
-            "--config", "-c", metavar="FILE", help="Configuration, for the targets and key of its section bridge."
+            "--config",
+            "-c",
+            metavar="FILE",
+            help="Configuration file; the targets and the key of its section bridge are used.",
         ),
     ] = None,
-    to: Annotated[list[str] | None, typer.Option(metavar="HOST:PORT", help="Target instead. May be repeated.")] = None,
-    key: Annotated[Path | None, typer.Option(metavar="FILE", help="Key file instead of the configuration's.")] = None,
-    insecure: Annotated[bool, typer.Option("--insecure", help="Send unsigned.")] = False,
+    to: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="HOST:PORT", help="Where to send, instead of the configuration's targets. May be repeated."
+        ),
+    ] = None,
+    key: Annotated[Path | None, typer.Option(metavar="FILE", help="Key file, instead of the configuration's.")] = None,
+    insecure: Annotated[bool, typer.Option("--insecure", help="Send without a signature.")] = False,
     speed: Annotated[
-        float, typer.Option(min=0.001, metavar="FACTOR", help="How many times the pace of the file.")
+        float, typer.Option(min=0.001, metavar="FACTOR", help="How many times faster than the file's own times.")
     ] = 1.0,
-    keep_times: Annotated[bool, typer.Option("--keep-times", help="Send the file's times instead of now.")] = False,
+    keep_times: Annotated[
+        bool, typer.Option("--keep-times", help="Send the file's times instead of the present time.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Send recorded irradiances as a cube would: the reference sender of docs/bridge.md."""
@@ -100,11 +110,13 @@ def _require_terminals() -> None:
 
 
 def control(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="The bench's folder.", show_default=False)],
+    directory: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder of the bench, as in bench --dir.", show_default=False)
+    ],
     verb: Annotated[str, typer.Argument(help="The command; 'help' lists them.", show_default=False)],
-    arguments: Annotated[list[str] | None, typer.Argument(help="What the command takes.", show_default=False)] = None,
+    arguments: Annotated[list[str] | None, typer.Argument(help="Arguments of the command.", show_default=False)] = None,
 ) -> None:
-    """Change or ask the bench that runs in DIR."""
+    """Change or query the bench that runs in DIR."""
     from daemon.rigs.bench_client import ask_bench, bench_verbs
 
     _require_terminals()

@@ -20,23 +20,31 @@ if TYPE_CHECKING:
 _LONGEST_DAYS = 9_999
 
 app = typer.Typer(
-    help="Keep the records of many services in one PostgreSQL.\n\nWithout a command: take in what they send to the"
-    " broker, until Ctrl-C, SIGTERM or SIGHUP."
+    help="Keep the records of many services in one PostgreSQL database.\n\nWithout a command: store the records that"
+    " the services send to the broker, until Ctrl-C, SIGTERM or SIGHUP."
 )
 
 ConfigOption = Annotated[
     Path | None,
-    typer.Option("--config", "-c", metavar="FILE", envvar=CONFIG_VARIABLE, help="For its sections archive and mqtt."),
+    typer.Option(
+        "--config",
+        "-c",
+        metavar="FILE",
+        envvar=CONFIG_VARIABLE,
+        help="Configuration file; its sections archive and mqtt are used.",
+    ),
 ]
 ToOption = Annotated[
     str | None,
-    typer.Option("--to", metavar="URL", help="The database, postgresql://USER@HOST/DATABASE, instead of the file's."),
+    typer.Option(
+        "--to", metavar="URL", help="Database, postgresql://USER@HOST/DATABASE, instead of the configuration's."
+    ),
 ]
 
 
 @app.callback(invoke_without_command=True)
 def archive(context: typer.Context, config: ConfigOption = None, to: ToOption = None) -> None:
-    """Take in the records that services send to the broker, until Ctrl-C, SIGTERM or SIGHUP."""
+    """Store the records that services send to the broker, until Ctrl-C, SIGTERM or SIGHUP."""
     if context.invoked_subcommand is not None:
         return
     import asyncio
@@ -61,15 +69,18 @@ def archive(context: typer.Context, config: ConfigOption = None, to: ToOption = 
 
 @app.command()
 def fill(
-    store: Annotated[Path, typer.Argument(help="Folder of a store, or its file. A service may write to it meanwhile.")],
+    store: Annotated[
+        Path, typer.Argument(help="Folder of a store, or its file. The service that writes to it may go on running.")
+    ],
     name: Annotated[
-        str, typer.Option(metavar="PREFIX/NAME", help="Whose records they are: the name that its service sends under.")
+        str,
+        typer.Option(metavar="PREFIX/NAME", help="The name under which the service of this store sends its records."),
     ],
     config: ConfigOption = None,
     to: ToOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write into the archive what it has not of a store, by file: nothing twice."""
+    """Copy into the archive the records of a store that are missing there; none is written twice."""
     from daemon.archive.fill import fill as write_records
     from daemon.mqtt.topics import check_topic
 
@@ -89,9 +100,9 @@ def fill(
 
 @app.command()
 def parquet(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the files; made if it is missing.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files; created if it is missing.")],
     day: Annotated[
-        str | None, typer.Option(metavar="DAY", help="Only this UTC day, such as 2022-10-14, even if it is there.")
+        str | None, typer.Option(metavar="DAY", help="Only this UTC day, such as 2022-10-14, even if its file exists.")
     ] = None,
     drop_after: Annotated[
         int | None,
@@ -99,14 +110,14 @@ def parquet(
             metavar="DAYS",
             min=1,
             max=_LONGEST_DAYS,
-            help="Drop older days from the database whose files have all their rows.",
+            help="Delete days older than this from the database, if their files have all the rows.",
         ),
     ] = None,
     config: ConfigOption = None,
     to: ToOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write each day that is over as Parquet, if its file is missing or has not all rows; for every night."""
+    """Write a Parquet file for each past day whose file is missing or lacks rows; meant to run every night."""
     from datetime import UTC, datetime, timedelta
 
     from daemon.archive.parquet import drop_days, write_days

@@ -27,14 +27,15 @@ def setup(
         Path, typer.Argument(metavar="FILE", help="The configuration to write, such as /etc/heliocube/tracker.toml.")
     ],
     role: Annotated[
-        RoleChoice | None, typer.Option(help="What the machine will do; asked, but for the file of a unit.")
+        RoleChoice | None,
+        typer.Option(help="What the machine will do. If left out you are asked, unless a unit starts this FILE."),
     ] = None,
-    anew: Annotated[bool, typer.Option("--anew", help="Forget what was answered before.")] = False,
+    anew: Annotated[bool, typer.Option("--anew", help="Forget earlier answers and begin again.")] = False,
 ) -> None:
-    """Set a new rig up: ask for its site, look at its instruments, make the first move, write its configuration.
+    """Set up a new rig: ask for its site, query its instruments, make the first move, write its configuration.
 
-    It may be left at any time with Ctrl-C and is taken up again with the same command. Nothing moves but in the first
-    move, which a person confirms, any key stops and telemetry judges. Ends with 130 where it was left.
+    You can leave at any time with Ctrl-C (exit code 130), and continue with the same command. Only the first move
+    moves anything: you confirm it, any key stops it, and telemetry must show that it went right.
     """
     from rich.console import Console
 

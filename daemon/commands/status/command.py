@@ -16,16 +16,16 @@ def status(
     config: ConfigOption = None,
     api: ApiOption = None,
     as_json: JsonOption = False,
-    watch: Annotated[bool, typer.Option("--watch", "-w", help="Go on showing it, until Ctrl-C.")] = False,
+    watch: Annotated[bool, typer.Option("--watch", "-w", help="Keep showing it until Ctrl-C.")] = False,
     check: Annotated[
         bool,
-        typer.Option("--check", help="For scripts: a line, one more for each thing amiss, and an exit code."),
+        typer.Option("--check", help="For scripts: one line for the state, one for each problem, and an exit code."),
     ] = False,
 ) -> None:
     """Show what the service does, where the tracker stands and what the cube reads.
 
     Exit code: 0; 5 if the service cannot be reached; 2 for a wrong command line or file; with --check, 4 if the service
-    works and something needs a look.
+    works and something needs attention.
     """
     import contextlib
 

@@ -34,11 +34,13 @@ StoreOption = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Take the readings from the store in this folder.")
 ]
 FromOption = Annotated[str | None, typer.Option("--from", metavar="UTC", help="First instant to take from the store.")]
-ToOption = Annotated[str | None, typer.Option("--to", metavar="UTC", help="End, itself not included.")]
+ToOption = Annotated[str | None, typer.Option("--to", metavar="UTC", help="End; this instant itself is not included.")]
 OutOption = Annotated[Path, typer.Option(metavar="FILE", help="Calibration file to write; never overwritten.")]
 SerialOption = Annotated[
     list[str] | None,
-    typer.Option(metavar="NAME=NUMBER", help="Serial number of east, south, west, zenith or reference; repeat it."),
+    typer.Option(
+        metavar="NAME=NUMBER", help="Serial number of east, south, west, zenith or reference. May be repeated."
+    ),
 ]
 
 
@@ -63,20 +65,21 @@ def cube(
         ),
     ] = None,
     reference_uncertainty: Annotated[
-        float, typer.Option(min=0, max=20, metavar="PERCENT", help="Of the reference's own calibration, k = 2.")
+        float,
+        typer.Option(min=0, max=20, metavar="PERCENT", help="Uncertainty of the reference's own calibration, k = 2."),
     ] = 1.5,
     serial: SerialOption = None,
     valid_days: Annotated[
         float, typer.Option(min=1, max=3660, metavar="N", help="Days until the calibration expires.")
     ] = 730,
     plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw scatter and residuals too: .png, .svg or .pdf.")
+        Path | None, typer.Option(metavar="FILE", help="Also draw scatter and residuals: .png, .svg or .pdf.")
     ] = None,
     out: OutOption = Path("calibration.toml"),
     force: Annotated[bool, typer.Option("--force", help="Overwrite the figure; never the calibration.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Calibrate the four sensors, lying horizontally beside a reference pyranometer, in the manner of ISO 9847."""
+    """Calibrate the four sensors, laid horizontally beside a reference pyranometer, by the method of ISO 9847."""
     _check_there(reference, sensors)
     from daemon.cube.calibration import write_calibration
     from daemon.studies.calibrate import report, request
@@ -142,15 +145,16 @@ def field(
         list[str] | None,
         typer.Option(
             metavar="FACE=PERCENT",
-            help="Face whose gain in the configuration is from a reference, and its uncertainty, k = 2; repeat it.",
+            help="Face whose configured gain comes from a reference, and its uncertainty, k = 2. May be repeated.",
         ),
     ] = None,
     ghi: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="CSV of a calibrated pyranometer nearby, level: time, ghi [W/m2]."),
+        typer.Option(metavar="FILE", help="CSV of a calibrated, level pyranometer nearby: time, ghi [W/m2]."),
     ] = None,
     ghi_uncertainty: Annotated[
-        float, typer.Option(min=0.1, max=20, metavar="PERCENT", help="Of that pyranometer's calibration, k = 2.")
+        float,
+        typer.Option(min=0.1, max=20, metavar="PERCENT", help="Uncertainty of that pyranometer's calibration, k = 2."),
     ] = 1.5,
     serial: SerialOption = None,
     valid_days: Annotated[

@@ -13,7 +13,7 @@ from daemon.commands.options import ClusterOption, ForceOption, JobsOption, chos
 def campaign(
     seeds: Annotated[int, typer.Option(min=1, metavar="N", help="How many seeds.")] = 10,
     first: Annotated[int, typer.Option("--from", min=0, metavar="SEED", help="The first seed.")] = 1,
-    hours: Annotated[float, typer.Option(min=0.1, max=8760, help="Of virtual time for each.")] = 3.0,
+    hours: Annotated[float, typer.Option(min=0.1, max=8760, help="Hours of virtual time for each seed.")] = 3.0,
     only: Annotated[
         str | None,
         typer.Option(metavar="FAULTS", help="Only these faults, separated by commas; or COMPONENT or COMPONENT:FAULT."),
@@ -24,17 +24,17 @@ def campaign(
     jobs: JobsOption = 1,
     cluster: ClusterOption = None,
     schedule: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Run this one instead, as a reduced failure was written.")
+        Path | None, typer.Option(metavar="FILE", help="Run this schedule instead, such as a seed-N.json of --keep.")
     ] = None,
     show: Annotated[bool, typer.Option("--show", help="Print each schedule and the service's log.")] = False,
     reliability: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Throw every fault alone and every two together instead, and write this page."
+            metavar="FILE", help="Instead, try every fault alone and every pair of faults, and write this page."
         ),
     ] = None,
     keep: Annotated[
-        Path, typer.Option(metavar="DIR", help="Where each failure is written, reduced, as seed-N.json.")
+        Path, typer.Option(metavar="DIR", help="Folder into which each failure is written, reduced, as seed-N.json.")
     ] = Path("campaign-failures"),
     force: ForceOption = False,
     as_json: JsonOption = False,

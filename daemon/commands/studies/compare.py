@@ -36,10 +36,10 @@ StoreOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar="[NAME=]DIR|URL",
-        help="Folder of a store, or an archive, of tracker NAME if all of it is; may be repeated.",
+        help="Folder of a store, or URL of an archive; NAME= if all its records are that tracker's. May be repeated.",
     ),
 ]
-CubeOption = Annotated[str, typer.Option(metavar="NAME", help="The tracker in question.")]
+CubeOption = Annotated[str, typer.Option(metavar="NAME", help="The tracker whose gain is asked for.")]
 ChronoOption = Annotated[str, typer.Option(metavar="NAME", help="The tracker it is compared with.")]
 ConfigOption = Annotated[Path | None, typer.Option("--config", "-c", metavar="FILE", help="Configuration file.")]
 LawsOption = Annotated[str, typer.Option(metavar="LAW,LAW", help="Laws of T-Cube and T-Chrono.")]
@@ -50,7 +50,9 @@ def simulate(
     start: Annotated[str, typer.Option(metavar="UTC", help="First day or instant, such as 2022-10-12.")],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder for powers.csv, computed from the true poses; made if missing."),
+        typer.Option(
+            metavar="DIR", help="Folder for powers.csv, computed from the true poses; created if it is missing."
+        ),
     ] = None,
     store: Annotated[
         Path | None,
@@ -62,8 +64,12 @@ def simulate(
     ] = None,
     laws: LawsOption = f"{DEFAULT_LAW},{FALLBACK_LAW}",
     config: ConfigOption = None,
-    site: Annotated[str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Degrees north, east, metres.")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, metavar="NUMBER", help="Of weather and noise.")] = None,
+    site: Annotated[
+        str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Site: degrees north, degrees east, metres.")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, metavar="NUMBER", help="Seed of the weather and the noise.")
+    ] = None,
     table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of table.")] = TableFormat.csv,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -141,13 +147,15 @@ def simulate(
 
 @app.command()
 def fit(
-    out: Annotated[
-        Path, typer.Option(metavar="FILE", help="JSON file for the bias; figures of the same name beside it.")
-    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="JSON file for the bias; figures get the same name.")],
     data: DataArgument = None,
     store: StoreOption = None,
-    start: Annotated[str | None, typer.Option("--from", metavar="UTC", help="Both lay flat from here on.")] = None,
-    end: Annotated[str | None, typer.Option("--to", metavar="UTC", help="To here, itself not included.")] = None,
+    start: Annotated[
+        str | None, typer.Option("--from", metavar="UTC", help="Begin of the time in which both lay flat.")
+    ] = None,
+    end: Annotated[
+        str | None, typer.Option("--to", metavar="UTC", help="End of that time; this instant itself is not included.")
+    ] = None,
     cube: CubeOption = "T-Cube",
     chrono: ChronoOption = "T-Chrono",
     force: ForceOption = False,
@@ -186,12 +194,15 @@ def report(
     data: DataArgument = None,
     store: StoreOption = None,
     site: Annotated[
-        str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Where the trackers stand; a store knows it.")
+        str | None,
+        typer.Option(metavar="LAT,LON[,ALT]", help="Site of the trackers; not needed with a store, which has it."),
     ] = None,
     bias: Annotated[Path | None, typer.Option(metavar="FILE", help="File of 'heliocube compare fit'.")] = None,
     period: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=FROM/TO", help="A period by the clock, in place of those by the sky; repeat it."),
+        typer.Option(
+            metavar="NAME=FROM/TO", help="A period by the clock, instead of those by the sky. May be repeated."
+        ),
     ] = None,
     cube: CubeOption = "T-Cube",
     chrono: ChronoOption = "T-Chrono",
@@ -250,7 +261,7 @@ def paper(
     skies: Annotated[
         str, typer.Option(metavar="SKY,SKY", help="Models of diffuse light: haydavies, perez1990, isotropic.")
     ] = "haydavies,perez1990",
-    seeds: Annotated[int, typer.Option(min=1, max=1000, help="How many weathers for each of them.")] = 30,
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Number of simulated weathers for each of them.")] = 30,
     afternoon: Annotated[
         str, typer.Option(metavar="SKY", help="Built-in weather after 12:10 on the 12th: broken or variable.")
     ] = "broken",

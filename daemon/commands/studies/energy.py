@@ -29,7 +29,7 @@ _ENDINGS = ("txt", "csv", "png")
 def energy(
     out: Annotated[
         Path,
-        typer.Option(metavar="DIR", help="Folder for energy.txt, energy.csv and energy.png; made if it is not there."),
+        typer.Option(metavar="DIR", help="Folder for energy.txt, energy.csv and energy.png; created if it is missing."),
     ],
     weather: Annotated[
         list[Path] | None,
@@ -42,7 +42,7 @@ def energy(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Instead, many sites: CSV with name, latitude, longitude and if you like altitude, weather (files, or"
+            help="Many sites instead: CSV with name, latitude, longitude and, optionally, altitude, weather (files, or"
             " a built-in sky) and its year. Writes energy-sites.txt, .csv and a map, .png.",
         ),
     ] = None,
@@ -53,7 +53,8 @@ def energy(
         ),
     ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, metavar="NUMBER", help="Of the built-in skies, and of what is random in --losses.")
+        int,
+        typer.Option(min=0, metavar="NUMBER", help="Seed of the built-in skies and of the random part of --losses."),
     ] = 1,
     laws: Annotated[
         str | None,
@@ -69,7 +70,7 @@ def energy(
             " (standard skies with drifting clouds)."
         ),
     ] = "perez1990",
-    albedo: Annotated[float, typer.Option(min=0, max=1, help="Of the ground.")] = 0.2,
+    albedo: Annotated[float, typer.Option(min=0, max=1, help="Albedo of the ground.")] = 0.2,
     speed: Annotated[
         float, typer.Option("--axis-speed", min=0.01, max=90, metavar="DEG/S", help="Speed of each axis.")
     ] = 0.9,
@@ -79,21 +80,21 @@ def energy(
         typer.Option(
             min=0.001,
             metavar="KW",
-            help="Power of the modules on the tracker at 1 kW/m2. With the next three: what each law earns and wears.",
+            help="Power of the modules at 1 kW/m2. With the next three options: earnings and wear by each law.",
         ),
     ] = None,
-    price: Annotated[float | None, typer.Option(min=0, metavar="MONEY", help="Of a kWh.")] = None,
+    price: Annotated[float | None, typer.Option(min=0, metavar="MONEY", help="Price of a kWh.")] = None,
     drive_price: Annotated[
-        float | None, typer.Option(min=0, metavar="MONEY", help="Of new drives for both axes, put in.")
+        float | None, typer.Option(min=0, metavar="MONEY", help="Price of new drives for both axes, installed.")
     ] = None,
     drive_life_deg: Annotated[
-        float | None, typer.Option(min=1, metavar="DEG", help="Travel, A and B added, that they last.")
+        float | None, typer.Option(min=1, metavar="DEG", help="Travel that the drives last, A and B added.")
     ] = None,
     losses: Annotated[
         bool,
         typer.Option(
             "--losses",
-            help="Instead, where the law optimal loses what the bound has, by cause and type of day. Writes"
+            help="Instead, show by cause and type of day where the law optimal stays below the bound. Writes"
             " energy-losses.txt, .csv and .png.",
         ),
     ] = False,

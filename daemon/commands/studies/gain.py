@@ -56,15 +56,15 @@ def gain(
     ] = False,
     points: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="CSV with phi_deg, beta_deg, n, lambda_deg: answer row by row instead."),
+        typer.Option(metavar="FILE", help="CSV with phi_deg, beta_deg, n, lambda_deg: compute row by row instead."),
     ] = None,
-    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw a figure too: .png, .svg or .pdf.")] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Also draw a figure: .png, .svg or .pdf.")] = None,
     plot_kind: Annotated[
         PlotKind | None,
         typer.Option(help="Kind of figure."),
     ] = None,
     table_format: Annotated[
-        AnswerFormat | None, typer.Option("--format", help="Without it a table, but CSV for --points.")
+        AnswerFormat | None, typer.Option("--format", help="If left out: a table, but CSV for --points.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="File for CSV or Parquet instead of standard output.")

@@ -35,15 +35,19 @@ DayOption = Annotated[
 FromOption = Annotated[
     str | None, typer.Option("--from", metavar="DAY|UTC", help="First day or instant, with --to instead of --day.")
 ]
-ToOption = Annotated[str | None, typer.Option("--to", metavar="DAY|UTC", help="End, itself not included.")]
+ToOption = Annotated[
+    str | None, typer.Option("--to", metavar="DAY|UTC", help="End; this instant itself is not included.")
+]
 StoreOption = Annotated[
     str | None,
-    typer.Option("--store", metavar="DIR|URL", help="Folder of the store, without a configuration, or an archive."),
+    typer.Option(
+        "--store", metavar="DIR|URL", help="Folder of the store, or URL of an archive, instead of a configuration."
+    ),
 ]
 ConfigOption = Annotated[
     Path | None,
     typer.Option(
-        "--config", "-c", metavar="FILE", help="Configuration file, for its store, its limits and its budget of motion."
+        "--config", "-c", metavar="FILE", help="Configuration file; its store, limits and budget of motion are used."
     ),
 ]
 
@@ -53,7 +57,7 @@ def report(
     day: DayOption = None,
     start: FromOption = None,
     end: ToOption = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the pages; made if it is not there.")] = Path(),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the pages; created if it is missing.")] = Path(),
     store: StoreOption = None,
     config: ConfigOption = None,
     tracker: TrackerOption = None,
@@ -94,14 +98,17 @@ def plot(
     ],
     out: Annotated[
         Path,
-        typer.Option(metavar="FILE", help="PNG or SVG file; with several pictures their names are added to its own."),
+        typer.Option(
+            metavar="FILE", help="PNG or SVG file; several pictures of FILE.png are FILE-light.png and so on."
+        ),
     ],
     day: DayOption = None,
     start: FromOption = None,
     end: ToOption = None,
     store: StoreOption = None,
     tables: Annotated[
-        Path | None, typer.Option("--tables", metavar="DIR", help="Folder of simulate or export, instead of a store.")
+        Path | None,
+        typer.Option("--tables", metavar="DIR", help="Folder of tables by 'simulate' or 'export', instead of a store."),
     ] = None,
     config: ConfigOption = None,
     site: Annotated[

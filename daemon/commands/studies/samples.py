@@ -12,7 +12,7 @@ from daemon.store.outputs import check_outputs
 
 
 def samples(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for them; made if it is not there.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files; created if it is missing.")],
     force: ForceOption = False,
 ) -> None:
     """Copy three sample days: what a cube reads and the weather, clear, mixed and overcast (simulated; CC0)."""

@@ -160,11 +160,13 @@ def replay(
     ],
     faces: Annotated[
         Path | None,
-        typer.Argument(metavar="FACES.csv", help="Readings: time,east,south,west,zenith; or .gz."),
+        typer.Argument(metavar="FACES.csv", help="CSV with time,east,south,west,zenith (UTC, W/m2), plain or .gz."),
     ] = None,
     site: Annotated[
         str | None,
-        typer.Option(metavar="LAT,LON[,ALT]", help="Site: degrees north, east, metres. Or in --config."),
+        typer.Option(
+            metavar="LAT,LON[,ALT]", help="Site: degrees north, degrees east, metres; if left out, that of --config."
+        ),
     ] = None,
     law: LawOption = None,
     store: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of a store, instead of FACES.csv.")] = None,

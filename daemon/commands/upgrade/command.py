@@ -26,14 +26,16 @@ def self_check(
     config: ConfigOption = None,
     role: Annotated[
         RoleChoice | None,
-        typer.Option(help="What the process does; without it that of the file's unit, or what the file is enough for."),
+        typer.Option(
+            help="What the process does. If left out: the role of the unit that starts this file, or any possible."
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Look at program, configuration, store, instruments, wind source, clock and disk: a line each.
+    """Check program, configuration, store, instruments, wind source, clock and disk, and print a line for each.
 
-    Nothing is written and nothing moves. While the service runs it is asked, and not its instruments. Ends with 0, with
-    4 where something is to be looked at, and with 2 where the configuration cannot be used.
+    Nothing is written and nothing moves. If the service runs, it is asked; otherwise the instruments are. Exit code: 0
+    if all is well, 4 if something needs attention, 2 if the configuration cannot be used.
     """
     from daemon.commands.upgrade.finding import exit_code, hang, lines, page
 
@@ -105,19 +107,21 @@ def rollback(
             "--config",
             "-c",
             metavar="FILE",
-            help="A configuration whose service goes back; once for each.",
+            help="Configuration of a service that goes back. May be repeated.",
             show_default=False,
         ),
     ] = None,
     to: Annotated[
         Path | None,
-        typer.Option(metavar="PROGRAM", help="The heliocube of the release before, where it was installed by hand."),
+        typer.Option(
+            metavar="PROGRAM", help="The heliocube program of the earlier release, if it was installed by hand."
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Go back to the release before the last upgrade, with the records that came since; every tracker is held.
+    """Go back to the release before the last upgrade and keep the records made since; every tracker is held.
 
-    The units are stopped and started again. What only the newer release can use is kept beside it.
+    The units are stopped and started again. What only the newer release can read is kept in files beside the old ones.
     """
     import os
 
