@@ -166,8 +166,8 @@ def test_an_alarm_is_told_once_with_effect_remedy_and_link_and_its_end_too(lab, 
         assert found["type"] == "failure"
         assert found["message"].splitlines() == [
             f"{WIND}.",
-            "Effect: the module stands in the wind as it was left.",
-            "Remedy: see that nobody is at the axes, then 'heliocube auto'.",
+            "Effect: the tracker stays in the wind where it stands.",
+            "Remedy: make sure that nobody is at the axes, then 'heliocube auto'.",
             "Since 2026-06-21 12:00:00 UTC.",
             "https://tracker.lab/",
         ]

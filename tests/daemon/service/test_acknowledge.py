@@ -26,7 +26,9 @@ def test_an_acknowledged_alarm_says_by_whom_and_nothing_moves_by_it(serve):
         before = rig.truth()
         reply = await call_http.post("acknowledge", b'{"alarm": "stow-wanted", "by": "bob@lab", "why": "I am here"}')
         assert reply.status == 200, reply.body
-        assert reply.json["text"].startswith("acknowledged: stow-wanted is still on: see that nobody is at the axes")
+        assert reply.json["text"].startswith(
+            "acknowledged: stow-wanted is still on: make sure that nobody is at the axes"
+        )
         found = (await call_http.get("/api/state")).json
         (alarm,) = found["alarms"]
         assert (alarm["state"], alarm["acknowledged_by"], found["unacknowledged"]) == ("acknowledged", "bob@lab", 0)
