@@ -10,6 +10,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
+from daemon.api.configuration import KEY, OwnConfiguration, WrongServiceError
 from daemon.api.gate import GIVEN_UP, AllowedHosts, Bodies, Gate, Token
 from daemon.api.history import History, instant
 from daemon.api.metrics import Metrics
@@ -40,6 +41,8 @@ class Api:
         Takes a snapshot of the service.
     glance
         Takes one without what is long to find out, for those who do not show it; `see` where it is None.
+    own
+        The service's configuration, for requests that name the one that they mean; None where it has no file.
     recent
         Hands on what comes over its bus.
     operators
@@ -64,7 +67,9 @@ class Api:
         speed: float,
         hosts: Iterable[str] = (),
         glance: Callable[[], Snapshot] | None = None,
+        own: OwnConfiguration | None = None,
     ) -> None:
+        self._own = own or OwnConfiguration(None, ())
         self._glance = glance = glance or see
         self._speed = speed
         self._operators = operators
@@ -95,7 +100,7 @@ class Api:
                 Route("/metrics", self._metrics_text),
                 *[Route(f"/api/{name}", self._command(name), methods=["POST"]) for name in NAMES],
             ],
-            exception_handlers={HTTPException: _refused, Exception: _broken},
+            exception_handlers={HTTPException: _refused, WrongServiceError: _elsewhere, Exception: _broken},
         )
         self.routes = routes.routes
         self.token = Token(token)
@@ -106,7 +111,8 @@ class Api:
         self._closing.set()
         self._turns.close()
 
-    async def _state(self, _: Request) -> Response:
+    async def _state(self, request: Request) -> Response:
+        self._own.require(request.query_params.getlist(KEY))
         return Response(await self._state_page.get(), media_type="application/json")
 
     async def _scans(self, request: Request) -> Response:
@@ -160,8 +166,9 @@ class Api:
     async def _description(self, _: Request) -> Response:
         return JSONResponse(description())
 
-    async def _health(self, _: Request) -> Response:
+    async def _health(self, request: Request) -> Response:
         """Answer whether the work goes on; a device that is down is named, and no reason for a restart."""
+        self._own.require(request.query_params.getlist(KEY))
         seen = self._glance()
         troubles, longest_s = [], _STUCK_AFTER_S * max(self._speed, 1.0)
         down = [f"cube: {seen.cube_trouble}"] if seen.cube_trouble else []
@@ -194,14 +201,21 @@ class Api:
                 raise HTTPException(413, f"the body is longer than {LONGEST_BODY} bytes")
             if name != "stop" and await _is_given_up(request):
                 raise HTTPException(400, "the connection was cut off before the order was read")
+            meant = request.query_params.getlist(KEY)
+            if name != "stop":
+                self._own.require(meant, "nothing is done: ")
             try:
                 command = parse(name, content or b"", "HTTP").meant_for(request.query_params.get("tracker"))
-                return JSONResponse(await self._operators.carry_out(command))
+                answer = await self._operators.carry_out(command)
+                # Whoever stops the wrong tracker is told only when it stands.
+                self._own.require_stopped(meant, answer["text"])
+                return JSONResponse(answer)
             except BodyError as error:
                 raise HTTPException(400, str(error)) from None
             except TooManyError as error:
                 raise HTTPException(429, str(error), {"Retry-After": "1"}) from None
             except CommandError as error:
+                self._own.require_stopped(meant, str(error))
                 raise HTTPException(422 if error.wrong else 409, str(error)) from None
             finally:
                 self._state_page.forget()
@@ -241,6 +255,10 @@ async def _refused(request: Request, error: Exception) -> Response:
     elif error.status_code == 405:
         sentence = f"{request.url.path} does not take {request.method}, but {(error.headers or {}).get('Allow', 'GET')}"
     return JSONResponse({"error": sentence}, status_code=error.status_code, headers=error.headers)
+
+
+async def _elsewhere(_: Request, error: Exception) -> Response:
+    return JSONResponse({"error": str(error)}, status_code=421)
 
 
 async def _broken(_: Request, error: Exception) -> Response:

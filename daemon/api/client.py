@@ -10,7 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
+from daemon.api.configuration import KEY, paths_of
 from daemon.api.token import check_token, load_token
 from daemon.base.addresses import DEFAULT_LISTEN, SEND_NO_MORE_ONCE_CLOSED, Address, parse_address
 from daemon.base.errors import ExitCode, InterruptedEarlyError, UserError
@@ -26,6 +28,7 @@ _LONGEST_REASON = 200
 _LONGEST_REPLY = 16 << 20
 _OK = b"200"
 _UNHEALTHY = b"503"
+_ANOTHER_SERVICE = b"421"
 # No such thing, or no such value.
 _MISTYPED = (b"400", b"404", b"405", b"413", b"422")
 # A service whose port is flooded may give a connection up for another.
@@ -76,10 +79,14 @@ class Client:
         Where its local interface listens.
     token
         For commands; None where there is none at hand.
+    configuration
+        The paths of the file whose service is meant; another's does nothing but a stop, and says so. None is named
+        where the address was.
     """
 
     address: Address
     token: str | None
+    configuration: tuple[str, ...] = ()
 
     def state(self) -> dict[str, Any]:
         """Return the service's state; raises `UserError`."""
@@ -131,6 +138,8 @@ class Client:
             raise NoServiceError(
                 f"what answers at {self.address} is not heliocube: see api.listen of its configuration"
             )
+        if status == _ANOTHER_SERVICE:
+            raise NoServiceError(str(refusal))
         raise (UserError if status in _MISTYPED else CommandRefusedError)(str(refusal))
 
     def _exchange_surely(self, method: str, path: str, body: bytes) -> tuple[bytes, bytes]:
@@ -150,7 +159,8 @@ class Client:
 
         By hand, because the standard library's client takes longer to load than a stop may take.
         """
-        lines = [f"{method} {path} HTTP/1.1", f"Host: {self.address}", "Connection: close"]
+        query = "&".join(f"{KEY}={quote(each)}" for each in self.configuration)
+        lines = [f"{method} {path}{query and '?'}{query} HTTP/1.1", f"Host: {self.address}", "Connection: close"]
         if self.token is not None:
             lines.append(f"Authorization: Bearer {self.token}")
         lines.append(f"Content-Length: {len(body)}")
@@ -214,41 +224,47 @@ def find(
     UserError
         A file cannot be read, or an address is none.
     """
-    address, named = _place(config, api, environment)
+    address, named, meant = _place(config, api, environment)
     if token_file is None and environment.get(TOKEN_VARIABLE):
-        return Client(address, check_token(environment[TOKEN_VARIABLE].strip(), TOKEN_VARIABLE))
+        return Client(address, check_token(environment[TOKEN_VARIABLE].strip(), TOKEN_VARIABLE), meant)
     chosen = token_file or named
-    return Client(address, None if chosen is None else load_token(chosen))
+    return Client(address, None if chosen is None else load_token(chosen), meant)
 
 
 def find_unarmed(config: Path | None, api: str | None, environment: Mapping[str, str] = os.environ) -> Client:
     """Return the way to a service for looking only: no token is read. Arguments and errors are those of `find`."""
-    return Client(_place(config, api, environment)[0], None)
+    address, _, meant = _place(config, api, environment)
+    return Client(address, None, meant)
 
 
-def _place(config: Path | None, api: str | None, environment: Mapping[str, str]) -> tuple[Address, Path | None]:
+def _place(
+    config: Path | None, api: str | None, environment: Mapping[str, str]
+) -> tuple[Address, Path | None, tuple[str, ...]]:
     if config is None and environment.get(CONFIG_VARIABLE):
         config = Path(environment[CONFIG_VARIABLE])
-    listen, token_file = (DEFAULT_LISTEN, None) if config is None else _read_api(config)
+    listen, token_file, meant = (DEFAULT_LISTEN, None, ()) if config is None else _read_api(config)
     try:
-        return parse_address(api or listen).reachable, token_file
+        return parse_address(api or listen).reachable, token_file, () if api else meant
     except ValueError as error:
         raise UserError(f"{'--api' if api else 'api.listen'}: {error}") from None
 
 
-def _read_api(config: Path) -> tuple[str, Path | None]:
-    """Return where the service of a configuration listens, and its token's file."""
+def _read_api(config: Path) -> tuple[str, Path | None, tuple[str, ...]]:
+    """Return where the service of a configuration listens, its token's file, and the paths by which it is known."""
     try:
-        found = parse_toml(toml_text(config)).get("api", {})
+        tables = parse_toml(toml_text(config))
     except OSError as error:
         raise UserError(f"{config} cannot be read: {error.strerror}") from None
     except ValueError as error:
         raise UserError(f"{config} is not TOML: {error}; see 'heliocube config check {config}'") from None
+    found = tables.get("api", {})
     listen = found.get("listen", DEFAULT_LISTEN) if isinstance(found, dict) else None
     token_file = found.get("token_file", "") if isinstance(found, dict) else None
     if not isinstance(listen, str) or not isinstance(token_file, str):
         raise UserError(f"the [api] of {config} is wrong; see 'heliocube config check {config}'")
+    # A file with nothing but [api] is how one names an address and a token, and has no service of its own.
+    meant = paths_of(config) if set(tables) - {"api"} else ()
     try:
-        return listen, (config.parent / Path(token_file).expanduser()) if token_file else None
+        return listen, (config.parent / Path(token_file).expanduser()) if token_file else None, meant
     except RuntimeError as error:
         raise UserError(f"api.token_file in {config}: {error}") from None

@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
+from daemon.api.configuration import KEY
 from daemon.api.models import (
     AuthorisedPage,
     CommandPage,
@@ -59,7 +60,7 @@ _REFUSALS = {
     401: "the token is missing or wrong",
     409: "the tracker cannot do it now",
     413: f"the body has more than {LONGEST_BODY} bytes",
-    421: "the host is not served",
+    421: "the host is not served, or the service is another configuration's",
     422: "outside the limits, no such tracker, or no such span of time",
     429: "more commands than are carried out",
     503: "too many ask at once",
@@ -85,6 +86,14 @@ _TRACKER = {
     "description": "Which tracker is meant, where the body does not say.",
     "schema": {"type": "string"},
 }
+_CONFIGURATION = {
+    "name": KEY,
+    "in": "query",
+    "required": False,
+    "description": "Path of the configuration whose service is meant, and other paths of the same file; the service of"
+    " another one answers 421, after a stop too, which it carries out.",
+    "schema": {"type": "array", "items": {"type": "string"}},
+}
 
 
 @cache
@@ -98,7 +107,7 @@ def description() -> dict[str, Any]:
             "description": "docs/api.md says what stands behind each value, and which limits hold.",
         },
         "paths": {
-            "/api/state": _page("Everything there is to see", StatePage, 421, 503),
+            "/api/state": _state(),
             "/api/scans": _scans(),
             "/api/events": _text("The state once a second, and each record as it comes", "text/event-stream"),
             "/api/openapi.json": _text("This description", "application/json"),
@@ -141,6 +150,12 @@ def _text(summary: str, media_type: str) -> dict[str, Any]:
     return {"get": {"summary": summary, "responses": answers}}
 
 
+def _state() -> dict[str, Any]:
+    found = _page("Everything there is to see", StatePage, 421, 503)
+    found["get"]["parameters"] = [_CONFIGURATION]
+    return found
+
+
 def _scans() -> dict[str, Any]:
     found = _page("Scans that ended later", ScansPage, 400, 421, 503)
     found["get"]["parameters"] = [_SINCE]
@@ -174,6 +189,7 @@ def _authorised() -> dict[str, Any]:
 def _health() -> dict[str, Any]:
     found = _page("Whether the work goes on", HealthPage, 421)
     either = [{"$ref": _REF.format(model=model.__name__)} for model in (HealthPage, ErrorPage)]
+    found["get"]["parameters"] = [_CONFIGURATION]
     content = {"application/json": {"schema": {"anyOf": either}}}
     found["get"]["responses"]["503"] = {"description": "it does not, or too many ask at once", "content": content}
     return found
@@ -189,7 +205,7 @@ def _command(name: str) -> dict[str, Any]:
         "post": {
             "summary": _DOES[name],
             "security": [{"token": []}],
-            "parameters": [_TRACKER],
+            "parameters": [_TRACKER, _CONFIGURATION],
             "requestBody": body,
             "responses": answers,
         }

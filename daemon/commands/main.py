@@ -179,7 +179,7 @@ def run(
         from daemon.commands.run import run_service
         from daemon.service.rig import Role
 
-        run_service(with_place(settings, config, os.environ), Role(role), for_s, Console(markup=False))
+        run_service(with_place(settings, config, os.environ), Role(role), for_s, Console(markup=False), config)
 
 
 @app.command(rich_help_panel=SERVICE)

@@ -10,11 +10,13 @@ from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC
 from functools import partial
 from importlib.metadata import version
+from pathlib import Path
 from random import SystemRandom
 
 from rich.console import Console
 
 from daemon.api.app import Api
+from daemon.api.configuration import OwnConfiguration
 from daemon.api.server import ApiServer
 from daemon.api.token import generate_token, load_token
 from daemon.base import process
@@ -55,8 +57,12 @@ log = logging.getLogger("heliocube")
 _THREADS = 8
 
 
-def run_service(settings: Settings, role: Role, for_s: float | None, console: Console) -> None:
+def run_service(
+    settings: Settings, role: Role, for_s: float | None, console: Console, config: Path | None = None
+) -> None:
     """Run one role of the service until SIGINT, SIGTERM, SIGHUP or the end of `for_s` seconds of wall time.
+
+    `config` is the file that the settings are from, by which commands know whose service it is.
 
     Raises
     ------
@@ -126,7 +132,8 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             for name, link in mqtt.items():
                 link.attach(service, partial(see, name or None))
             key_file = _key_file(settings, keys, service, speed)
-            api = _api(service, recent, speed, see, partial(see, glance=True), console, journal=journal)
+            own = OwnConfiguration(config, [each.name for each in service.trackers])
+            api = _api(service, recent, speed, see, partial(see, glance=True), own, console, journal=journal)
             # In a journal the log says it all; status lines would only fill it.
             view = None if journal else LiveView(lambda: state_json(see()), console, speed)
             companions = (view, api, _sunspec(service, speed, see), key_file, service.loop_watch, *mqtt.values())
@@ -265,6 +272,7 @@ def _api(
     speed: float,
     see: Callable[[], Snapshot],
     glance: Callable[[], Snapshot],
+    own: OwnConfiguration,
     console: Console,
     *,
     journal: bool,
@@ -275,7 +283,7 @@ def _api(
         return None
     token = generate_token() if settings.token_file is None else load_token(settings.token_file)
     operators = Operators(service.trackers, speed, service.cube_alarms)
-    api = Api(see, recent, operators, token, service.clock, speed, settings.hosts, glance)
+    api = Api(see, recent, operators, token, service.clock, speed, settings.hosts, glance, own)
     server = ApiServer(settings, api, service.clock, service.bus.publish, speed)
     if server.url is not None:
         where = f"the token of commands is in {settings.token_file}"

@@ -6,6 +6,7 @@ import json
 import pytest
 
 from daemon.api.app import Api
+from daemon.api.configuration import OwnConfiguration
 from daemon.api.server import ApiServer
 from daemon.service.operator_commands import Operators
 from daemon.service.recent import Recent
@@ -55,11 +56,12 @@ class Caller:
         return await self("POST", f"/api/{name}", body, headers)
 
 
-def server_of(rig, settings, recent=None, store=None, hosts=(), links=None):
+def server_of(rig, settings, recent=None, store=None, hosts=(), links=None, file=None):
     """Return the local interface of a rig's service."""
     recent = Recent() if recent is None else recent
     operators = Operators(rig.service.trackers, 1.0, rig.service.cube_alarms)
-    api = Api(lambda: rig.see(recent, store, links), recent, operators, TOKEN, rig.clock, 1.0, hosts)
+    own = OwnConfiguration(file, [tracker.name for tracker in rig.service.trackers])
+    api = Api(lambda: rig.see(recent, store, links), recent, operators, TOKEN, rig.clock, 1.0, hosts, own=own)
     return ApiServer(settings, api, rig.clock, rig.bus.publish, 1.0)
 
 
@@ -67,12 +69,12 @@ def server_of(rig, settings, recent=None, store=None, hosts=(), links=None):
 def serve(run_rig):
     """Run a scenario with the rig and a caller of its local interface."""
 
-    def run(scenario, hosts=(), **options):
+    def run(scenario, hosts=(), file=None, **options):
         async def beside(rig):
             recent = Recent()
             rig.bus.subscribe(recent.note)
             settings = rig.service.settings.api.model_copy(update={"listen": "127.0.0.1:0"})
-            server = server_of(rig, settings, recent, hosts=hosts)
+            server = server_of(rig, settings, recent, hosts=hosts, file=file)
             serving = asyncio.create_task(server.run())
             try:
                 await scenario(rig, Caller(server))

@@ -66,7 +66,7 @@ def _findings(config: Path, role: RoleChoice | None) -> "Iterator[Finding]":
     yield machine.store(settings)
     yield machine.disk(settings)
     yield machine.clock(settings)
-    service = running.asked(settings)
+    service = running.asked(settings, config)
     if service is not None:
         yield from service
         return

@@ -1,6 +1,7 @@
 """What a self-check hears from the running service, which has the instruments: its own state, and nothing is sent."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from daemon.api.client import NoServiceError, find_unarmed
@@ -15,11 +16,11 @@ from daemon.store.release_kept import CUBE_FILE_NAME, FILE_NAME, last_started
 _TOLD_ALREADY = ("no-wind-source", "nothing-kept", "stow-source-silent")
 
 
-def asked(settings: Settings) -> list[Finding] | None:
-    """Return what the service of these settings says; None where none listens."""
+def asked(settings: Settings, config: Path | None) -> list[Finding] | None:
+    """Return what the service of these settings, which stand in `config`, says; None where none listens."""
     if not settings.api.enabled:
         return None
-    client = find_unarmed(None, settings.api.listen, {})
+    client = find_unarmed(config, None, {})
     try:
         state = client.state()
         return [*program(settings, state["role"]), *service(state, client.health())]

@@ -1,5 +1,6 @@
 """The command line's way to the service where the network is bad."""
 
+import asyncio
 import socket
 import subprocess
 import sys
@@ -7,9 +8,12 @@ import sys
 import pytest
 
 from daemon.api import client
-from daemon.api.client import Client, NoServiceError
+from daemon.api.client import Client, NoServiceError, find, find_unarmed
 from daemon.base.addresses import parse_address
+from daemon.base.records import Mode
+from tests.support.api import TOKEN
 from tests.support.bad_network import without_namespaces
+from tests.support.phases import tracking
 
 # Two ports are all that one address has; two connections of somebody else take them.
 ALL_TAKEN = """
@@ -67,3 +71,39 @@ def test_an_order_that_was_given_up_is_not_sent_on_once_the_network_is_back_unle
             except ConnectionResetError:
                 ended = "dropped"
         assert (ended == "dropped") is is_dropped
+
+
+def test_a_copied_file_looks_at_and_orders_no_other_tracker_and_a_stop_says_which_one_stands(serve, tmp_path):
+    roof, copy, link = (tmp_path / name for name in ("roof.toml", "copy.toml", "link.toml"))
+
+    async def scenario(rig, call):
+        await tracking(rig)
+        listen = call.server.url.removeprefix("http://")
+        for file in (roof, copy):
+            file.write_text(f'[api]\nlisten = "{listen}"\n[mqtt]\nname = "tracker"\n', encoding="utf-8")
+        link.symlink_to(roof)
+
+        elsewhere = rf"api.listen of {copy} leads to the service of {roof} \(tracker tracker\)"
+        wrong = find(copy, None, None, {"HELIOCUBE_TOKEN": TOKEN})
+        with pytest.raises(NoServiceError, match=f"^nothing is done: {elsewhere}; give"):
+            await asyncio.to_thread(wrong.command, "hold")
+        assert rig.control.mode is Mode.TRACKING
+        for look in (wrong.state, wrong.health):
+            with pytest.raises(NoServiceError, match=f"^{elsewhere}; give"):
+                await asyncio.to_thread(look)
+        for right in (find_unarmed(roof, None), find_unarmed(link, None), find_unarmed(copy, listen)):
+            assert (await asyncio.to_thread(right.state))["mode"]["name"] == "tracking"
+        # The thread of a client lets no time pass, which telemetry needs.
+        reply = await call.post(f"stop?configuration={copy}")
+        assert (reply.status, rig.control.wishes.stop is not None) == (421, True)
+        assert reply.json["error"].startswith(f"the tracker of {copy} was NOT stopped: its api.listen leads to ")
+        assert f"service of {roof} (tracker tracker), which was told to stop instead: stopped on " in str(reply.json)
+        assert (await call.post(f"auto?configuration={copy}&configuration={roof}")).status == 200
+
+    serve(scenario, file=roof)
+
+
+def test_a_file_with_an_address_and_a_token_alone_leads_to_any_service(tmp_path):
+    file = tmp_path / "way.toml"
+    file.write_text('[api]\nlisten = "127.0.0.1:20572"\n', encoding="utf-8")
+    assert find_unarmed(file, None).configuration == ()

@@ -1,0 +1,63 @@
+"""Whose service it is: a file copied from another with its `api.listen` leads to the service of the other's tracker."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+KEY = "configuration"
+"""In a query: the configuration whose service is meant, a path once or more."""
+
+_LONGEST_PATH = 200
+
+
+class WrongServiceError(Exception):
+    """The service is not that of the configuration that was named; the message is one sentence."""
+
+
+def paths_of(configuration: Path) -> tuple[str, ...]:
+    """Return the whole path of a file, and where its links lead, if that is another: either names it."""
+    found = os.path.abspath(configuration), os.path.realpath(configuration)  # noqa: PTH100 - takes a ".." away
+    # What is no text in a path's name has to survive JSON and a query.
+    return tuple(dict.fromkeys(os.fsencode(path).decode("utf-8", "replace") for path in found))
+
+
+class OwnConfiguration:
+    """The configuration of a service, to be compared with the one that a request means.
+
+    Parameters
+    ----------
+    file
+        What the service was started with, or None.
+    trackers
+        The names of its trackers.
+    """
+
+    def __init__(self, file: Path | None, trackers: Sequence[str]) -> None:
+        self._paths = () if file is None else paths_of(file)
+        whose = self._paths[0] if self._paths else "no configuration"
+        names = f"{len(trackers)} trackers" if len(trackers) > 1 else "".join(f"tracker {name}" for name in trackers)
+        self._text = f"the service of {whose}{f' ({names})' if names else ''}"
+
+    def require(self, meant: Sequence[str], undone: str = "") -> None:
+        """Raise `WrongServiceError` with `undone` in front, unless the configuration that is meant is this one."""
+        other = self._other_than(meant)
+        if other is not None:
+            raise WrongServiceError(
+                f"{undone}api.listen of {other} leads to {self._text}; give {other} an api.listen of its own and start"
+                " its service again, or name the service that answers by its own file or by --api"
+            )
+
+    def require_stopped(self, meant: Sequence[str], outcome: str) -> None:
+        """Raise `WrongServiceError` with what a stop has done here, unless the configuration that is meant is this."""
+        other = self._other_than(meant)
+        if other is not None:
+            raise WrongServiceError(
+                f"the tracker of {other} was NOT stopped: its api.listen leads to {self._text}, which was told to stop"
+                f" instead: {outcome}"
+            )
+
+    def _other_than(self, meant: Sequence[str]) -> str | None:
+        """Return which file is meant, if it is not this service's; None where it is, or none is named."""
+        if not meant or set(meant) & set(self._paths):
+            return None
+        return "".join(letter if letter.isprintable() else "?" for letter in meant[0])[:_LONGEST_PATH]
