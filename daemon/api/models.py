@@ -219,6 +219,9 @@ class TrackerPart(Page):
 
     mode: ModePart | None
     wishes: dict[str, Any] | None = Field(description="What persons asked for: `why`, `by`, `since`, or null.")
+    at_stow: bool | None = Field(
+        description="Whether it was seen to stand at the stow position, with nothing in doubt, whatever its mode."
+    )
     today: dict[str, Any] | None
     received: ReceivedPart | None = Field(description="Null before the first minute of the day that counts.")
     shadow: ShadowPart | None = Field(description="Null without `law.shadow`.")

@@ -94,6 +94,8 @@ class TrackerState:
         The pointing law, and what it shows of itself; nothing at a glance.
     wishes
         What persons asked for and is in force.
+    at_stow
+        Whether it surely stands at the stow position.
     today
         Of the laws' moves.
     received
@@ -120,6 +122,7 @@ class TrackerState:
     law: str
     law_shown: Mapping[str, Any]
     wishes: Wishes
+    at_stow: bool
     today: DayUse
     received: Insolation
     shadow: ShadowState | None
@@ -302,6 +305,7 @@ def _tracker(tracker: Tracker, recent: Recent, *, glance: bool) -> TrackerState:
         received = Insolation(day=day)
     if shadow is not None and shadow.received.day != day:
         shadow = replace(shadow, received=Insolation(day=day), travel=Travel(day=day))
+    positioner = _positioner(tracker.motion, now_s)
     return TrackerState(
         name=tracker.name,
         control=control.state,
@@ -310,12 +314,13 @@ def _tracker(tracker: Tracker, recent: Recent, *, glance: bool) -> TrackerState:
         law=tracker.settings.law.driver,
         law_shown={} if glance else control.pointing.law.shown(),
         wishes=control.wishes,
+        at_stow=control.at_stow and not positioner.pose_is_stale,
         today=DayUse(budget.used.travelled_deg, budget.used.moves, budget.travel_left_deg, budget.moves_left),
         received=received,
         shadow=shadow,
         modes=tracker.mode_times.today(),
         limits=tracker.settings.limits.limits(),
-        positioner=_positioner(tracker.motion, now_s),
+        positioner=positioner,
         load=None if tracker.curves is None else _load(tracker.curves),
         wind=tracker.stow_watch.statuses(now_s),
         alarms=tracker.alarms.shown,

@@ -34,6 +34,7 @@ _ASKED = {
 _OF_A_TRACKER = (
     "mode",
     "wishes",
+    "at_stow",
     "today",
     "received",
     "shadow",
@@ -141,6 +142,7 @@ def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
             "asked": _asked(control.mode, tracker.wishes),
         },
         "wishes": {name: _wish(wish) for name, wish in tracker.wishes},
+        "at_stow": tracker.at_stow,
         "today": {
             "travelled_deg": tracker.today.travelled_deg,
             "moves": tracker.today.moves,

@@ -232,7 +232,7 @@ class Control(Doors):
         mean = self._readings.mean(now_s)
         situation = self._situation(now_s, mean)
         self._data = situation.data
-        at_stow = self._stands_at_stow
+        at_stow = self.at_stow
         mode, why = next_mode(self.mode, situation, at_stow=at_stow)
         self._reminders.watch_stow(None if at_stow else situation.stow_why, self.wishes)
         if mode is not self.mode:
@@ -285,8 +285,8 @@ class Control(Doors):
         )
 
     @property
-    def _stands_at_stow(self) -> bool:
-        """Whether it surely does: what is in doubt about the axes, or cannot be seen, is no stow that is done."""
+    def at_stow(self) -> bool:
+        """Whether it surely stands there: what is in doubt about the axes, or is not seen, is no stow that is done."""
         safety, motion = self._settings.safety, self._motion
         sure = motion.connected and motion.blocked is None and motion.doubt is None
         return sure and self._parking.stands_at(safety.stow_a_deg, safety.stow_b_deg)

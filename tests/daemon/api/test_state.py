@@ -7,7 +7,8 @@ from operator import itemgetter
 
 import pytest
 
-from daemon.base.records import Mode
+from daemon.base.records import Mode, MoveOutcome
+from tests.support.motion import A_PACKET, B_PACKET, lose
 from tests.support.phases import at_rest, tracking, under_way
 
 
@@ -168,5 +169,28 @@ def test_scans_since_an_instant_are_the_later_ones_in_order(serve):
             400,
             "since='yesterday' is no UTC time; write 2022-10-14T08:00:00Z",
         )
+
+    serve(scenario)
+
+
+def test_a_stow_that_fails_between_two_tries_has_not_reached_the_stow_position(serve, monkeypatch):
+    async def scenario(rig, call):
+        async def seen():
+            state = (await call.get("/api/state")).json
+            return state["mode"]["name"], state["tracker"]["moving"], state["at_stow"]
+
+        await tracking(rig)
+        await at_rest(rig)
+        lose(rig, monkeypatch, A_PACKET, B_PACKET)
+        rig.wind_m_s = 20.0
+        await rig.until(lambda: rig.motion.last_move.outcome is MoveOutcome.REFUSED, 60, "the stow that fails")
+        assert await seen() == ("stow", False, False)
+        monkeypatch.undo()
+        await rig.until(lambda: rig.truth().b_deg > 89, 700, "the stow")
+        await at_rest(rig)
+        assert await seen() == ("stow", False, True)
+        rig.positioner.read_telemetry = lambda: asyncio.sleep(3600)
+        await asyncio.sleep(45)
+        assert (await seen())[2] is False
 
     serve(scenario)

@@ -48,7 +48,7 @@ export function fleet(orders) {
     for (const { mode } of own) counts[mode] = (counts[mode] ?? 0) + 1;
     const counted = Object.entries(counts).sort((a, b) => b[1] - a[1]).map(([mode, count]) => `${count} ${mode}`);
     setText(tally, [...counted, ...(own.length && gone ? [silent] : [])].join(", "));
-    const stowed = own.filter(({ mode, tracker }) => mode === "stow" && !tracker.tracker.moving).length;
+    const stowed = own.filter(({ mode, tracker }) => mode === "stow" && tracker.at_stow).length;
     const done = stowed === own.length && !gone;
     if (ordered !== null && done) ordered = Infinity;
     const underWay = ordered !== null && ordered !== Infinity;
