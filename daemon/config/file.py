@@ -21,10 +21,10 @@ from daemon.config.trackers import (
     NAME_IN_WORDS,
     PARTS,
     TrackerTable,
+    clashes,
     merged,
     place_in_table,
     resembling,
-    shared_ports,
     without,
 )
 
@@ -180,7 +180,7 @@ def _settings(
     tables = raw.get("tracker", ())
     raw = {name: value for name, value in raw.items() if name != "tracker"}
     settings, problems = _checked(raw, unusable, to_come)
-    problems += _tracker_problems(raw, tables, problems)
+    problems += _tracker_problems(raw, tables, problems, settings.site.latitude_deg)
     if problems:
         order = {key: place for place, key in enumerate(_paths_in(raw, ""))}
         problems.sort(key=lambda problem: order.get(problem.key.partition("[")[0], len(order)))
@@ -188,7 +188,9 @@ def _settings(
     return settings.model_copy(update={"tracker": tuple(TrackerTable.model_validate(table) for table in tables)})
 
 
-def _tracker_problems(raw: dict[str, Any], tables: Any, known: Collection[_Problem]) -> Iterator[_Problem]:
+def _tracker_problems(
+    raw: dict[str, Any], tables: Any, known: Collection[_Problem], latitude_deg: float
+) -> Iterator[_Problem]:
     """Yield what is wrong with the tables of trackers, and with the settings that they make."""
     if not isinstance(tables, list | tuple) or not all(isinstance(table, dict) for table in tables):
         yield _Problem("tracker", ": a tracker is a table of a list; write [[tracker]], once for each")
@@ -214,9 +216,8 @@ def _tracker_problems(raw: dict[str, Any], tables: Any, known: Collection[_Probl
         for problem in problems:
             if problem not in known:
                 yield _Problem(f"tracker[{name}].{place_in_table(problem.key)}", problem.reason)
-    for port in shared_ports(found):
-        reason = f" = {keys.shown(port.value)}: is that of the tracker {port.other} already; each needs one of its own"
-        yield _Problem(f"tracker[{port.tracker}].{port.key}", reason)
+    for clash in clashes(latitude_deg, found):
+        yield _Problem(f"tracker[{clash.tracker}].{clash.key}", f" = {keys.shown(clash.value)}: {clash.reason}")
 
 
 def _checked(

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from daemon.base.errors import UserError
 from daemon.config.rules import conflicts
 from daemon.config.sections import Sections
-from daemon.config.trackers import TrackerTable, merged, shared_ports, values_of
+from daemon.config.trackers import TrackerTable, clashes, merged, values_of
 
 
 class NamedSettings(NamedTuple):
@@ -30,8 +30,8 @@ class Settings(Sections):
         names = [table.name.lower() for table in self.tracker]
         found += [f"tracker[{name}] is there twice" for name in {name for name in names if names.count(name) > 1}]
         found += [
-            f"tracker[{port.tracker}].{port.key} is that of {port.other} already"
-            for port in shared_ports(self.trackers)
+            f"tracker[{clash.tracker}].{clash.key} {clash.reason}"
+            for clash in clashes(self.site.latitude_deg, self.trackers)
         ]
         if found:
             raise ValueError("; ".join(found))

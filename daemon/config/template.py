@@ -43,7 +43,8 @@ _TRACKERS = """\
 Several trackers in one process. Without such a table there is one, with the sections above as they are; with them
 there is one for each table, in the table's name, and the sections above hold for each but for what its table says
 differently: `site`, `law`, `windows`, `limits`, `rows`, `motion`, `safety`, `load`, and `positioner` for
-`instruments.positioner`. The same rules hold for the outcome, and no two real trackers share a port. What a tracker
+`instruments.positioner`. The same rules hold for the outcome, no two real trackers share a port, and all stand
+on the side of the equator that `site` is on, as the cube does. What a tracker
 keeps stands in a folder of its name in `store.directory`; its topics are below `mqtt.prefix` and its name. What a
 tracker without a table has kept there holds for those that get one, until a person releases it: nothing that was
 stopped is let go by a new line in a file, or by another name.

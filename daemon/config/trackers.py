@@ -8,6 +8,7 @@ from pydantic import Field
 
 from daemon.config.plugged import DRIVER, SECTIONS, said
 from daemon.config.section import Section
+from solar.frames import equator_azimuth_deg
 
 if TYPE_CHECKING:
     from daemon.config.sections import Sections
@@ -38,13 +39,13 @@ _AT_HOME = {"positioner": "instruments.positioner"}
 _SHARED = ("cube", "bridge")
 
 
-class SharedPort(NamedTuple):
-    """Two trackers at one port: the key of the later one, its value, and the name of the other."""
+class Clash(NamedTuple):
+    """What keeps a tracker out of a process with others: its key, the key's value, and why."""
 
     tracker: str
     key: str
-    value: str
-    other: str
+    value: str | float
+    reason: str
 
 
 def values_of(settings: "Sections") -> dict[str, Any]:
@@ -104,8 +105,8 @@ def resembling(name: str) -> str:
     return f"did you mean {found[0]}?" if found else f"a tracker has {', '.join(PARTS)}"
 
 
-def shared_ports(trackers: Sequence[tuple[str, "Sections"]]) -> Iterator[SharedPort]:
-    """Yield every port of a real instrument that two trackers have in common."""
+def clashes(latitude_deg: float, trackers: Sequence[tuple[str, "Sections"]]) -> Iterator[Clash]:
+    """Yield every port of a real instrument that two trackers share, and each tracker beyond the process's equator."""
     owners: dict[tuple[str, str], str] = {}
     for name, settings in trackers:
         ports = {f"load.{key}": value for key, value in settings.load.exclusive().items()}
@@ -115,7 +116,16 @@ def shared_ports(trackers: Sequence[tuple[str, "Sections"]]) -> Iterator[SharedP
             if value is not None:
                 other = owners.setdefault((key, value), name)
                 if other != name:
-                    yield SharedPort(name, key, value, other)
+                    reason = f"is that of the tracker {other} already; each needs one of its own"
+                    yield Clash(name, key, value, reason)
+        own_deg = settings.site.latitude_deg
+        if equator_azimuth_deg(own_deg) != equator_azimuth_deg(latitude_deg):
+            # A cube's faces, SunSpec and a run's records have one side of the equator.
+            reason = (
+                f"is on the other side of the equator than the cube and site.latitude_deg ({latitude_deg:g} deg);"
+                " correct the wrong one, or give this tracker a file and a process of its own"
+            )
+            yield Clash(name, "site.latitude_deg", own_deg, reason)
 
 
 def _lay_over(found: dict[str, Any], path: Sequence[str], values: Any, decided: Collection[str]) -> None:

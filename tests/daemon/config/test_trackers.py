@@ -104,6 +104,10 @@ def test_what_the_command_line_says_holds_for_all(read):
         ("[[trackers]]\nname = 'east'\n", "trackers: there is no such key; did you mean [[tracker]]"),
         ("[[tracker]]\nname = 'east'\nlimits = 3\n", "tracker[east].limits = 3: must be a section of its own"),
         (
+            "[site]\nlatitude_deg = 48.7\n[[tracker]]\nname = 'east'\n[tracker.site]\nlatitude_deg = -33.0\n",
+            "tracker[east].site.latitude_deg = -33.0: is on the other side of the equator than the cube",
+        ),
+        (
             """
             [instruments]
             kind = 'real'
@@ -131,6 +135,8 @@ def test_a_mistake_in_a_section_of_the_file_is_not_told_again_for_each_tracker(r
 def test_settings_made_in_the_program_obey_the_same_rules():
     with pytest.raises(ValueError, match=r"is there twice"):
         Settings.model_validate({"tracker": [{"name": "east"}, {"name": "EAST"}]})
+    with pytest.raises(ValueError, match="other side of the equator"):
+        Settings.model_validate({"tracker": [{"name": "east", "site": {"latitude_deg": -33.0}}]})
     with pytest.raises(ValueError, match="night_a_deg"):
         Settings.model_validate({"tracker": [{"name": "east", "limits": {"a_max_deg": -10.0}}]})
 
