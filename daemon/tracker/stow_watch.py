@@ -15,6 +15,7 @@ from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock, iso_utc
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.base.timeloop import call_every
+from daemon.tracker.guarded_stow import GuardedStow
 from daemon.tracker.stow import StowSource, StowStatus
 
 log = logging.getLogger("heliocube.stow")
@@ -96,7 +97,7 @@ class StowWatch:
     clock
         The service's time.
     alarms
-        Where a source that is silent is raised.
+        Where a source that is silent or has failed is raised.
     wake
         Called when one begins to stow, so that nobody waits for the next tick.
     """
@@ -109,12 +110,13 @@ class StowWatch:
         alarms: Alarms,
         wake: Callable[[], None] = lambda: None,
     ) -> None:
-        self._sources = tuple(sources)
+        self._sources = tuple(GuardedStow(source) for source in sources)
         self._file = file
         self._clock = clock
         self._alarms = alarms
         self._wake = wake
         self._silent: list[str] | None = None
+        self._failed: list[str] | None = None
         self._kept: Set[str] | None = None
         self._gust_m_s = math.nan
         self._pending = {source.name for source in self._sources}
@@ -131,23 +133,22 @@ class StowWatch:
     def reasons(self, now_s: float) -> tuple[str, ...]:
         """Poll every source at this monotonic time and return all reasons to stow, none of them twice."""
         found: dict[str, str] = {}
+        silent: list[str] = []
         for source in self._sources:
-            why = source.reason(now_s)
+            why, status = source.poll(now_s)
             if why is not None:
                 found[source.name] = why
-        if found.keys() != self._kept:
-            self._keep(found)
-        silent = []
-        for source in self._sources:
-            status = source.status(now_s)
             if status.silent:
                 silent.append(_of_silent(status))
             # What was read by this very poll; NaN is no reading.
             if status.age_s < _POLL_EVERY_S and not status.speed_m_s <= self._gust_m_s and status.speed_m_s >= 0.0:
                 self._gust_m_s = status.speed_m_s
+        if found.keys() != self._kept:
+            self._keep(found)
         if silent != self._silent:
             self._silent = silent
             self._alarms.set("stow-source-silent", "; ".join(silent) or None)
+        self._tell_failed()
         return tuple(dict.fromkeys(found.values())) if found else ()
 
     def take_gust(self) -> float:
@@ -194,6 +195,13 @@ class StowWatch:
             await failed
         finally:
             end()
+
+    def _tell_failed(self) -> None:
+        failed = [source.failed_why for source in self._sources if source.failed_why is not None]
+        if failed != self._failed:
+            worse = len(failed) > len(self._failed or ())
+            self._failed = failed
+            self._alarms.set("stow-source-failed", "; ".join(failed) or None, worse=worse)
 
     def _keep(self, found: dict[str, str]) -> None:
         self._kept = found.keys()

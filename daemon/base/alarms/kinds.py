@@ -134,6 +134,14 @@ _ALL = (
         "check the sensor, its cable, the broker and the topic; `heliocube status` shows when it was last heard",
     ),
     _kind(
+        "stow-source-failed",
+        Severity.WARNING,
+        "a source of stow raised an error, which is in the log, or answered with what is no answer; ends when it has"
+        " worked for a minute",
+        "the tracker is stowed until then, and until the source has been calm for long enough",
+        "correct what the alarm's text names, or take the source out, then restart the service",
+    ),
+    _kind(
         "reference",
         Severity.WARNING,
         "the reference of an axis is in doubt: a restart of the unit, a jump of its count, a failed reference run",

@@ -12,7 +12,7 @@ from daemon.base.clock import LoopClock
 from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.sections import SafetySettings
-from daemon.tracker.stow import WindStow
+from daemon.tracker.stow import StowStatus, WindStow
 from daemon.tracker.stow_watch import SafetyFile, StowWatch
 
 SAFETY = SafetySettings(stow_wind_m_s=15, release_wind_m_s=10, stow_at_least_s=900, wind_stale_s=300)
@@ -221,3 +221,105 @@ def test_a_source_that_is_silent_for_its_time_is_an_alarm_until_it_is_heard():
     assert alarms()["stow-source-silent"] == "roof is silent; field has not been heard since the start of the service"
     rig.look(605, roof=20, field=3)
     assert alarms() == {}, "they are heard, and strong wind is no fault"
+
+
+class Plugged:
+    """A source of somebody else's, which answers with what a test wants: an error is raised."""
+
+    def __init__(self, reason=None, age_s=0.0, name="hail"):
+        self.name, self.why, self.age_s, self.resumed = name, reason, age_s, []
+
+    def reason(self, _now_s):
+        if isinstance(self.why, Exception):
+            raise self.why
+        return self.why
+
+    def status(self, _now_s):
+        if isinstance(self.age_s, Exception):
+            raise self.age_s
+        return StowStatus(self.name, None, self.age_s) if not isinstance(self.age_s, str) else self.age_s
+
+    def resume(self, why, now_s):
+        self.resumed.append((why, now_s))
+
+
+def plugged(*sources):
+    alarms = Alarms(SetClock(), lambda _record: None)
+    return StowWatch(sources, SafetyFile(StateFolder(None)), SetClock(), alarms), alarms
+
+
+def texts(alarms):
+    return {alarm.name: alarm.text for alarm in alarms.active}
+
+
+@pytest.mark.parametrize(
+    ("reason", "age_s", "words"),
+    [
+        (ZeroDivisionError("division by zero"), 0.0, "ZeroDivisionError: division by zero"),
+        (None, KeyError("gauge"), "KeyError: 'gauge'"),
+        (None, "fine", "TypeError: its status is 'fine', no StowStatus"),
+        (None, None, "TypeError: "),
+        (None, math.nan, "ValueError: its last reading is nan s old, which cannot be"),
+        (None, -1.7e9, "ValueError: its last reading is -1.7e\\+09 s old, which cannot be"),
+        ("", 0.0, "TypeError: its reason is '', neither a sentence nor None"),
+        (math.nan, 0.0, "TypeError: its reason is nan, neither a sentence nor None"),
+        (False, 0.0, "TypeError: its reason is False, neither a sentence nor None"),
+    ],
+)
+def test_a_source_that_fails_or_gives_no_answer_stows_and_is_an_alarm(reason, age_s, words, caplog):
+    watch, alarms = plugged(Plugged(reason, age_s))
+    for now in range(5):
+        (why,) = watch.reasons(now)
+        assert re.match(rf"the stow source hail has failed \({words}", why)
+        assert texts(alarms) == {"stow-source-failed": why}
+        (status,) = watch.statuses(now)
+        assert (status.name, status.why, status.age_s) == ("hail", why, math.inf)
+    assert sum(record.exc_info is not None for record in caplog.records) == 1
+    assert watch.waiting_why(5) == "waiting for the first word of hail"
+
+
+def test_a_source_that_has_failed_lets_go_after_a_minute_of_work_and_its_own_time_of_calm(caplog):
+    source, roof = Plugged(), WindStow(SAFETY, lambda: 3.0, "roof")
+    watch, alarms = plugged(source, roof)
+    assert watch.reasons(0) == ()
+    for now in (1, 31):
+        source.why = OSError("no such gauge")
+        assert watch.reasons(now)
+        assert watch.statuses(now)[0].age_s == 1.0
+        source.why = None
+        for later in range(now + 1, now + 30):
+            assert watch.reasons(later), "it fails again and again"
+        watch.statuses(now + 29)
+    said, at_s = source.resumed[-1]
+    assert said == "the stow source hail has failed (OSError: no such gauge), and must now be calm for its whole time"
+    assert at_s == 31
+    source.why = said
+    assert watch.reasons(91) == (said,), "it stows for its own time"
+    assert texts(alarms) == {}
+    source.why = None
+    assert watch.reasons(92) == ()
+    assert sum(record.exc_info is not None for record in caplog.records) == 1, "it was told once"
+
+
+def test_a_second_source_that_fails_raises_the_alarm_anew_after_an_acknowledgement():
+    first, second = Plugged(OSError("one")), Plugged(name="flood")
+    watch, alarms = plugged(first, second)
+    watch.reasons(0)
+    alarms.acknowledge("ana")
+    assert alarms.active[0].acknowledged_by == "ana"
+    second.why = OSError("two")
+    watch.reasons(1)
+    (alarm,) = alarms.active
+    assert "hail has failed (OSError: one); the stow source flood has failed (OSError: two)" in alarm.text
+    assert not alarm.acknowledged_by
+
+
+def test_a_source_whose_resume_fails_stows_after_a_restart_in_a_storm(tmp_path):
+    class Forgetful(Plugged):
+        def resume(self, why, now_s):
+            raise NotImplementedError
+
+    folder = StateFolder(tmp_path)
+    SafetyFile(folder).save({"hail": "hail"}, "2023-11-14T22:13:20.000Z")
+    watch = StowWatch([Forgetful()], SafetyFile(folder), SetClock(), Alarms(SetClock(), lambda _record: None))
+    assert watch.reasons(1) == ("the stow source hail has failed (NotImplementedError)",)

@@ -1,0 +1,120 @@
+"""A source of stow whose failure ends nothing: what answers with an error is not known to be safe, and stows."""
+
+import logging
+import math
+from typing import NamedTuple
+
+from daemon.tracker.stow import StowSource, StowStatus
+
+log = logging.getLogger("heliocube.stow")
+
+# One that fails now and then is told once, and not each time.
+_SOUND_AFTER_S = 60.0
+# It may have read its own clock a moment after ours.
+_LEAST_AGE_S = -1.0
+
+
+class StowAnswer(NamedTuple):
+    """What one source said at a poll: why the tracker must be stowed, or None, and how the source stands."""
+
+    why: str | None
+    status: StowStatus
+
+
+class GuardedStow:
+    """A source of stow that stows while it raises what it never should, or answers with what is no answer.
+
+    It has failed until it has worked for a minute; after each failure it is told to `resume`, so that it has to be
+    calm for its whole time.
+
+    Parameters
+    ----------
+    source
+        Which anybody may have written.
+
+    Attributes
+    ----------
+    name
+        Of the source; of its class where it has none.
+    failed_why
+        What has happened, in a sentence, or None.
+    """
+
+    def __init__(self, source: StowSource) -> None:
+        self._source = source
+        name = getattr(source, "name", None)
+        self.name = name if isinstance(name, str) else type(source).__name__
+        self.failed_why: str | None = None
+        self._failed_s = self._worked_s = -math.inf
+
+    def poll(self, now_s: float) -> StowAnswer:
+        """Ask the source at this monotonic time [s]."""
+        try:
+            why = _words(self._source.reason(now_s))
+            status = _checked(self._source.status(now_s), self.name)
+        except Exception as error:  # noqa: BLE001 - it is logged once
+            self._fail(now_s, error)
+            self.resume(f"{self.failed_why}, and must now be calm for its whole time", now_s)
+        else:
+            self._worked_s = now_s
+            if self.failed_why is None:
+                return StowAnswer(why, status)
+            if now_s - self._failed_s >= _SOUND_AFTER_S:
+                log.info("the stow source %s works again", self.name)
+                self.failed_why = None
+                return StowAnswer(why, status)
+        return StowAnswer(self.failed_why, self._status_failed(now_s))
+
+    def status(self, now_s: float) -> StowStatus:
+        """Return how it stood at the last poll."""
+        if self.failed_why is None:
+            try:
+                return _checked(self._source.status(now_s), self.name)
+            except Exception as error:  # noqa: BLE001 - it is logged once
+                self._fail(now_s, error)
+        return self._status_failed(now_s)
+
+    def resume(self, why: str, now_s: float) -> None:
+        """Begin stowed, as before a restart."""
+        try:
+            self._source.resume(why, now_s)
+        except Exception as error:  # noqa: BLE001 - it is logged once
+            self._fail(now_s, error)
+
+    def _fail(self, now_s: float, error: Exception) -> None:
+        self._failed_s = now_s
+        if self.failed_why is not None:
+            return
+        why = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        self.failed_why = f"the stow source {self.name} has failed ({why})"
+        log.error("%s: it counts as a reason to stow", self.failed_why, exc_info=error)
+
+    def _status_failed(self, now_s: float) -> StowStatus:
+        return StowStatus(self.name, self.failed_why, now_s - self._worked_s)
+
+
+def _words(why: object) -> str | None:
+    if why is None:
+        return None
+    if not isinstance(why, str) or not why.strip():
+        raise TypeError(f"its reason is {why!r}, neither a sentence nor None")
+    return str(why)
+
+
+def _checked(status: object, name: str) -> StowStatus:
+    """Return the status in numbers of Python; `TypeError` or `ValueError` for what is none."""
+    if not isinstance(status, StowStatus):
+        raise TypeError(f"its status is {status!r}, no StowStatus")
+    age_s = float(status.age_s)
+    if not age_s >= _LEAST_AGE_S:
+        raise ValueError(f"its last reading is {age_s:g} s old, which cannot be")
+    return StowStatus(
+        name=name,
+        why=_words(status.why),
+        age_s=max(age_s, 0.0),
+        speed_m_s=float(status.speed_m_s),
+        stow_from_m_s=float(status.stow_from_m_s),
+        release_below_m_s=float(status.release_below_m_s),
+        release_in_s=float(status.release_in_s),
+        silent=bool(status.silent),
+    )
