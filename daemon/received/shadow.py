@@ -16,6 +16,7 @@ from daemon.base.records import Event, Irradiances, Mode, Pose, Record, Scan, Ta
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.config.settings import Settings
 from daemon.received.today import Insolation, ReceivedToday
+from daemon.tracker.law_answers import checked_kept
 from daemon.tracker.phase import ALONE, Phase
 from daemon.tracker.pointing import ShadowLaw, Whereabouts, ask, reading_of
 from solar.energy import Drive
@@ -152,6 +153,7 @@ class Shadow:
         self._active_before: tuple[float, int] | None = None
         self._mode_before = Mode.STARTING
         self._failed_why: str | None = None
+        self._failure_told = False
 
     @property
     def state(self) -> ShadowState:
@@ -160,27 +162,45 @@ class Shadow:
 
     def relearn(self) -> None:
         """Forget what was learned of the site."""
-        self._named.law.relearn()
-        self._law_file.save(self._named.law.to_dict())
+        try:
+            self._named.law.relearn()
+            self._keep()
+        except Exception as error:  # noqa: BLE001 - it is logged once
+            self._fail(error)
 
     @property
     def albedo(self) -> float | None:
         """What the law has learned of the ground; None where it learns nothing."""
-        return None if self._failed_why else getattr(self._named.law.learned, "albedo", None)
+        if self._failed_why is not None:
+            return None
+        try:
+            albedo = getattr(self._named.law.learned, "albedo", None)
+            return None if albedo is None else float(albedo)
+        except Exception as error:  # noqa: BLE001 - it is logged once
+            self._fail(error)
+            return None
 
     def add(self, scan: Scan, active: Active, utc_s: float) -> None:
         """Take in a scan that has just arrived at this UTC [s], before the tracker's own count takes it in."""
-        if self._failed_why is not None:
-            return
-        try:
-            self._add(scan, active, utc_s)
-        except Exception as error:
-            log.exception("the law %s in the shadow has failed", self._named.name)
-            self._failed_why = f"{type(error).__name__}: {error}"
+        if self._failed_why is None:
+            try:
+                self._add(scan, active, utc_s)
+            except Exception as error:  # noqa: BLE001 - it is logged once
+                self._fail(error)
+        if self._failed_why is not None and not self._failure_told:
+            self._failure_told = True
             text = (
                 f"the law {self._named.name} in the shadow has failed and is left out until the service is started anew"
             )
             self._publish(Event(utc_s, scan.time_monotonic_s, "shadow", f"{text} ({self._failed_why})"))
+
+    def _fail(self, error: Exception) -> None:
+        if self._failed_why is None:
+            log.error("the law %s in the shadow has failed", self._named.name, exc_info=error)
+            self._failed_why = f"{type(error).__name__}: {error}"
+
+    def _keep(self) -> None:
+        self._law_file.save(checked_kept(self._named.law.to_dict()))
 
     def _add(self, scan: Scan, active: Active, utc_s: float) -> None:
         now_s = scan.time_monotonic_s
@@ -216,7 +236,7 @@ class Shadow:
         )
         if within and law.affords(distance_deg):
             law.book(distance_deg)
-            self._law_file.save(law.to_dict())
+            self._keep()
             self._axes.send(there)
             self._moved_s = now_s
             self._travel = travel.plus(shadow=(distance_deg, 1))
@@ -239,7 +259,7 @@ class Shadow:
     def _turn(self, scan: Scan, active: Active, utc_s: float) -> None:
         """Tell the day that has ended, and begin the next."""
         if self._named.law.turn(utc_s):
-            self._law_file.save(self._named.law.to_dict())
+            self._keep()
         day = self._received.day_of(utc_s)
         if day == self._travel.day:
             return

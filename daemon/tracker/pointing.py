@@ -15,6 +15,7 @@ from daemon.base.records import FACES, Irradiances, Pose, Quality, Scan, Target
 from daemon.base.state import StateFolder
 from daemon.config.plugged import FALLBACK_LAW, LAW
 from daemon.config.settings import Settings
+from daemon.tracker.law_answers import checked_aim, checked_kept, checked_shown
 from daemon.tracker.law_file import LawFile
 from daemon.tracker.readings import Common
 from solar.frames import Angles, Array, normal_from_angles, separation_deg
@@ -88,7 +89,7 @@ class GuardedLaw(Law):
     named
         The law, which anybody may have written.
     other
-        Answers after it has raised what it never should, or has answered with no `Aim`.
+        Answers after it has raised what it never should, or has answered with what is no answer.
 
     Attributes
     ----------
@@ -113,14 +114,7 @@ class GuardedLaw(Law):
 
     def aim(self, now: Moment) -> Aim:
         """Return where the law wants to point."""
-
-        def answer(law: Law) -> Aim:
-            found = law.aim(now)
-            if not isinstance(found, Aim):
-                raise TypeError(f"{type(found).__name__} is no Aim")
-            return found
-
-        return self._ask(answer)
+        return self._ask(lambda law: checked_aim(law.aim(now), law.limits))
 
     @property
     def learned(self) -> Any:
@@ -133,11 +127,11 @@ class GuardedLaw(Law):
 
     def turn(self, utc_s: float) -> bool:
         """Look whether a new day has begun since the last call."""
-        return self._ask(lambda law: law.turn(utc_s))
+        return self._ask(lambda law: bool(law.turn(utc_s)))
 
     def affords(self, distance_deg: float) -> bool:
         """Whether one more move of this length stays within the law's own plan of the day."""
-        return self._ask(lambda law: law.affords(distance_deg))
+        return self._ask(lambda law: bool(law.affords(distance_deg)))
 
     def book(self, distance_deg: float) -> None:
         """Take a move that was ordered out of the plan of the day."""
@@ -145,7 +139,7 @@ class GuardedLaw(Law):
 
     def believes_zenith(self, faces_w_m2: Faces, utc_s: float) -> bool:
         """Whether the zenith face of a mean can be believed."""
-        return self._ask(lambda law: law.believes_zenith(faces_w_m2, utc_s))
+        return self._ask(lambda law: bool(law.believes_zenith(faces_w_m2, utc_s)))
 
     def relearn(self) -> None:
         """Forget what was learned of the site."""
@@ -153,11 +147,11 @@ class GuardedLaw(Law):
 
     def to_dict(self) -> dict[str, Any] | None:
         """Return what a later run needs to go on from here."""
-        return self._ask(lambda law: law.to_dict())
+        return self._ask(lambda law: checked_kept(law.to_dict()))
 
     def shown(self) -> dict[str, dict[str, float]]:
         """Return what a person may want to see of it."""
-        return self._ask(lambda law: law.shown())
+        return self._ask(lambda law: checked_shown(law.shown()))
 
     def estimates(self, faces: Array, sun: Array, learned: Any) -> Estimates:
         """Return what faces show by what was learned."""
@@ -300,7 +294,7 @@ def aim(law: Law, mean: Irradiances | None, heading: Angles | None, utc_s: float
     if mean is not None:
         east, south, west, zenith = (getattr(mean, f"{face}_w_m2") for face in FACES)
         faces = (east, south, west, zenith)
-    return law.aim(Moment(utc_s, faces, heading, sun_known))
+    return checked_aim(law.aim(Moment(utc_s, faces, heading, sun_known)), law.limits)
 
 
 def build_pointing(settings: Settings, utc_s: float, folder: StateFolder, common: Common | None = None) -> Pointing:

@@ -229,7 +229,7 @@ class DirectionLaw(Law):
 
     @abstractmethod
     def direction(self, now: Moment, to_sun: Array) -> Array:
-        """Return the direction, shape (3,), of any length, NaN for none; `to_sun` is the ephemeris' unit vector."""
+        """Return the direction, shape (3,), of any length; NaN or zero for none. `to_sun` is the ephemeris' vector."""
 
     def reason(self, azimuth_deg: float, elevation_deg: float) -> str:  # noqa: ARG002
         """Return in words why it points in its direction; empty for nothing to say."""
@@ -240,7 +240,7 @@ class DirectionLaw(Law):
         sun = self.sun(now.utc_s)
         to_sun = direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, self.site[0])
         direction = self.direction(now, to_sun)
-        if not np.isfinite(direction).all():
+        if not (np.isfinite(direction).all() and np.any(direction)):
             return Aim(
                 azimuth_deg=np.nan,
                 elevation_deg=np.nan,

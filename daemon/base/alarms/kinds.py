@@ -115,7 +115,7 @@ _ALL = (
     _kind(
         "law-failed",
         Severity.WARNING,
-        "the pointing law failed with an error, which is in the log",
+        "the pointing law failed with an error, which is in the log, or answered with what is no answer",
         "the tracker follows the sun by ephemeris; limits, stow and commands work as usual",
         "correct the law or choose another, then restart the service",
     ),

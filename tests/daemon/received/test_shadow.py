@@ -121,6 +121,24 @@ def test_a_law_in_the_shadow_that_raises_is_left_out_and_the_tracker_goes_on(run
     assert rig.of(Move)
 
 
+@pytest.mark.parametrize("name", ["learned", "relearn", "to_dict"])
+def test_a_law_in_the_shadow_fails_alone_whatever_it_is_asked(run_rig, monkeypatch, name):
+    def fails(*_):
+        raise RuntimeError("no such sky")
+
+    async def scenario(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        monkeypatch.setattr(ChronometricLaw, name, property(fails) if name == "learned" else fails, raising=False)
+        if name != "learned":
+            rig.tracker.shadow.relearn()
+        await rig.until(lambda: told(rig), 900, "what is told of it")
+        assert seen(rig)["failed_why"] == "RuntimeError: no such sky"
+        assert rig.mode is Mode.TRACKING
+
+    rig = run_rig(scenario, law={"driver": "mu-prime", "shadow": "chronometric"})
+    assert len(told(rig)) == 1
+
+
 def test_what_it_has_learned_and_moved_outlives_a_restart(run_rig, tmp_path):
     law = {"driver": "chronometric", "shadow": "optimal", "albedo": 0.35}
 

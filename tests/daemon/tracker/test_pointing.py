@@ -1,5 +1,8 @@
 """The laws as the service calls them: with the settings' parameters and the ephemeris."""
 
+import json
+import re
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -15,7 +18,7 @@ from daemon.tracker.law_file import LawFile
 from solar.ephemeris import Site, sun_position
 from solar.frames import Angles, Limits, azimuth_from_direction, direction_from_azimuth
 from solar.laws.flat import FlatLaw, FlatSettings
-from solar.laws.law import Aim, Reading, TrackerFacts
+from solar.laws.law import Aim, Moment, Reading, TrackerFacts
 from solar.laws.paper import sun_vector
 
 NOON = datetime(2022, 10, 12, 11, 50, tzinfo=UTC).timestamp()
@@ -185,6 +188,69 @@ def test_once_a_law_has_failed_the_other_answers_with_its_own_needs():
     assert law.told == [], "it is not asked again"
     assert (points.chosen.name, points.law.faces_needed, points.law.needs_sun) == ("flat", 4, False)
     assert points.law.decide_every_s == 60.0
+
+
+def answering(monkeypatch, **answers):
+    """Return what points, by a law that answers this: to `aim` with a change of what it would have said."""
+    points, law = noting()
+    said = law.aim(Moment(NOON, None, None))
+    for name, answer in answers.items():
+        answer = replace(said, **answer) if name == "aim" and isinstance(answer, dict) else answer
+        monkeypatch.setattr(law, name, lambda *_, answer=answer: answer)
+    return points
+
+
+@pytest.mark.parametrize(("answer", "words"), [
+    ({"target": Angles(np.nan, 60.0)}, r"ValueError: its target is A nan, B 60 deg: a law that has none says None"),
+    ({"target": Angles(np.zeros(2), np.zeros(2))}, "TypeError: "),
+    ({"target": 60.0}, "TypeError: its target is 60.0, no Angles"),
+    ({"target": (1.0, 2.0, 3.0)}, "TypeError: its target is .*, no Angles"),
+    ({"azimuth_deg": None}, "TypeError: "),
+    ({"sun": None}, "TypeError: the sun of its Aim is None, no SunPosition"),
+    (Angles(0.0, 60.0), "TypeError: Angles is no Aim"),
+    (None, "TypeError: NoneType is no Aim"),
+])  # fmt: skip
+def test_a_law_that_says_what_is_no_answer_has_failed_and_the_other_points(monkeypatch, answer, words):
+    points = answering(monkeypatch, aim=answer)
+    said = pointing.ask(points.chosen, None, pointing.Whereabouts(None, None), NOON, sun_known=True)
+    assert (said.target.a_deg, said.target.b_deg) == (0.0, 90.0)
+    assert re.search(rf"the law noting has failed \({words}", points.failed_why)
+
+
+def test_what_a_law_says_in_numbers_of_numpy_is_taken_in_those_of_python_and_inside_the_limits(monkeypatch):
+    beyond = Angles(np.float32(300.0), np.float32(60.5))
+    points = answering(monkeypatch, aim={"target": beyond, "azimuth_deg": np.float32(180.0), "albedo": np.array(0.25)})
+    said = pointing.ask(points.chosen, None, pointing.Whereabouts(None, None), NOON, sun_known=True)
+    assert (said.target.a_deg, said.target.b_deg) == (Limits().a_max_deg, 60.5)
+    numbers = (said.target.a_deg, said.target.b_deg, said.aim.azimuth_deg, said.aim.albedo)
+    assert [type(number) for number in numbers] == [float] * 4
+    assert points.failed_why is None
+
+
+@pytest.mark.parametrize(("kept", "words"), [
+    ([1], r"TypeError: what it wants kept is \[1\], no mapping"),
+    ({"days": {1}}, "TypeError: "),
+])  # fmt: skip
+def test_a_law_that_wants_kept_what_no_file_holds_has_failed(monkeypatch, tmp_path, kept, words):
+    points = answering(monkeypatch, to_dict=kept)
+    points.book(3.0)
+    assert re.search(words, points.failed_why)
+
+
+def test_what_a_law_wants_kept_or_shown_may_be_in_numbers_of_numpy(monkeypatch, tmp_path):
+    points, law = noting(tmp_path)
+    monkeypatch.setattr(law, "to_dict", lambda: {"albedo": np.float32(0.25)})
+    monkeypatch.setattr(law, "shown", lambda: {"learned": {"albedo": np.float32(0.25)}})
+    points.book(3.0)
+    assert LawFile(StateFolder(tmp_path)).load() == {"albedo": 0.25}
+    assert json.dumps(points.law.shown()) == '{"learned": {"albedo": 0.25}}'
+    assert points.failed_why is None
+
+
+def test_a_law_that_answers_a_question_of_yes_or_no_with_an_array_has_failed(monkeypatch):
+    points = answering(monkeypatch, affords=np.array([True, False]))
+    assert points.law.affords(3.0) is True
+    assert points.failed_why is not None
 
 
 @pytest.mark.parametrize(("target", "heading", "worth"), [

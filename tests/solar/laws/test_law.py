@@ -27,6 +27,14 @@ def test_the_angles_and_the_azimuth_are_those_of_the_direction_in_either_hemisph
     np.testing.assert_allclose(normal_from_angles(*aim.target), to_sun, atol=1e-9)
 
 
+class Nowhere(DirectionLaw):
+    """Says a direction without a length."""
+
+    def direction(self, _now, _to_sun):
+        """Return the sum of directions that cancel."""
+        return np.zeros(3)
+
+
 class HalfBlind(DirectionLaw):
     """Says a direction of which one part is no number."""
 
@@ -35,8 +43,9 @@ class HalfBlind(DirectionLaw):
         return np.array([math.nan, 0.5, 0.5])
 
 
-def test_half_a_direction_is_none():
-    aim = HalfBlind(tracker()).aim(Moment(FORENOON, None, None))
+@pytest.mark.parametrize("law", [HalfBlind, Nowhere])
+def test_half_a_direction_or_one_without_a_length_is_none(law):
+    aim = law(tracker()).aim(Moment(FORENOON, None, None))
     assert aim.target is None
     assert math.isnan(aim.elevation_deg)
     assert aim.why == "the readings tell no direction"
