@@ -15,10 +15,11 @@ from daemon.base.records import FACES, Irradiances, Pose, Quality, Scan, Target
 from daemon.base.state import StateFolder
 from daemon.config.plugged import FALLBACK_LAW, LAW
 from daemon.config.settings import Settings
-from daemon.tracker.law_answers import checked_aim, checked_kept, checked_shown
+from daemon.tracker.law_answers import checked_kept, checked_shown
 from daemon.tracker.law_file import LawFile
 from daemon.tracker.readings import Common
 from solar.frames import Angles, Array, normal_from_angles, separation_deg
+from solar.laws.answers import checked_aim
 from solar.laws.law import Aim, Estimates, Faces, Law, Moment, Reading, TrackerFacts
 
 log = logging.getLogger("heliocube.control")

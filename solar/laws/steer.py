@@ -1,18 +1,24 @@
 """From a law to what steers the trackers of many days in the benchmark (:mod:`solar.energy`)."""
 
 from collections.abc import Callable
+from datetime import UTC, datetime
 
 import numpy as np
 
 from solar.energy import DaylightWeather, Steer
 from solar.ephemeris import sun_direction
 from solar.frames import Angles, Array, Limits, angles_within
+from solar.laws.answers import checked_aim
 from solar.laws.law import Faces, Law, Moment, Reading, TrackerFacts
 from solar.rows.backtrack import turned_back
 from solar.rows.group import TrackerGroup
 
 PAPER_EVERY_S = 300.0
 PAPER_MEAN_S = 120.0
+
+
+class LawFailedError(RuntimeError):
+    """A law raised an error, its cause, or answered with what is no answer; the text is the day, UTC."""
 
 
 def or_stay(a_deg: Array, b_deg: Array, a_now: Array, b_now: Array) -> tuple[Array, Array]:
@@ -78,6 +84,11 @@ def by_readings(build: Callable[[TrackerFacts], Law], weather: DaylightWeather, 
         Returns a law for a tracker.
     weather, faces, limits
         As for :func:`by_the_mean`.
+
+    Raises
+    ------
+    LawFailedError
+        While it steers.
     """
     utc_s = weather.gridded(weather.utc_s, np.nan)
     readings = weather.gridded(faces, np.nan)
@@ -92,7 +103,10 @@ def by_readings(build: Callable[[TrackerFacts], Law], weather: DaylightWeather, 
             now_s = float(utc_s[step - 1, number])
             if np.isfinite(now_s):
                 heading = Angles(float(a[number]), float(b[number]))
-                target = day.steer(step, now_s, readings[step - 1, number], means[step - 1, number], heading)
+                try:
+                    target = day.steer(step, now_s, readings[step - 1, number], means[step - 1, number], heading)
+                except Exception as error:
+                    raise LawFailedError(f"{datetime.fromtimestamp(now_s, UTC):%Y-%m-%d}") from error
                 wanted_a[number], wanted_b[number] = target
         return wanted_a, wanted_b
 
@@ -105,6 +119,7 @@ class _Day:
     def __init__(
         self, build: Callable[[TrackerFacts], Law], weather: DaylightWeather, limits: Limits, begins_utc_s: float
     ) -> None:
+        self._limits = limits
         self._law = build(
             TrackerFacts(
                 site=weather.site,
@@ -122,7 +137,7 @@ class _Day:
         if step % self._every:
             return heading
         good = int(np.isfinite(mean).sum()) >= law.faces_needed
-        target = law.aim(Moment(utc_s, _four(mean) if good else None, heading)).target
+        target = checked_aim(law.aim(Moment(utc_s, _four(mean) if good else None, heading)), self._limits).target
         if target is None:
             return heading
         distance_deg = abs(target.a_deg - heading.a_deg) + abs(target.b_deg - heading.b_deg)

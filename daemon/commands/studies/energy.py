@@ -166,16 +166,20 @@ def _compare(
     from daemon.studies.energy.plot import plot
 
     minutes, days, terms = laid
-    done = "all"
+    ended: UserError | None = None
     rows: list[EnergyRow] = []
     with progress_bar(Console(stderr=True), "comparing") as progress:
         try:
             for row in run_benchmark(days, skies, names, terms, progress):
                 rows.append(row)  # noqa: PERF402 - what is there counts when the next one is interrupted
         except KeyboardInterrupt:
-            done = f"{len(rows)} of {len(skies) * len(names)}"
             if not rows:
                 raise
+            ended = InterruptedEarlyError("interrupted")
+        except UserError as error:
+            if not rows:
+                raise
+            ended = error
     simulated = minutes.simulated
     text = as_text(rows, days, terms, simulated=simulated)
     page = as_page(rows, days, terms, simulated=simulated)
@@ -192,8 +196,8 @@ def _compare(
         print_json(page | {"tables": out, "warnings": minutes.warnings})
     else:
         Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")
-    if done != "all":
-        raise InterruptedEarlyError(f"interrupted: {out} has {done} laws")
+    if ended is not None:
+        raise type(ended)(f"{ended}: {out} has {len(rows)} of {len(skies) * len(names)} laws")
 
 
 def _tell_losses(

@@ -1,6 +1,7 @@
 """The energy benchmark: laws side by side on measured weather, as a table."""
 
 import csv
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -11,6 +12,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from daemon.base.errors import UserError
 from daemon.config.plugged import FALLBACK_LAW
 from daemon.rigs.measured import by_the_minute, measured_weather
 from daemon.studies.energy.names import BOUND, FIXED, choice
@@ -31,7 +33,7 @@ from solar.energy import (
 from solar.ephemeris import Site
 from solar.frames import Array, Limits
 from solar.laws.law import Law, TrackerFacts
-from solar.laws.steer import by_readings
+from solar.laws.steer import LawFailedError, by_readings
 
 _PVLIB = (
     "The skies isotropic, haydavies and perez1990 agree with pvlib's above 5 deg of the sun's elevation; below it a"
@@ -143,7 +145,10 @@ def run_benchmark(
     terms: Terms,
     progress: Callable[[float], None],
 ) -> Iterator[EnergyRow]:
-    """Yield the row of every law under every sky, as soon as it is done; `progress` is told the share that is done."""
+    """Yield the row of every law under every sky, as soon as it is done; `progress` is told the share that is done.
+
+    Raises `UserError` for a law that fails: anybody may have written it.
+    """
     done = 0
     total = len(skies) * (len(law_names) + 1)
     types, whole_days = weather.day_types(), weather.whole_days()
@@ -159,9 +164,26 @@ def run_benchmark(
                 nothing = np.full(len(bound), np.nan)
                 yield summarise(name, Harvest(bound, nothing, nothing, nothing))
             else:
-                drive = IDEAL if name.startswith(FIXED) else terms.drive
-                yield summarise(name, days.run(steer_of(name, weather, days.faces, terms), drive))
+                yield summarise(name, _harvest_of(name, days))
     progress(1.0)
+
+
+def _harvest_of(name: str, days: DaysUnderSky) -> Harvest:
+    drive = IDEAL if name.startswith(FIXED) else days.terms.drive
+    try:
+        return days.run(steer_of(name, days.weather, days.faces, days.terms), drive)
+    except UserError:
+        raise
+    except LawFailedError as error:
+        raise UserError(f"the law {name} has failed on {error}: {_cause(error.__cause__ or error)}") from error
+    except Exception as error:
+        raise UserError(f"the law {name} has failed: {_cause(error)}") from error
+
+
+def _cause(error: BaseException) -> str:
+    """Return an error in words, with the line that raised it."""
+    *_, last = traceback.extract_tb(error.__traceback__)
+    return f"{type(error).__name__}: {error} ({Path(last.filename).name}, line {last.lineno})"
 
 
 def write_csv(rows: Sequence[EnergyRow], path: Path, *, simulated: bool) -> None:

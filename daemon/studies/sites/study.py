@@ -79,7 +79,8 @@ def run_sites(
 ) -> tuple[list[SiteOutcome], UserError | None]:
     """Return what the sites show, in their order, and what has ended it before all of them were done.
 
-    A site whose weather cannot be used is among them, with the reason; it does not keep the others from theirs.
+    A site whose weather cannot be used, or where a law fails, is among them with the reason; it does not keep the
+    others from theirs.
     """
     return gather(_run_site, [_Task(site, benchmark) for site in sites], workers, progress)
 
@@ -91,14 +92,22 @@ def _run_site(task: _Task) -> SiteOutcome:
         minutes = _minutes(asked, site, benchmark.seed)
         days = lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, site)
     except (UserError, ValueError) as error:
-        return SiteOutcome(site=asked, days=0, rows=(), simulated=False, warnings=(), refused=str(error))
+        return _refused(asked, error)
+    try:
+        rows = tuple(run_benchmark(days, benchmark.skies, benchmark.laws, benchmark.terms, lambda _share: None))
+    except UserError as error:
+        return _refused(asked, error)
     return SiteOutcome(
         site=asked,
         days=max(round(days.whole_days()), 1),
-        rows=tuple(run_benchmark(days, benchmark.skies, benchmark.laws, benchmark.terms, lambda _share: None)),
+        rows=rows,
         simulated=minutes.simulated,
         warnings=tuple(minutes.warnings),
     )
+
+
+def _refused(asked: AskedSite, error: Exception) -> SiteOutcome:
+    return SiteOutcome(site=asked, days=0, rows=(), simulated=False, warnings=(), refused=str(error))
 
 
 def _minutes(asked: AskedSite, site: Site, seed: int) -> Minutes:

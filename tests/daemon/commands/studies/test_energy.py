@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import sys
 from datetime import UTC, datetime, timedelta
 
@@ -251,6 +252,50 @@ def test_ctrl_c_leaves_the_laws_that_were_done(monkeypatch, weather, tmp_path, c
     assert [row["law"] for row in csv.DictReader((tmp_path / "o" / "energy.csv").read_text().splitlines())] == [
         "fixed:35"
     ]
+
+
+def fails(*_):
+    raise ZeroDivisionError("no such sky")
+
+
+@pytest.mark.parametrize(("answer", "words"), [
+    (fails, r"on 2016-12-05: ZeroDivisionError: no such sky \(test_energy\.py, line \d+\)"),
+    (lambda *_: None, r"on 2016-12-05: TypeError: NoneType is no Aim \(answers\.py, line \d+\)"),
+])  # fmt: skip
+def test_a_law_that_fails_is_told_with_its_day_and_leaves_those_that_were_done(
+    monkeypatch, short_weather, tmp_path, capsys, answer, words
+):
+    monkeypatch.delattr("solar.laws.flat.steer")
+    monkeypatch.setattr("solar.laws.flat.FlatLaw.aim", answer)
+    out = tmp_path / "o"
+    code = energy(monkeypatch, short_weather, "--site", SITE, "--laws", "fixed:35,flat,bound", "--out", out)
+    assert code == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert re.fullmatch(rf"heliocube: the law flat has failed {words}: {out} has 1 of 3 laws", said)
+    assert [row["law"] for row in csv.DictReader((out / "energy.csv").read_text().splitlines())] == ["fixed:35"]
+
+
+def test_a_law_that_fails_as_the_first_is_told_in_a_sentence(monkeypatch, short_weather, tmp_path, capsys):
+    monkeypatch.setattr("solar.laws.flat.steer", fails)
+    assert energy(monkeypatch, short_weather, "--site", SITE, "--laws", "flat,bound", "--out", tmp_path / "o") == 2
+    assert "heliocube: the law flat has failed: ZeroDivisionError: no such sky (test_energy.py, line" in (
+        capsys.readouterr().err
+    )
+
+
+def test_a_law_that_fails_at_one_site_does_not_stop_the_others(monkeypatch, short_weather, tmp_path, capsys):
+    from solar.laws import flat  # noqa: PLC0415
+
+    steer = flat.steer
+    monkeypatch.setattr(flat, "steer", lambda settings, days, *rest: (steer if days.site[0] > 0 else fails)(
+        settings, days, *rest
+    ))  # fmt: skip
+    table = tmp_path / "sites.csv"
+    lines = [f"{name},{latitude},12.5,{short_weather.name}" for name, latitude in (("north", 55.8), ("south", -20.0))]
+    table.write_text("\n".join(["name,latitude,longitude,weather", *lines]))
+    assert energy(monkeypatch, "--sites", table, "--laws", "flat", "--out", tmp_path / "o") == 2
+    assert "1 of 2 sites could not be used" in capsys.readouterr().err
+    assert "the law flat has failed: ZeroDivisionError: no such sky" in (tmp_path / "o/energy-sites.txt").read_text()
 
 
 def test_a_site_that_cannot_be_used_is_listed_and_does_not_stop_the_others(monkeypatch, weather, tmp_path, capsys):
