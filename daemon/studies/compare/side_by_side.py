@@ -2,13 +2,14 @@
 
 import asyncio
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from random import Random
 
 import numpy as np
 
-from daemon.base.clock import Clock, LoopClock
+from daemon.base.clock import Clock, LoopClock, iso_utc
+from daemon.base.errors import UserError
 from daemon.base.process import Notifier
 from daemon.base.records import Bus, Record
 from daemon.base.timeloop import virtual_time
@@ -94,6 +95,11 @@ def side_by_side(
     Returns
     -------
     In the order of time, the first tracker's measurement before the other's; only while there is light.
+
+    Raises
+    ------
+    UserError
+        A law has failed, so that another points in its place.
     """
     settings = on_a_port_of_its_own(override(settings, {"motion": _UNLIMITED}), insecure=True).model_copy(
         update={"store": StoreSettings(), "tracker": ()}
@@ -139,6 +145,7 @@ async def _run_both(
 ) -> None:
     cube_stop, chrono_stop = asyncio.Event(), asyncio.Event()
     start_utc_s = clock.utc()
+    services: list[Service] = []
 
     def service(which: int, role: Role, send_to: tuple[str, ...] = ()) -> Service:
         tracker = trackers[which]
@@ -153,7 +160,8 @@ async def _run_both(
         # A scan's session comes from here: two simulations in one store must not take each other's for their own.
         random = Random(f"{settings.simulation.seed} {start_utc_s} {which}")  # noqa: S311 - nothing secret depends on it
         instruments, unseen = pair.rigs[which], Notifier({}, 0)
-        return Service(own, role, instruments, clock, random, bus, None, unseen, polling=SIMULATED)
+        services.append(Service(own, role, instruments, clock, random, bus, None, unseen, polling=SIMULATED))
+        return services[-1]
 
     async def count_down() -> None:
         elapsed_s = 0.0
@@ -162,6 +170,7 @@ async def _run_both(
             await asyncio.sleep(step_s)
             elapsed_s += step_s
             progress(elapsed_s / duration_s)
+            _require_laws(services, clock.utc())
         cube_stop.set()
 
     async def the_other() -> None:
@@ -173,6 +182,15 @@ async def _run_both(
 
     chrono = service(1, Role.TRACKER)
     await chrono.run(chrono_stop, the_other())
+
+
+def _require_laws(services: Sequence[Service], utc_s: float) -> None:
+    """Raise `UserError` where a law has failed: what is measured from then on compares another one."""
+    for service in services:
+        for tracker in service.trackers:
+            why = tracker.control.pointing.failed_why
+            if why is not None:
+                raise UserError(f"{why}, which is no comparison (before {iso_utc(utc_s)[:16]}Z)")
 
 
 def _measure(

@@ -102,8 +102,8 @@ def gather(
 ) -> tuple[list[Result], UserError | None]:
     """Return the results in the order of their tasks, and what has ended the work before all were there.
 
-    That is Ctrl-C, or workers that are gone; where there is no result yet, either is raised. `progress` takes the share
-    done, 0..1.
+    That is Ctrl-C, workers that are gone, or a task that cannot be done; where there is no result yet, it is raised.
+    `progress` takes the share done, 0..1.
     """
     found: dict[int, Result] = {}
     ended: UserError | None = None
@@ -116,7 +116,7 @@ def gather(
             if not found:
                 raise
             ended = InterruptedEarlyError("interrupted")
-        except WorkersError as error:
+        except UserError as error:
             if not found:
                 raise
             ended = error

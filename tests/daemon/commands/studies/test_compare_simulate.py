@@ -36,6 +36,30 @@ def test_two_trackers_under_one_sky_follow_their_own_laws(compare, tmp_path):
     assert ratio == pytest.approx(1 / ((1 + np.cos(tilt)) / 2 + 0.2 * (1 - np.cos(tilt)) / 2), abs=0.02)
 
 
+def test_a_law_that_fails_ends_the_comparison_in_a_sentence(compare, tmp_path, monkeypatch):
+    def fails(*_):
+        raise ZeroDivisionError("no such sky")
+
+    monkeypatch.setattr("solar.laws.flat.FlatLaw.aim", fails)
+    arguments = (
+        "--start",
+        "2022-10-14T11:00",
+        "--days",
+        "0.02",
+        "--weather",
+        "overcast",
+        "--laws",
+        "flat,chronometric",
+    )
+    code, _, err = compare("simulate", *arguments, "--out", tmp_path)
+    assert code == 2
+    assert err.endswith(
+        "the law flat has failed (ZeroDivisionError: no such sky), and chronometric points instead, which is no"
+        " comparison (before 2022-10-14T11:15Z)\n"
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_neither_tracker_runs_out_of_moves_for_the_day(compare, tmp_path):
     (tmp_path / "thrifty.toml").write_text("[motion]\nmoves_per_day = 2\ntravel_per_day_deg = 50.0\n")
     arguments = ("--start", "2022-10-14T08:00", "--days", "0.02", "--weather", "clear", "--laws", "chronometric,flat")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.base.errors import ExitCode, InterruptedEarlyError
+from daemon.base.errors import ExitCode, InterruptedEarlyError, UserError
 from daemon.studies.spread.errors import WorkersError
 from daemon.studies.spread.workers import HERE, Workers, gather, spread
 
@@ -35,6 +35,12 @@ def die(_task):
 
 def refuse(number):
     raise WorkersError(f"not {number}")
+
+
+def refuse_two(number):
+    if number == 2:
+        raise UserError(f"not {number}")
+    return number
 
 
 def interrupt(number):
@@ -66,6 +72,11 @@ def test_a_task_that_kills_whoever_takes_it_ends_the_study_in_a_sentence():
 def test_what_a_task_raises_is_raised_here():
     with pytest.raises(WorkersError, match="not 7"):
         gather(refuse, [7, 7], Workers(2), lambda _share: None)
+
+
+def test_a_task_that_cannot_be_done_keeps_what_is_done():
+    results, ended = gather(refuse_two, [0, 1, 2, 3], HERE, lambda _share: None)
+    assert (results, str(ended)) == ([0, 1], "not 2")
 
 
 def test_ctrl_c_keeps_what_is_done_and_says_so():
