@@ -13,6 +13,7 @@ from daemon.base.records import FACES, Event, FaceReading, Quality, Scan
 from daemon.config.sections import CubeSettings
 from daemon.cube.calibration import DarkOffsets, calibrated
 from daemon.cube.face_watch import FaceWatch
+from daemon.cube.guarded_cube import GuardedCube
 from daemon.cube.repeats import Repeats
 from daemon.cube.told_faces import ToldSensors
 from drivers.errors import DeviceError, DriverHungError
@@ -71,7 +72,7 @@ class Acquisition:
         self._face_watch = face_watch
         self._told_sensors = None if alarms is None else ToldSensors(alarms)
         self._settings = settings
-        self._cube = cube
+        self._cube = GuardedCube(cube)
         self._clock = clock
         self._on_scan = on_scan
         self._publish = publish

@@ -34,6 +34,40 @@ def test_without_the_cube_the_tracker_follows_the_sun_and_comes_back(run_rig, in
     assert told[1] == "the cube is back"
 
 
+@pytest.mark.parametrize(("instrument", "method"), [("multiplexer", "select"), ("voltmeter", "open"), ("cube", "read")])
+def test_a_driver_of_the_cube_that_raises_what_nobody_expects_is_an_outage_and_told_once(
+    run_rig, caplog, monkeypatch, instrument, method
+):
+    def fails(*_):
+        raise KeyError("gauge")
+
+    async def none():
+        return None
+
+    async def scenario(rig):
+        await tracking(rig)
+        driver = rig.service.rig.cube if instrument == "cube" else getattr(rig, instrument)
+        with monkeypatch.context() as broken:
+            broken.setattr(driver, method, none if method == "read" else fails)
+            if method == "open":
+                rig.cables.voltmeter.link_up = False
+                await asyncio.sleep(10)
+                rig.cables.voltmeter.link_up = True
+            await rig.until_mode(Mode.FALLBACK, 90)
+            await asyncio.sleep(300)
+        await rig.until_mode(Mode.TRACKING, 90)
+
+    rig = run_rig(scenario)
+    assert [record.message for record in caplog.records if record.exc_info] == ["the driver of the cube has failed"]
+    told = [event.text for event in rig.of(Event) if event.subject == "cube"]
+    assert told[0].startswith("the cube is down: ")
+    assert told[-1] == "the cube is back"
+    if method == "select":
+        assert re.search(
+            r"cube: its driver has failed with KeyError: 'gauge' \(test_cube_faults\.py, line \d+\)", told[0]
+        )
+
+
 @pytest.mark.parametrize(("silence_s", "moves"), [(150, 0), (285, 0), (420, 1)])
 def test_a_short_gap_is_not_worth_a_swing_to_the_sun(run_rig, silence_s, moves):
     async def scenario(rig):

@@ -22,7 +22,7 @@ def test_a_part_that_dies_is_named_and_stops_the_service_and_the_axes(run_rig, c
             owner = {
                 "control": (rig.control, "tick"),
                 "motion": (rig.positioner, "read_telemetry"),
-                "acquisition": (rig.multiplexer, "select"),
+                "acquisition": (rig.service.acquisition, "_face"),
                 "watchdog": (rig.service._watchdog, "_status"),
             }[part]
 

@@ -1,0 +1,73 @@
+"""A cube whose driver gives what is no reading."""
+
+import asyncio
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daemon.base.errors import UserError
+from daemon.cube.guarded_cube import GuardedCube
+from drivers.errors import DeviceError, LinkLostError
+from drivers.interfaces import CubeReading, FaceSample
+
+FACE = FaceSample(0.03, 1.7e9, 5.0)
+GOOD = CubeReading(FACE, FACE, FACE, FACE, "V")
+
+
+class Answering:
+    """A driver that answers with what a test wants: an error is raised."""
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    async def open(self):
+        return "a cube"
+
+    async def read(self):
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+    async def close(self):
+        raise KeyError("it cannot be closed")
+
+
+def read(answer):
+    return asyncio.run(GuardedCube(Answering(answer)).read())
+
+
+@pytest.mark.parametrize(("answer", "words"), [
+    (None, "cube: its driver has failed with TypeError: what it read is None, no CubeReading"),
+    (replace(GOOD, unit="mV"), "ValueError: the unit of what it read is 'mV', not one of V, W/m2"),
+    (replace(GOOD, west=FACE._replace(value=None)), "TypeError: None of a face is no number"),
+    (replace(GOOD, west=FACE._replace(time_utc_s="noon")), "TypeError: 'noon' of a face is no number"),
+    (replace(GOOD, west=FACE._replace(flaw="broken")), "the flaw of a face is 'broken', not one of over-range, late"),
+    (KeyError("gauge"), r"cube: its driver has failed with KeyError: 'gauge' \(test_guarded_cube\.py, line \d+\)"),
+])  # fmt: skip
+def test_what_is_no_reading_is_an_outage(answer, words):
+    with pytest.raises(DeviceError, match=words):
+        read(answer)
+
+
+@pytest.mark.parametrize("error", [LinkLostError("voltmeter", "gone"), UserError("the weather has ended")])
+def test_what_a_driver_may_raise_is_let_through(error):
+    with pytest.raises(type(error), match=str(error)):
+        read(error)
+
+
+def test_a_reading_in_numbers_of_numpy_is_one(caplog):
+    good = replace(GOOD, west=FACE._replace(value=np.float32(0.03), flaw="late"))
+    assert read(good) is good
+    assert asyncio.run(GuardedCube(Answering(GOOD)).open()) == "a cube"
+    assert caplog.records == []
+
+
+def test_a_driver_that_cannot_be_closed_is_told_once(caplog):
+    async def twice():
+        cube = GuardedCube(Answering(GOOD))
+        await cube.close()
+        await cube.close()
+
+    asyncio.run(twice())
+    assert [record.message for record in caplog.records] == ["the driver of the cube has failed"]
