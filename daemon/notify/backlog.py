@@ -30,7 +30,7 @@ class QuietHours:
 
 
 class Backlog:
-    """What one recipient is still to be told. What cannot be sent is tried again; nothing is told twice.
+    """What one recipient is still to be told. What cannot be sent is tried again, by halves; nothing is told twice.
 
     Parameters
     ----------
@@ -66,6 +66,8 @@ class Backlog:
         chosen = [notice for notice in self._waiting if notice.urgent or not self._quiet.holds(local)]
         if not chosen or not self._limit.admit(now_s):
             return None
+        # A message that was not taken may have been too long for its way, which would keep the urgent ones with it.
+        chosen = sorted(chosen, key=lambda notice: not notice.urgent)[: max(len(chosen) >> self._failures, 1)]
         return gathered(chosen), chosen
 
     def sent(self, notices: list[Notice]) -> None:

@@ -40,7 +40,7 @@ class Lab:
     def __init__(self):
         self.alarms, self.up, self.taking = [], True, True
         self.told, self.beats = [], 0
-        self.instead, self.mode = None, "tracking"
+        self.instead, self.mode, self.longest = None, "tracking", None
         lab = self
 
         class Handler(BaseHTTPRequestHandler):
@@ -53,9 +53,10 @@ class Lab:
 
             def do_POST(self):
                 body = self.rfile.read(int(self.headers["Content-Length"]))
-                if lab.taking:
+                taking = lab.taking and (lab.longest is None or len(body) <= lab.longest)
+                if taking:
                     lab.told.append((self.path, dict(self.headers), body.decode()))
-                self.answer(200 if lab.taking else 500, b"{}")
+                self.answer(200 if taking else 500, b"{}")
 
             def answer(self, status, body):
                 self.send_response(status)
@@ -241,6 +242,22 @@ def test_what_is_not_taken_is_tried_again_and_nothing_is_told_twice(lab, told):
         await step(30.0)
         await step(30.0)
         assert len(lab.titles) == 1
+
+    told(scenario)
+
+
+def test_what_is_too_long_for_a_way_is_told_in_parts_critical_ones_first(lab, told):
+    async def scenario(step):
+        rows = [lab.alarm("clock") | {"tracker": f"row-{number}"} for number in range(10)]
+        lab.alarms, lab.longest = rows, 400
+        await step()
+        assert lab.told == []
+        lab.alarms = [*rows, lab.alarm()]
+        for _ in range(3):
+            await step(30.0)
+        (first, *rest) = [message.splitlines() for message in lab.messages]
+        assert first[0] == "roof SIMULATED: CRITICAL stow-wanted"
+        assert len(first) + sum(map(len, rest)) == 11
 
     told(scenario)
 
