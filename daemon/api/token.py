@@ -35,7 +35,7 @@ def load_token(path: Path) -> str:
     TokenError
         One sentence with the file and the remedy. Windows has no such file modes; there they are not looked at.
     """
-    remedy = "write a new one with 'heliocube config init'"
+    remedy = "copy a new one from a new folder of 'heliocube config init FOLDER'"
     called = f"the token file {path}"
     missing = f"{called} does not exist: {remedy}"
     content = read_secret(path, _LONGEST + 2, called, missing, TokenError, group_may_read=True)

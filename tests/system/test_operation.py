@@ -112,7 +112,11 @@ def test_a_person_at_a_terminal_sees_and_commands_the_service(service, tmp_path)
     assert re.match(r"stow-wanted \(raised, since [-0-9]+ [0-9:]+ UTC\): stow is", second), out
 
     code, out, err = heliocube("stop", *at, HELIOCUBE_TOKEN="x" * 43)
-    assert (code, out, err) == (6, "", "heliocube: the token is not the service's: see api.token_file\n")
+    assert (code, out, err) == (
+        6,
+        "",
+        "heliocube: the token is not the service's: restart it after a change of api.token_file\n",
+    )
     code, out, err = heliocube("stop", *at)
     assert (code, out) == (2, "")
     assert err.startswith("heliocube: 'stop' needs the service's token: ")
@@ -163,7 +167,7 @@ def test_a_file_with_a_mistake_elsewhere_still_stops_the_tracker(service, tmp_pa
         ("[api", "{config} is not TOML: "),
         ("api = 3", "the [api] of {config} is wrong; see 'heliocube config check {config}'"),
         ("[api]\nlisten = 'here'", "api.listen: 'here' is not an address and a port"),
-        ("[api]\ntoken_file = 'none'", "the token file {folder}/none does not exist"),
+        ("[api]\ntoken_file = 'none'", "the token file {folder}/none does not exist: copy a new one from a new folder"),
         ("[api]\ntoken_file = 'open'", "the token file {folder}/open is open to others than its owner"),
         ("[api]\ntoken_file = 'short'", "the token file {folder}/short is not one line of 32 to 512 letters"),
     ],

@@ -91,6 +91,9 @@ def test_a_token_can_be_tried_without_any_effect(serve):
     async def scenario(rig, call):
         assert (await call.post("authorised")).json == {"ok": True}
         wrong = await call.post("authorised", headers=BEARER | {"Authorization": "Bearer " + "x" * 43})
-        assert (wrong.status, wrong.json["error"]) == (401, "the token is not the service's: see api.token_file")
+        assert (wrong.status, wrong.json["error"]) == (
+            401,
+            "the token is not the service's: restart it after a change of api.token_file",
+        )
 
     serve(scenario)
