@@ -124,7 +124,7 @@ class Api:
         given = request.query_params.get("at")
         at_s = seen.time_utc_s if given is None else instant("at", given)
         if given is not None and not FIRST_UTC_S <= at_s < END_UTC_S:
-            raise HTTPException(422, f"at={ascii(given)[:40]} is no time from 1970 to 2199")
+            raise HTTPException(422, f"at={ascii(given)[:40]} is not a time from 1970 to 2199")
         return JSONResponse(await asyncio.to_thread(sun_json, seen.site.place(), at_s))
 
     async def _authorised(self, _: Request) -> Response:

@@ -43,14 +43,14 @@ class History:
         tracker = query.get("tracker", names[0] if len(names) == 1 else "")
         # Beside a process of the cube the store may have the records of trackers that it does not know.
         if names and tracker and tracker not in names:
-            raise HTTPException(422, f"there is no tracker {ascii(tracker)[:40]} here, but {', '.join(names)}")
+            raise HTTPException(422, f"there is no tracker {ascii(tracker)[:40]}; the trackers are {', '.join(names)}")
         if kind in KINDS_OF_NUMBERS:
             content = await self._read(packed_numbers, kind, start_s, end_s, tracker)
             return Response(content, media_type="application/octet-stream", headers={"Content-Encoding": "gzip"})
         if kind in KINDS_OF_LINES:
             return JSONResponse(await self._read(lines_of, kind, start_s, end_s, tracker))
         known = ", ".join((*KINDS_OF_NUMBERS, *KINDS_OF_LINES))
-        raise HTTPException(400, f"there are no records of the kind {ascii(kind)[:40]}, but {known}")
+        raise HTTPException(400, f"there are no records of the kind {ascii(kind)[:40]}; there are {known}")
 
     async def _read(self, read: Callable[..., _Found], *arguments: Any) -> _Found:
         store = self._see().store
@@ -69,4 +69,4 @@ def instant(name: str, text: str) -> float:
         found = datetime.fromisoformat(text)
         return (found.replace(tzinfo=UTC) if found.tzinfo is None else found).timestamp()
     except (ValueError, OverflowError):
-        raise HTTPException(400, f"{name}={ascii(text)[:40]} is no UTC time; write 2022-10-14T08:00:00Z") from None
+        raise HTTPException(400, f"{name}={ascii(text)[:40]} is not a UTC time; write 2022-10-14T08:00:00Z") from None

@@ -121,7 +121,7 @@ class ApiServer:
         except OSError as error:
             bound.close()
             first = not self._outage.is_down
-            reason = f"{self._address} cannot be listened on: {error.strerror}; set api.listen to another port"
+            reason = f"cannot listen on {self._address}: {error.strerror}; set api.listen to another port"
             reported = self._outage.down(now_s, reason)
             if first and reported:
                 self._publish(Event(self._clock.utc(), now_s, "api", reason))

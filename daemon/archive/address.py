@@ -78,9 +78,9 @@ def parse_archive(text: str) -> ArchiveAddress:
         check_database_hosts(url)
     except ValueError as error:
         # Without the text, which may hold a password.
-        raise ArchiveError(f"this is no address of an archive ({error}); an archive is {_HOW}") from None
+        raise ArchiveError(f"this is not an address of an archive ({error}); an archive is {_HOW}") from None
     if not is_archive(url) or not database or "/" in database:
-        raise ArchiveError(f"{text} is no address of an archive: write {_HOW}")
+        raise ArchiveError(f"{text} is not an address of an archive: write {_HOW}")
     if password is not None or "password=" in parts.query:
         shown = text.replace(f":{password}@", ":...@") if password else "the address"
         raise ArchiveError(
@@ -136,7 +136,7 @@ def connected(address: ArchiveAddress, application: str) -> "psycopg.Connection"
         raise _reason(address, error) from None
     except (psycopg.Error, UnicodeError) as error:
         # A UnicodeError is that of a host in the environment that has no name.
-        raise ArchiveError(f"{address.url} is no address of a database: {one_line(error)}") from None
+        raise ArchiveError(f"{address.url} is not an address of a database: {one_line(error)}") from None
 
 
 @contextmanager

@@ -115,6 +115,6 @@ class ClockWatch:
 
 def _doubt(off_s: float) -> str:
     return (
-        f"the clock was set by {off_s:+z.0f} s, and nothing tells that it is right: the sun's position is not used"
-        " until it is synchronised (see 'timedatectl') or set back; if the time is right, restart the service"
+        f"the clock was set by {off_s:+z.0f} s, and nothing confirms the new time: the sun's position is not used"
+        " until the clock is synchronised (see 'timedatectl') or set back; if the time is right, restart the service"
     )

@@ -137,7 +137,7 @@ def toml_text(path: Path) -> str:
         It is none: the message is one sentence without the file's name.
     """
     if not path.is_file() and path.exists() and not path.is_dir():
-        raise ValueError("the file is no ordinary one, but a device or a pipe")
+        raise ValueError("the file is not an ordinary one, but a device or a pipe")
     with path.open("rb") as file:
         content = file.read(_MOST_TOML_BYTES + 1)
     if len(content) > _MOST_TOML_BYTES:
@@ -250,7 +250,7 @@ def read_secret(
     """
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):
-            raise error(f"{called} is no ordinary file, but a device or a pipe")
+            raise error(f"{called} is not an ordinary file, but a device or a pipe")
         with path.open("rb") as file:
             mode = os.fstat(file.fileno()).st_mode
             content = file.read(most_bytes)

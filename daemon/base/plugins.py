@@ -46,7 +46,7 @@ def load(group: str, name: str) -> ModuleType:
     kind = group.rpartition(".")[2]
     found = [point for point in _points(group) if point.name == name]
     if not found:
-        known = ", ".join(names(group)) or "none; install heliocube anew with 'pip install -e .'"
+        known = ", ".join(names(group)) or "none; reinstall heliocube with 'pip install -e .'"
         raise PluginError(f'there is no {kind} "{name}"; known are {known}')
     if len(found) > 1:
         owners = " and ".join(_owner(point) for point in found)
@@ -58,7 +58,7 @@ def load(group: str, name: str) -> ModuleType:
     except (Exception, SystemExit) as error:
         raise PluginError(f"{whose} cannot be imported: {error}") from error
     if not (hasattr(module, "SETTINGS") and callable(getattr(module, "build", None))):
-        raise PluginError(f"{whose} is no module with SETTINGS and build")
+        raise PluginError(f"{whose} is not a module with SETTINGS and build")
     fields = getattr(module.SETTINGS, "model_fields", {})
     if "driver" not in fields:
         raise PluginError(f"{whose} has SETTINGS that are not made from the settings class of its kind")

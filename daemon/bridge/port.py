@@ -160,7 +160,7 @@ class UdpPort:
         # As long as nothing has gone it is EADDRINUSE, and ENODEV as long as nothing has come back.
         with contextlib.suppress(OSError):
             self._join(group, bound)
-            _log.info("joined the multicast group %s anew: its network had gone, or another is used now", group)
+            _log.info("joined the multicast group %s again: its network was down, or another one is used now", group)
         self._joining = asyncio.get_running_loop().call_later(_JOIN_AGAIN_S, self._stay_in, group, bound)
 
     def _join(self, group: Address, bound: socket.socket) -> None:

@@ -152,7 +152,7 @@ class SequenceGuard:
         if not (lateness_s <= self._late_after_s):
             raise ScanRefusedError(
                 Refusal.LATE,
-                f"was {lateness_s:.1f} s longer under way than others, more than {self._late_after_s:g} s",
+                f"took {lateness_s:.1f} s longer on its way than others, more than {self._late_after_s:g} s",
             )
         time_s = scan.time_monotonic_s + offset_s
         if time_s < self._latest_scan_s:

@@ -121,7 +121,7 @@ def _unwritable(directory: Path) -> list[str]:
         return [f"store.directory: {error.strerror}; name another folder"]
     if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
         return []
-    why = "may not be written to by this user" if there.is_dir() else "is no folder"
+    why = "may not be written to by this user" if there.is_dir() else "is not a folder"
     sentence = (
         f"store.directory: {there} {why}, so nothing would be kept in {directory}; check as the user that the service"
         " runs as, or name another folder"

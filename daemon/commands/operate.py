@@ -38,7 +38,7 @@ def _plain(name: str, meaning: str) -> None:
     ) -> None:
         if context.args:
             raise UserError(
-                f"nothing is done: '{name}' takes no name; one of several trackers is --tracker {context.args[0]}"
+                f"nothing is done: '{name}' takes no name; for one of several trackers add --tracker {context.args[0]}"
             )
         give(name, config, api, token_file, why, tracker, as_json=as_json)
 

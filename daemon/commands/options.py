@@ -107,7 +107,7 @@ def chosen_workers(jobs: int, cluster: str | None) -> "Workers":
     if cluster is not None and jobs != 1:
         raise UserError("--jobs is for this machine and --cluster for others: name one of them")
     if cluster is not None and not cluster.rpartition(":")[2].isdigit():
-        raise UserError(f"--cluster: '{cluster}' is no address, such as 192.168.1.5:8786")
+        raise UserError(f"--cluster: '{cluster}' is not an address, such as 192.168.1.5:8786")
     return Workers(jobs, cluster)
 
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 # What somebody meant is searched for that often in a section: a file of another program has no end of keys.
 _MOST_REMEDIES = 20
-_AND_MORE = ": more is wrong here; put right what stands above first"
+_AND_MORE = ": more is wrong here; correct what is listed above first"
 _MOST_TRACKERS = 64
 # Paths in the file are meant from where the file is, so that a folder can be moved as a whole.
 _PATHS = (
@@ -52,11 +52,11 @@ _SLASHES = "write paths in 'single quotes' or with forward slashes"
 _HINTS = (
     ("Unescaped", _SLASHES),
     ("Invalid hex", _SLASHES),
-    ("Invalid value", "text stands in quotes; true and false are lower case; a decimal sign is a point"),
-    ("Expected newline", "one key to a line; text stands in quotes; a decimal sign is a point"),
+    ("Invalid value", "text needs quotes; true and false are lower case; the decimal sign is a point"),
+    ("Expected newline", "one key to a line; text needs quotes; the decimal sign is a point"),
     ("Expected '='", "a line is: key = value"),
-    ("Cannot overwrite", "this key stands above already"),
-    ("Cannot declare", "this section stands above already"),
+    ("Cannot overwrite", "this key is already set above"),
+    ("Cannot declare", "this section is already above"),
 )
 
 

@@ -50,7 +50,7 @@ def migrate(path: Path, *, keys_only: bool = False) -> str:
     if names and re.fullmatch(NAME_FORM, names[0]) is None:
         raise UserError(f"mqtt.name = {names[0]!a}: a tracker's name is {NAME_IN_WORDS}; change it and try again")
     if not renamed and not names:
-        return f"{path} needs nothing: it is in today's form"
+        return f"{path} is up to date: nothing was changed"
     wanted = _renamed(before, "") | ({"tracker": [{"name": name} for name in names]} if names else {})
     found = "".join(_lines(text))
     for name in names:
@@ -60,7 +60,7 @@ def migrate(path: Path, *, keys_only: bool = False) -> str:
     old = _replace(path, found if kept else tomli_w.dumps(wanted))
     done = [f"its tracker is named {name}" for name in names]
     done += [f"{key} is {key.rpartition('.')[0]}.{RENAMED[key]} now" for key in renamed]
-    return f"{path} is in today's form: {', '.join(done)}; the old one is {old}{kept_text}"
+    return f"{path} is updated: {', '.join(done)}; the old one is {old}{kept_text}"
 
 
 def before(path: Path) -> Path:

@@ -199,7 +199,7 @@ def a_simulated_clock_starts_in_time(settings: Sections) -> Iterator[Conflict]:
     start = settings.simulation.start_utc
     if start is not None and not FIRST_START <= start < END_OF_STARTS:
         years = f"{FIRST_START.year} to {END_OF_STARTS.year - 1}"
-        yield Conflict("simulation.start_utc", f"must be in the years {years}, of which scans can tell the time")
+        yield Conflict("simulation.start_utc", f"must be in the years {years}: scans cannot carry other times")
 
 
 def a_group_is_whole(settings: Sections) -> Iterator[Conflict]:

@@ -104,13 +104,13 @@ def read_calibration(path: Path) -> CubeCalibration:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise UserError(f"calibration file {path}: {where}: {first['msg']}; calibrate anew") from None
+        raise UserError(f"calibration file {path}: {where}: {first['msg']}; calibrate again") from None
     except (OSError, ValueError) as error:
         raise UserError(f"calibration file {path} cannot be read: {error}") from None
     if calibration.identifier != _identifier(calibration):
         raise UserError(
             f"calibration file {path} has been edited: its contents are not those of {calibration.identifier}, which"
-            " scans are recorded under; calibrate anew, or set the faces' gains in the configuration"
+            " scans are recorded under; calibrate again, or set the faces' gains in the configuration"
         )
     return calibration
 
@@ -162,7 +162,7 @@ class ExpiryWatch:
             return
         day = f"{self._calibration.expires_utc.astimezone(UTC):%Y-%m-%d}"
         verb = "expired on" if now == "expired" else "expires on"
-        text = f"the calibration {self._calibration.identifier} {verb} {day}; calibrate the cube anew"
+        text = f"the calibration {self._calibration.identifier} {verb} {day}; calibrate the cube again"
         log.warning(text)
         self._publish(Event(utc_s, monotonic_s, "calibration", text))
 

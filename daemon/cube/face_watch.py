@@ -37,7 +37,7 @@ _WHY = {
     Doubt.NIGHT: "light in the night while the others are dark: check whether its sensor or its channel is stuck",
     Doubt.ODD: "what the others and the sun's position contradict: check whether it is shaded, dirty, stuck or turned",
     Doubt.SWAPPED: "each what the other should: check whether their cables are swapped",
-    Doubt.TORN: "what no light explains, and nobody can tell which of them is wrong: check all four, and the clock",
+    Doubt.TORN: "what no light explains, and which of them is wrong is not known: check all four, and the clock",
 }
 # A face that stood still is no better for reading, for a while, what could be true.
 _MUST_FOLLOW = (Doubt.FROZEN, Doubt.NIGHT, Doubt.ODD)

@@ -25,7 +25,7 @@ from daemon.dashboard.upstream import Fleet, Upstream
 
 STATIC = Path(__file__).with_name("static")
 
-_NO_SERVICE = "what answers there is no service of heliocube: see dashboard.services"
+_NO_SERVICE = "what answers is not a service of heliocube: see dashboard.services"
 _NO_OBJECT = "the body is not a JSON object"
 _COMMANDS = ("stow", "stop", "hold", "auto", "goto", "snow", "maintenance", "home", "clear", "relearn", "acknowledge")
 # A service takes 4096 bytes, and who gives an order comes to what the page sends.
@@ -133,7 +133,7 @@ class Dashboard:
         if not (0 < len(by) <= _LONGEST_NAME and by.isprintable()):
             raise HTTPException(400, f"say who you are, in 1 to {_LONGEST_NAME} letters: it goes into the records")
         if _TOKEN.fullmatch(token) is None:
-            raise HTTPException(400, "that is no token: copy the whole line of the service's api.token")
+            raise HTTPException(400, "that is not a token: copy the whole line of the service's api.token")
         services = list(self._fleet.services.values())
         accepted = await asyncio.gather(*(self._accepts(service, token) for service in services))
         tokens = {service.name: token for service, yes in zip(services, accepted, strict=True) if yes}

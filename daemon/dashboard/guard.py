@@ -60,7 +60,7 @@ class PageGuard:
     def _refusal(self, method: str, headers: Headers) -> str | None:
         host = headers.get("host", "")
         if not self._is_ours(host):
-            return f"{ascii(host)[:60]} is no name of this dashboard: add it to dashboard.hosts"
+            return f"{ascii(host)[:60]} is not a name of this dashboard: add it to dashboard.hosts"
         origin = headers.get("origin")
         if method not in ("GET", "HEAD") and (origin is None or _host_of(origin) != host):
             return "an order must come from the dashboard's own page"

@@ -130,7 +130,7 @@ def bind(listen: str) -> socket.socket:
     except OSError as error:
         bound.close()
         raise UserError(
-            f"{address} cannot be listened on: {error.strerror}; is another dashboard running? Else set"
+            f"cannot listen on {address}: {error.strerror}; is another dashboard running? Else set"
             " dashboard.listen or --listen to another port"
         ) from None
     return bound

@@ -47,7 +47,7 @@ def _load(file: StateFile[_Kept]) -> _Kept:
         return file.load() or _Kept()
     except UnreadableStateError as error:
         log.warning("%s: the reference is in doubt until it is homed or cleared", error)
-        text = f"{error}, so nobody knows what was in doubt before the restart: home it"
+        text = f"{error}, so it is not known what was in doubt before the restart: home it"
         return _Kept(doubts={"unreadable": text})
 
 

@@ -215,7 +215,7 @@ class ArchiveFeed:
         try:
             answer = _read(json.loads(message.payload))
         except (ValueError, RecursionError):
-            self._link.trouble("archive answer", f"what comes on {message.topic} is no answer of an archive")
+            self._link.trouble("archive answer", f"the message on {message.topic} is not an answer of an archive")
             return
         self._link.trouble("archive answer", None)
         if self._asked is None or answer.run != self._asked.origin.id:

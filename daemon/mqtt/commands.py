@@ -121,7 +121,7 @@ def _kind(wanted: str) -> str:
 
 def _refuse_retained(message: Incoming) -> None:
     if message.retained:
-        raise CommandError("a retained command is ignored, because nobody knows how old it is: publish without retain")
+        raise CommandError("a retained command is ignored, because its age is not known: publish without retain")
 
 
 def _refuse_empty(message: Incoming) -> None:

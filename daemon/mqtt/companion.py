@@ -188,15 +188,15 @@ class Mqtt:
         costs = {
             "mqtt.prefix": _NO_LINK,
             "mqtt.name": _NO_LINK,
-            "mqtt.discovery_prefix": "Home Assistant is told nothing",
+            "mqtt.discovery_prefix": "Home Assistant receives nothing",
         }
         if self._settings.bridge.transport == "mqtt":
             costs["bridge.topic"] = "no scan goes over the broker"
         if self._role is not Role.CUBE and mqtt.wind.topic is not None:
-            cost = f"no wind is heard over MQTT, and silence of {safety.wind_stale_s:g} s stows"
+            cost = f"no wind speed is received over MQTT, and silence of {safety.wind_stale_s:g} s stows"
             costs |= {"mqtt.wind.topic": cost, "mqtt.wind.json_path": cost}
         if self._role is not Role.CUBE and mqtt.safe.topic is not None:
-            cost = f"no word for safe is heard, and silence of {mqtt.safe.stale_s:g} s stows"
+            cost = f"no word for safe is received, and silence of {mqtt.safe.stale_s:g} s stows"
             costs |= {"mqtt.safe.topic": cost, "mqtt.safe.json_path": cost}
         for key, cost in costs.items():
             if key in self._unusable:

@@ -220,13 +220,13 @@ class _Client(aiomqtt.Client):
         try:
             super()._client_connect()
         except ssl.SSLCertVerificationError as error:
-            self.refusal = f"{place} has a certificate that mqtt.ca_file does not stand for: {error.verify_message}"
+            self.refusal = f"{place} has a certificate that mqtt.ca_file does not confirm: {error.verify_message}"
             raise
         except ssl.SSLError as error:
-            self.refusal = f"{place} does not agree on TLS: {error.reason or 'no common ground'}; see mqtt.tls"
+            self.refusal = f"{place} cannot be reached with TLS: {error.reason or 'no reason given'}; see mqtt.tls"
             raise
         except socket.gaierror:
-            self.refusal = f"mqtt.host: the name {settings.host} is not known here"
+            self.refusal = f"mqtt.host: the name {settings.host} cannot be resolved"
             raise
         except ConnectionRefusedError:
             self.refusal = f"nothing listens at {place}"

@@ -172,7 +172,9 @@ class Link:
                 await self._connect_and_serve()
             except VersionRefusedError:
                 self._modern = False
-                log.info("the MQTT broker speaks 3.1.1 and not 5: it does not tell what is published retained")
+                log.info(
+                    "the MQTT broker speaks 3.1.1 and not 5: it does not show which messages were published retained"
+                )
                 continue
             except (ConnectionLostError, UserError) as error:
                 self._lost(str(error))
@@ -305,7 +307,7 @@ class Link:
         if text:
             lost = self._outbox.dropped - self._reported_dropped
             self._reported_dropped = self._outbox.dropped
-            dropped = f"; {lost} messages were dropped meanwhile, the oldest first" if lost else ""
+            dropped = f"; {lost} messages were dropped during the outage, the oldest first" if lost else ""
             self._report(f"{text}{dropped}")
 
     def _lost(self, why: str) -> None:

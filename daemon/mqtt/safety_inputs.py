@@ -81,7 +81,7 @@ class WindReadings:
             speed = math.nan
         speed_m_s = speed * _M_S[self._settings.unit]
         if not 0.0 <= speed_m_s <= _STRONGEST_M_S:
-            raise ValueError(f"{ascii(value)[:40]} is no wind speed in {self._settings.unit}")
+            raise ValueError(f"{ascii(value)[:40]} is not a wind speed in {self._settings.unit}")
         return speed_m_s
 
 

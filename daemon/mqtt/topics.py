@@ -96,7 +96,7 @@ _FORM = re.compile(r"[^.\[\]\s]+(\.[^.\[\]\s]+)*")
 def check_path(text: str) -> str:
     """Return `text` if it is a path of names and list positions with full stops between; `ValueError` if not."""
     if text and _FORM.fullmatch(text) is None:
-        raise ValueError(f"{text!r} is no path such as wind.speed or sensors.0.speed")
+        raise ValueError(f"{text!r} is not a path such as wind.speed or sensors.0.speed")
     return text
 
 

@@ -184,7 +184,7 @@ class Courier:
             outage.up(self._clock.monotonic())
         else:
             pause_s = backlog.failed(self._clock.monotonic())
-            outage.down(self._clock.monotonic(), f"a message was not taken; again in {pause_s:g} s")
+            outage.down(self._clock.monotonic(), f"a message was not accepted; next try in {pause_s:g} s")
 
     async def _beat(self) -> None:
         settings, now_s = self._settings, self._clock.monotonic()

@@ -128,7 +128,7 @@ class ServiceWatch:
     def _over(self, alarm: Mapping[str, Any]) -> Notice:
         lines = [f"Was: {alarm['text']}."]
         if alarm["latched"] and not alarm["acknowledged_at"]:
-            lines.append(f"It stays on show until somebody has looked: 'heliocube alarms ack {alarm['name']}'.")
+            lines.append(f"It stays shown until somebody acknowledges it: 'heliocube alarms ack {alarm['name']}'.")
         return self._notice(f"over: {_of(alarm)}{alarm['name']}", alarm["severity"], lines, good=True)
 
     def _notice(self, what: str, severity: str, lines: Iterable[str], *, good: bool = False) -> Notice:

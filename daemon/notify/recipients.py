@@ -71,7 +71,7 @@ class AppriseRecipient:
             async with asyncio.timeout(_TAKEN_WITHIN_S):
                 return await asyncio.wrap_future(self._sending)
         except TimeoutError:
-            log.warning("the way to %s has not returned within %g s", self.name, _TAKEN_WITHIN_S)
+            log.warning("sending to %s has not ended within %g s", self.name, _TAKEN_WITHIN_S)
             return False
         except Exception:
             # Of some hundred ways by other hands one may fail as its author did not expect: the others go on.

@@ -189,9 +189,7 @@ class Shadow:
                 self._fail(error)
         if self._failed_why is not None and not self._failure_told:
             self._failure_told = True
-            text = (
-                f"the law {self._named.name} in the shadow has failed and is left out until the service is started anew"
-            )
+            text = f"the law {self._named.name} in the shadow has failed and is left out until the service is restarted"
             self._publish(Event(utc_s, scan.time_monotonic_s, "shadow", f"{text} ({self._failed_why})"))
 
     def _fail(self, error: Exception) -> None:
@@ -289,7 +287,7 @@ class Shadow:
         try:
             return self._file.load()
         except UnreadableStateError as error:
-            log.warning("%s: the moves of the law in the shadow are counted anew", error)
+            log.warning("%s: the moves of the law in the shadow are counted from zero again", error)
             return None
 
 

@@ -192,5 +192,5 @@ class ReceivedToday:
         try:
             return self._file.load()
         except UnreadableStateError as error:
-            log.warning("%s: the light received today is counted anew", error)
+            log.warning("%s: the light received today is counted from zero again", error)
             return None

@@ -123,7 +123,7 @@ class ModbusProbe:
                 await bus.close()
             if not found:
                 self._say(
-                    f"  nobody answers at {units[0]} to {units[-1]}: are they on, A and B the right way round, speed"
+                    f"  nothing answers at {units[0]} to {units[-1]}: are they on, A and B the right way round, speed"
                     f" and parity ({self._own.serial_speed}, {self._own.serial_form}) as at the sensors?"
                 )
         return {"lines": answering}
@@ -153,7 +153,7 @@ class ModbusProbe:
             if len(found) == 1:
                 break
             many = f"{len(found)} devices answer, at {', '.join(str(each.unit) for each in found)}: take the others off"
-            self._say(f"  {many if found else 'nobody answers: is it on, and are speed and parity right?'}")
+            self._say(f"  {many if found else 'nothing answers: is it on, and are speed and parity right?'}")
         sensor = found[0]
         self._say(f"  address {sensor.unit}: {sensor.text}")
         if sensor.unit == wanted:
@@ -187,7 +187,7 @@ class ModbusProbe:
             if found and found[0].serial == sensor.serial:
                 self._say(f"  it answers at {wanted} now")
                 return
-            self._say(f"  nobody answers at {wanted}")
+            self._say(f"  nothing answers at {wanted}")
             if ask("Try again? Enter, or n and Enter").strip().lower() == "n":
                 return
 
@@ -298,7 +298,7 @@ def _silence_in_words(unit: int) -> Iterator[None]:
     try:
         yield
     except DeadlineError as error:
-        message = error.message or f"address {unit} answers no more: is it on still? Then give the command again"
+        message = error.message or f"address {unit} no longer answers: is it still on? Then give the command again"
         raise DeadlineError(error.device, message) from None
 
 
@@ -310,5 +310,5 @@ def unit_range(text: str) -> range:
     except ValueError:
         units = range(0)
     if not units or not set(units) <= set(range(1, 248)):
-        raise UserError(f"--addresses {text!r} is no range of addresses from 1 to 247, such as 1-32")
+        raise UserError(f"--addresses {text!r} is not a range of addresses from 1 to 247, such as 1-32")
     return units

@@ -26,8 +26,8 @@ def acknowledge(alarms: Mapping[str, Alarms], tracker: str | None, name: str | N
         There is no such tracker, or no such alarm on show.
     """
     if tracker is not None and tracker not in alarms:
-        known = ", ".join(filter(None, alarms)) or "no tracker at all"
-        raise CommandError(f"there is no tracker {ascii(tracker)[:40]} here, but {known}", wrong=True)
+        known = ", ".join(filter(None, alarms)) or "none"
+        raise CommandError(f"there is no tracker {ascii(tracker)[:40]}; the trackers are {known}", wrong=True)
     chosen = alarms if tracker is None else {tracker: alarms[tracker]}
     before = {owner: {alarm.name: alarm for alarm in own.shown} for owner, own in chosen.items()}
     shown = {each for own in before.values() for each in own}

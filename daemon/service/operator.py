@@ -271,7 +271,7 @@ class Operator:
         control.pointing.relearn()
         if shadow is not None:
             shadow.relearn()
-        return Answer(Seen.DONE, "what was learned of the site is learned anew")
+        return Answer(Seen.DONE, "the law has forgotten the site and learns it again")
 
     def _note(self, command: str, why: str, by: str) -> None:
         text, now_s = f"{command}: {why}{f' ({by})' if by else ''}", self._clock.monotonic()

@@ -160,7 +160,9 @@ class Operators:
                 return self._of
             raise CommandError(f"'{command.wanted}' needs the name of a tracker, one of {names}", wrong=True)
         if command.tracker not in self._of:
-            raise CommandError(f"there is no tracker {ascii(command.tracker)[:40]} here, but {names}", wrong=True)
+            raise CommandError(
+                f"there is no tracker {ascii(command.tracker)[:40]}; the trackers are {names}", wrong=True
+            )
         return {command.tracker: self._of[command.tracker]}
 
     def _refuse_too_many(self, command: Command) -> None:

@@ -312,7 +312,7 @@ class Service:
         except UserError:
             raise
         except DriverHungError as error:
-            sentence = f"{error}: the service ends, and has to be started anew"
+            sentence = f"{error}: the service ends and must be restarted"
             self.bus.publish(Event(self.clock.utc(), self.clock.monotonic(), "service", sentence))
             raise UserError(sentence) from error
         except Exception:

@@ -344,7 +344,7 @@ class Tracker:
     def _give_up(self, error: Exception) -> None:
         """Leave a positioner that only a new process can connect, so that the other trackers go on."""
         what = str(error) if isinstance(error, DriverHungError) else f"positioner: {type(error).__name__}: {error}"
-        sentence = f"{what}: the tracker {self.name} is out of work until the service is started anew"
+        sentence = f"{what}: the tracker {self.name} is neither moved nor stowed until the service is restarted"
         log.error("%s", sentence)
         self.motion.give_up(what)
         self.publish(Event(self.clock.utc(), self.clock.monotonic(), "service", sentence))

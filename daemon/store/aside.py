@@ -10,7 +10,7 @@ _COMPANIONS = ("-wal", "-shm", "-journal")
 KINDS = {
     "damaged": "is damaged",
     "newer": "was written by a newer heliocube",
-    "foreign": "is no store of heliocube",
+    "foreign": "is not a store of heliocube",
     "folder": "is a folder",
     "device": "is a pipe or a device",
     "locked": "may not be written by this user",

@@ -29,7 +29,7 @@ KINDS = tuple(_COLUMNS)
 
 
 class BatchError(ValueError):
-    """A message is no page of records; one sentence."""
+    """A message is not a page of records; one sentence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +137,7 @@ def decoded(payload: bytes) -> Batch:
     Raises
     ------
     BatchError
-        It is no page of records.
+        It is not a page of records.
     """
     try:
         page = json.loads(payload)
@@ -153,7 +153,7 @@ def decoded(payload: bytes) -> Batch:
     if batch.count > _MOST_ROWS_TAKEN:
         raise BatchError(f"it has {batch.count} records, and {_MOST_ROWS_TAKEN} are the most")
     if any(row[0] > through for table in rows.values() for row in table):
-        raise BatchError("it has records behind its own end")
+        raise BatchError("it has records after its own end")
     return batch
 
 
@@ -188,7 +188,7 @@ def _rows(name: str, columns: list[str], rows: list[list[Any]]) -> list[tuple[An
 
 def _whole(value: Any) -> int:
     if type(value) is not int or not 0 <= value < MOST_NUMBER:
-        raise BatchError(f"{ascii(value)[:40]} is no number of a record")
+        raise BatchError(f"{ascii(value)[:40]} is not the number of a record")
     return value
 
 

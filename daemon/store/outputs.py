@@ -40,4 +40,4 @@ def check_folder(folder: Path, option: str) -> None:
     if not there.is_dir():
         raise UserError(f"{option}: {folder} cannot be a folder: {there} is a file")
     if not os.access(there, os.W_OK | os.X_OK):
-        raise UserError(f"{option}: {there} cannot be written to: name another folder, or its owner gives leave")
+        raise UserError(f"{option}: {there} cannot be written to: name another folder, or ask its owner for permission")

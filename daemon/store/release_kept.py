@@ -86,7 +86,9 @@ class Releases:
         """Why a tracker whose program was changed is held, in a sentence, or None."""
         if self.before is None:
             return None
-        return f"the program was changed from {self.before} to {self._release}, and nobody has looked yet"
+        return (
+            f"the program was changed from {self.before} to {self._release}, and nobody has checked the tracker since"
+        )
 
     async def run(self, all_is_kept: Callable[[], bool]) -> None:
         """Write down that this release has been started, and remove the copies of stores once it has run for a day.

@@ -102,7 +102,7 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
         raise UnusableStoreError(f"{path} is a pipe or a device: move it away", "device")
     # SQLite would remove the log that lies beside a file that it does not know.
     if path.exists() and not _is_database(path):
-        raise UnusableStoreError(f"{path} is no store of heliocube, or its beginning is damaged", "foreign")
+        raise UnusableStoreError(f"{path} is not a store of heliocube, or its beginning is damaged", "foreign")
     connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None)
     try:
         with _naming(path):
@@ -175,8 +175,8 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
 
 def _closed_to_us(path: Path) -> StoreError:
     return StoreError(
-        f"the store {path} may not be read by this user: it belongs to the user of its service, so give the command as"
-        " that one, such as 'sudo -u heliocube heliocube ...'"
+        f"the store {path} may not be read by this user: it belongs to the user of its service, so run the command as"
+        " that user, such as 'sudo -u heliocube heliocube ...'"
     )
 
 
@@ -242,7 +242,7 @@ def tracker_sql(connection: sqlite3.Connection, table: str, alias: str) -> str:
 def check_is_store(connection: sqlite3.Connection, path: Path) -> None:
     """Raise `UnusableStoreError` for another program's database, and for the store of a newer version."""
     if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION:
-        sentence = f"{path} is no store of heliocube; name another folder, or move the file away"
+        sentence = f"{path} is not a store of heliocube; name another folder, or move the file away"
         raise UnusableStoreError(sentence, "foreign")
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if version > VERSION:
@@ -262,7 +262,7 @@ def _naming(path: Path) -> Iterator[None]:
         if kind is None:
             raise
         remedy = f"'heliocube store salvage {path} --into FOLDER' gets what can be read from it"
-        sentence = f"{path} is no store of heliocube, or is damaged ({error}); {remedy}"
+        sentence = f"{path} is not a store of heliocube, or is damaged ({error}); {remedy}"
         raise UnusableStoreError(sentence, kind) from None
 
 

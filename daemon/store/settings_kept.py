@@ -57,7 +57,7 @@ def tell_changes(
     try:
         kept = file.load()
     except UnreadableStateError as error:
-        log.warning("%s: what has changed in the configuration is not told", error)
+        log.warning("%s: changes of the configuration since the last start are not recorded", error)
         kept = None
     before = now if kept is None else kept.values
     changed = [key for key in dict.fromkeys([*before, *now]) if before.get(key) != now.get(key)]

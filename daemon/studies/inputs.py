@@ -65,7 +65,7 @@ def check_weather_file(path: Path, built_in: Sequence[str] = _SKIES) -> None:
     if not path.is_file():
         if built_in == _SKIES:
             raise UserError(
-                f"there is no weather file at {path}, and it is none of the built-in skies {', '.join(_SKIES)}"
+                f"there is no weather file at {path}, and it is not one of the built-in skies {', '.join(_SKIES)}"
             )
         known = f"{path} is a built-in sky that this command does not take"
         what = known if str(path) in _SKIES else f"there is no weather file at {path}"
@@ -76,7 +76,9 @@ def check_weather_file(path: Path, built_in: Sequence[str] = _SKIES) -> None:
 def check_packing(path: Path) -> None:
     """Raise `UserError` for a table that is packed otherwise than with gzip, of which pandas would read some."""
     if path.name.lower().endswith(_PACKED):
-        raise UserError(f"{path} cannot be read as it is packed: unpack it, or pack the table alone with gzip (.gz)")
+        raise UserError(
+            f"{path} is packed in a way that cannot be read: unpack it, or pack the table alone with gzip (.gz)"
+        )
 
 
 def check_data_files(paths: Sequence[Path], of: str) -> None:

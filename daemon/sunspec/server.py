@@ -92,9 +92,7 @@ class SunSpecServer:
                 try:
                     server = await asyncio.start_server(self._serve, address.host, address.port, limit=_CHUNK)
                 except OSError as error:
-                    self._cannot(
-                        f"{address} cannot be listened on: {error.strerror}; set sunspec.listen to another port"
-                    )
+                    self._cannot(f"cannot listen on {address}: {error.strerror}; set sunspec.listen to another port")
                     await asyncio.sleep(_AGAIN_S * self._speed)
             self._outage.up(self._clock.monotonic())
             self.port = server.sockets[0].getsockname()[1]
@@ -213,7 +211,7 @@ class SunSpecServer:
 
     def _refuse_held(self, override: Override) -> None:
         if override.name == "auto" and self._table.is_held(override.tracker):
-            raise CommandError("a person has stopped or stowed it meanwhile")
+            raise CommandError("a person has stopped or stowed it in the meantime")
 
     def _tell(self, sentence: str) -> None:
         self._log(self._refused.spend(self._clock.monotonic(), f"a write over SunSpec is refused: {sentence}"))

@@ -86,7 +86,7 @@ class DayBudget:
         """Return why one more move of this length [deg] is too much, and tell it once a day; None if it is not."""
         if self.moves_left >= 1 and distance_deg <= self.travel_left_deg:
             return None
-        text = f"the laws have used up what they may move in a day: {self._account}; {_SEE}"
+        text = f"the laws have used up the day's budget of motion: {self._account}; {_SEE}"
         self._alarms.set(_ALARM, text)
         return text
 
@@ -98,7 +98,7 @@ class DayBudget:
         if self.is_for_the_sun:
             self._alarms.set(
                 _ALARM,
-                f"three quarters of what the laws may move in a day are used ({self._account}): the rest is kept for"
+                f"three quarters of the day's budget of motion are used ({self._account}): the rest is kept for"
                 f" following the sun by the clock; {_SEE}",
             )
 
@@ -116,5 +116,5 @@ class DayBudget:
         try:
             return self._file.load()
         except UnreadableStateError as error:
-            log.warning("%s: the moves of the day are counted anew", error)
+            log.warning("%s: the moves of the day are counted from zero again", error)
             return None

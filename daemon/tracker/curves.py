@@ -166,7 +166,7 @@ class IvAcquisition:
         elif found.why_not:
             quality, why = CurveQuality.NO_MAXIMUM, found.why_not
         elif not self._time_known():
-            quality, why = CurveQuality.CLOCK, "the clock was set, and nothing tells that its time is right"
+            quality, why = CurveQuality.CLOCK, "the clock was set, and nothing confirms its time"
         return IvCurve(
             time_utc_s=utc_s,
             time_monotonic_s=start_s,

@@ -40,7 +40,7 @@ class LawFile:
 
     def refuse(self) -> None:
         """Report that what was kept is not what the law can go on from."""
-        log.warning("%s cannot be used: what was learned of the site is learned anew", self._file.path)
+        log.warning("%s cannot be used: the law learns the site again from the beginning", self._file.path)
 
     def save(self, kept: Mapping[str, Any] | None) -> None:
         """Have the file replaced as a whole; no disk hinders tracking."""

@@ -335,7 +335,7 @@ def _facts(settings: Settings, utc_s: float, file: LawFile, common: Common | Non
 def _checked(law: Law, name: str, key: str = "law.driver") -> Law:
     """Return the law; `UserError` for one that is none, or asks for what there is not."""
     if not hasattr(law, "faces_needed"):
-        raise UserError(f"{key}: what the law {name} builds is no law but {law!r}")
+        raise UserError(f"{key}: what the law {name} builds is not a law but {law!r}")
     if not 1 <= law.faces_needed <= len(FACES):
         raise UserError(f"{key}: the law {name} asks for {law.faces_needed} good faces, not for 1 to {len(FACES)}")
     if not 0.0 < law.decide_every_s < math.inf:

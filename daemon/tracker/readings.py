@@ -177,8 +177,8 @@ class Readings:
 
 def _why_too_dark(zenith_w_m2: float, *, sun_known: bool) -> str:
     if math.isnan(zenith_w_m2):
-        return "neither the zenith face nor the clock tells day from night"
-    when = "in daylight" if sun_known else "while the clock does not tell day from night"
+        return "neither the zenith face nor the clock shows whether it is day or night"
+    when = "in daylight" if sun_known else "while the clock is in doubt"
     return f"the zenith face reads {zenith_w_m2:.1f} W/m2 {when}"
 
 

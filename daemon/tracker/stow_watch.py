@@ -71,7 +71,7 @@ class SafetyFile:
             kept = self._file.load()
         except UnreadableStateError as error:
             log.warning("%s: it counts as stow", error)
-            text = f"{error}: nobody knows whether the tracker was stowed before the restart"
+            text = f"{error}: it is not known whether the tracker was stowed before the restart"
             return StormBefore(text, {FILE_NAME: text}, None)
         if kept is None or not kept.stowing:
             return None
@@ -160,7 +160,7 @@ class StowWatch:
         """Return which sources have not been heard once since the start, in words, or None."""
         if self._pending:
             self._pending = {status.name for status in self.statuses(now_s) if status.age_s == math.inf}
-        return f"waiting for the first word of {' and '.join(sorted(self._pending))}" if self._pending else None
+        return f"waiting for the first message of {' and '.join(sorted(self._pending))}" if self._pending else None
 
     def statuses(self, now_s: float) -> tuple[StowStatus, ...]:
         """Return how each source stands."""

@@ -136,7 +136,7 @@ class WishFile:
             return self._file.load() or Wishes()
         except UnreadableStateError as error:
             log.warning("%s: the tracker stays stopped until 'heliocube auto'", error)
-            return Wishes(stop=Wish(why=f"{error}: nobody knows what was asked before the restart"))
+            return Wishes(stop=Wish(why=f"{error}: it is not known which commands were in force before the restart"))
 
     def save(self, wishes: Wishes) -> None:
         """Have the file replaced as a whole; no disk hinders the command."""

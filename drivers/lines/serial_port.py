@@ -131,7 +131,7 @@ class SerialPort:
             except BlockingIOError:
                 left_s = end_s - time.monotonic()
                 if left_s <= 0:
-                    raise TimeoutError(f"nothing was taken within {_WRITE_S:g} s") from None
+                    raise TimeoutError(f"no data was accepted within {_WRITE_S:g} s") from None
                 select.select([], [self._port.fileno()], [], left_s)
 
     def discard(self) -> None:

@@ -92,7 +92,7 @@ class SocketLine:
         except (asyncio.IncompleteReadError, OSError):
             raise self._gone() from None
         except asyncio.LimitOverrunError:
-            raise ProtocolError(self._device, "sends without end, and no line among it") from None
+            raise ProtocolError(self._device, "sends without end, but no line") from None
         self._tap("<", data)
         return data.decode("latin-1").strip("\r\n")
 

@@ -136,7 +136,7 @@ class SerialPath:
             came += data
             if (reply := self._framing.feed(data)) is not None:
                 return reply
-        raise DeadlineError(self._device, "sent something that is no answer" if came else "")
+        raise DeadlineError(self._device, "sent something that is not an answer" if came else "")
 
 
 def _anything(_data: bytes) -> None:
@@ -196,7 +196,7 @@ class TcpPath:
             async with asyncio.timeout(within_s):
                 return await reply
         except TimeoutError:
-            raise DeadlineError(self._device, "sent something that is no answer" if stream.came else "") from None
+            raise DeadlineError(self._device, "sent something that is not an answer" if stream.came else "") from None
         except ConnectionError:
             raise LinkLostError(self._device, f"the connection to {self._where.host} is gone") from None
 

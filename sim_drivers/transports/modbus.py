@@ -64,4 +64,4 @@ class InMemoryModbus(Cabled):
                 return reply
         await asyncio.sleep(until_s - self._now())
         self._require_open()
-        raise DeadlineError(self._device, "sent something that is no answer" if came else "")
+        raise DeadlineError(self._device, "sent something that is not an answer" if came else "")

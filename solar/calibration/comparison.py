@@ -150,7 +150,7 @@ def fitted_offset(utc_s: Array, reference_w_m2: Array, voltage_mv: Array) -> Int
     raises `ValueError` for fewer than 3.
     """
     if reference_w_m2.size < 3:
-        raise ValueError(f"a line through {reference_w_m2.size} readings tells no offset")
+        raise ValueError(f"a line through {reference_w_m2.size} readings gives no offset")
     line = stats.linregress(reference_w_m2, voltage_mv)
     half = stats.t.ppf(0.975, reference_w_m2.size - 2) * line.intercept_stderr
     hour = np.floor(utc_s / _HOUR_S) % 24.0

@@ -250,8 +250,8 @@ def _unsure(spread: Array, residual: float, level: float) -> list[str]:
     if not level <= _LEVEL_SIGMA:
         return [
             (
-                f"clear sky that tells the level of the gains: it is known to {200.0 * level:.1f} % (k = 2) only, and "
-                "the sensors' maker promises 5 % (more clear days, with the sun high and low, or a level that is "
+                f"clear sky that determines the level of the gains: it is known to {200.0 * level:.1f} % (k = 2) only, "
+                "and the sensors' maker promises 5 % (more clear days, with the sun high and low, or a level that is "
                 "known: of a face from its certificate, of the site from a pyranometer nearby)"
             )
         ]

@@ -246,7 +246,7 @@ class DirectionLaw(Law):
                 elevation_deg=np.nan,
                 sun=sun,
                 target=None,
-                why="the readings tell no direction",
+                why="the readings give no direction",
             )
         a_deg, b_deg = angles_within(direction, self.limits)
         azimuth, elevation = map(float, azimuth_from_direction(direction, self.site[0]))

@@ -24,7 +24,7 @@ from solar.laws.words import weighed
 from solar.rows.group import TrackerGroup
 
 DECIDE_EVERY_S = 60.0
-_TOO_MUCH = "what the law may move in a day does not allow it (law.moves_per_day, law.travel_per_day_deg)"
+_TOO_MUCH = "the law's budget of motion for the day does not allow it (law.moves_per_day, law.travel_per_day_deg)"
 
 
 class LiveOptimalSettings(LawSettings):

@@ -50,7 +50,7 @@ def test_it_stows_while_the_file_warns_and_for_its_time_after(watch, tmp_path):
     warning, clock = tmp_path / "warning", Clock()
     warning.write_text("clear\n")
     stow = watch(clock)
-    assert stow.waiting_why(clock.now_s) == f"waiting for the first word of the warning in {warning}"
+    assert stow.waiting_why(clock.now_s) == f"waiting for the first message of the warning in {warning}"
     assert stow.reasons(clock.now_s) == ()
     assert stow.waiting_why(clock.now_s) is None
     warning.write_text("hail\n")

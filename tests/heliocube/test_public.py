@@ -98,7 +98,7 @@ def test_a_refusal_names_no_option_of_the_command_line(tmp_path):
 def test_what_is_no_place_is_refused_as_a_site():
     readings = heliocube.read_faces(heliocube.sample("clear")).iloc[600:610]
     for site in ((48.7, 2.2), "48.7,2.2,156", (48.7, "E", 156.0), 48.7):
-        with pytest.raises(heliocube.UserError, match=r"is no place; write heliocube\.Site\("):
+        with pytest.raises(heliocube.UserError, match=r"is not a place; write heliocube\.Site\("):
             heliocube.replay(readings, site=site)
 
 

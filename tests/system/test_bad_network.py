@@ -61,7 +61,7 @@ def test_loss_duplicates_reordering_jitter_and_cuts_between_cube_and_tracker(tmp
 
         # One address fills its own share of the API's connections, and nobody else's.
         assert 0 < network.connections_kept(60) <= 32
-        assert "too many connections that say nothing from 10.77.0.1" in network.log("tracker")
+        assert "too many connections that send nothing from 10.77.0.1" in network.log("tracker")
         assert network.state()["mode"]["name"] == "tracking"
 
         assert network.stop() == {"tracker": 0, "cube": 0}

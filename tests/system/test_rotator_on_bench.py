@@ -59,7 +59,7 @@ def test_a_real_rotctld_follows_the_simulated_sky_and_is_taken_up_again_after_it
     wait_until(lambda: not follows(), SETTLES_WITHIN_S, service.log)
     wait_until(follows, SETTLES_WITHIN_S, service.log)
     server.kill()
-    wait_until(lambda: "nobody listens at" in service.log(), SETTLES_WITHIN_S, service.log)
+    wait_until(lambda: "nothing listens at" in service.log(), SETTLES_WITHIN_S, service.log)
     server.start()
     wait_until(lambda: "the positioner is back" in service.log(), SETTLES_WITHIN_S, service.log)
     assert "move failed" not in service.log()

@@ -97,7 +97,7 @@ class Doorkeeper:
             except (BlockingIOError, ConnectionAbortedError):
                 return
             except OSError as error:
-                self._refusals.note("crowded", f"no connection can be taken in: {error.strerror}")
+                self._refusals.note("crowded", f"no connection can be accepted: {error.strerror}")
                 self._loop.remove_reader(self._bound)
                 self._after(_AGAIN_AFTER_S, self._take_in)
                 return
@@ -117,7 +117,7 @@ class Doorkeeper:
         if alone or len(self._silent) >= _MOST_SILENT:
             longest = next((one for one in self._silent if not alone or one.address == caller.address), caller)
             whose = f"from {caller.address}" if alone else "in all"
-            self._refusals.note("crowded", f"too many connections that say nothing {whose}: the longest is closed")
+            self._refusals.note("crowded", f"too many connections that send nothing {whose}: the longest is closed")
             self._forget(longest)
             longest.socket.close()
             if longest is caller:
@@ -173,7 +173,7 @@ class Doorkeeper:
             caller.socket.close()
 
     def _refuse(self, caller: _Caller) -> None:
-        self._refusals.note("crowded", "more new connections than are let in")
+        self._refusals.note("crowded", "more new connections than are accepted")
         # What is not read would take the answer with it.
         with suppress(OSError):
             caller.socket.recv(_LONGEST_LOOK)
@@ -200,7 +200,7 @@ class Doorkeeper:
             if silent_s < _SILENT_FOR_S:
                 self._after(_LOOK_EVERY_S, self._look_round)
                 return
-            self._refusals.note("slow", f"{caller.address} has said nothing in {silent_s:.0f} s")
+            self._refusals.note("slow", f"{caller.address} has sent nothing for {silent_s:.0f} s")
             self._forget(caller)
             caller.socket.close()
 

@@ -320,7 +320,7 @@ def _calibration(calibration: dict[str, Any]) -> Text:
     if calibration["validity"] == "valid":
         return Text(when)
     verb = "EXPIRED" if calibration["validity"] == "expired" else "EXPIRES SOON"
-    return Text.assemble((f"{verb} ", _BAD), f"{when}; calibrate the cube anew")
+    return Text.assemble((f"{verb} ", _BAD), f"{when}; calibrate the cube again")
 
 
 def _store(store: dict[str, Any]) -> Text:

@@ -129,7 +129,7 @@ def energy(
         check_weather_file(path, built_in=())
     if losses:
         if prices is not None:
-            raise UserError("--losses tells no money: leave out --peak-kw and the prices")
+            raise UserError("--losses gives no amounts of money: leave out --peak-kw and the prices")
         check_laws_of_losses(names)
         check_outputs([out / f"energy-losses.{ending}" for ending in _ENDINGS], "--out", force=force)
         laid = _laid_out(weather, place, albedo, speed_deg_per_s)
@@ -145,7 +145,7 @@ def _prices(
 ) -> "Prices | None":
     if peak_kw is None or price is None or drive_price is None or drive_life_deg is None:
         if any(given is not None for given in (peak_kw, price, drive_price, drive_life_deg)):
-            raise UserError("what a law is worth takes all of --peak-kw, --price, --drive-price and --drive-life-deg")
+            raise UserError("the worth of a law needs all of --peak-kw, --price, --drive-price and --drive-life-deg")
         return None
     from daemon.studies.energy.worth import Prices
 

@@ -68,7 +68,7 @@ async def _cube(settings: Settings) -> tuple[str, str]:
     finally:
         await cube.close()
     bad = [f"{name}: {face.flaw}" for name, face in zip(FACES, reading.faces, strict=True) if face.flaw]
-    return f"{identity}; {', '.join(bad) or 'all four faces answer'}", "look after these sensors" if bad else ""
+    return f"{identity}; {', '.join(bad) or 'all four faces answer'}", "check these sensors" if bad else ""
 
 
 async def _positioner(settings: Settings) -> tuple[str, str]:

@@ -60,7 +60,9 @@ def roll_back(config: Path, to: Program, environment: Mapping[str, str]) -> Iter
                     _give_to_owner(folder)
         yield from _file(config, to)
     except OSError as error:
-        raise UserError(f"{error.filename or directory}: {error.strerror}; do it again when that is mended") from None
+        raise UserError(
+            f"{error.filename or directory}: {error.strerror}; correct that and give the command again"
+        ) from None
 
 
 def _held(settings: Settings, to: Program) -> Iterator[str]:
@@ -70,14 +72,15 @@ def _held(settings: Settings, to: Program) -> Iterator[str]:
         file = WishFile(folder)
         wishes = file.load()
         if wishes == Wishes():
-            why = f"the program was changed back from {release()} to {to.release()}, and nobody has looked yet"
+            change = f"from {release()} to {to.release()}"
+            why = f"the program was changed back {change}, and nobody has checked the tracker since"
             file.save(Wishes(hold=Wish(why=why, by=PROGRAM, since_utc_s=SystemClock().utc())))
             if folder.unsaved is not None:
                 raise UserError(folder.unsaved)
         if wishes == Wishes() or wishes.held_by_program:
             yield f"{name} is held until 'heliocube auto'"
         else:
-            yield f"{name} stays as persons have asked"
+            yield f"{name} stays as a person has ordered"
 
 
 def _store(directory: Path, to: Program) -> Iterator[str]:

@@ -72,7 +72,7 @@ def _cube(state: dict[str, Any]) -> Finding:
         return Finding("cube", text, "see the cube's service, the network, and the key of both machines")
     bad = [f"{name}: {face['quality']}" for name, face in scan["faces"].items() if face["quality"] != Quality.OK]
     text = f"{scan['source']}, the latest reading is {_age(scan['age_s'])} old"
-    return Finding("cube", ", ".join([text, *bad]), "look after these sensors" if bad else "")
+    return Finding("cube", ", ".join([text, *bad]), "check these sensors" if bad else "")
 
 
 def _positioner(own: dict[str, Any], subject: str) -> Finding:

@@ -154,7 +154,7 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array]:
     bad = np.flatnonzero(times.isna())
     if bad.size:
         line, text = _line_of(path, bad[0]), frame["time"].iloc[bad[0]]
-        raise UserError(f"{path}, line {line}: '{text}' is no time such as 2022-03-01T12:00:00Z")
+        raise UserError(f"{path}, line {line}: '{text}' is not a time such as 2022-03-01T12:00:00Z")
     utc_s = np.array([time.replace(tzinfo=UTC).timestamp() for time in times.dt.tz_localize(None)], dtype=np.float64)
     back = np.flatnonzero(np.diff(utc_s) <= 0.0)
     if back.size:

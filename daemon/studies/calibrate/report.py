@@ -37,7 +37,7 @@ def comparison_lines(found: Comparison) -> list[str]:
         ),
         f"The sensors' clock is {found.lag_s:+z.1f} s ahead."
         if found.lag_known
-        else "The readings do not tell a lag between the clocks; it is taken as 0 (give it with --lag).",
+        else "The readings do not show the lag between the clocks; it is taken as 0 (--lag sets it).",
         f"Night offset of the reference {found.reference_offset_w_m2:+z.1f} W/m2; those of the sensors from "
         + (f"{found.night_readings} readings at night." if found.night_readings else "a line through the readings."),
         "",
@@ -149,7 +149,7 @@ def _level_line(found: FieldResult) -> str:
     zenith = "zenith" in known.referenced or known.ghi is not None
     if vertical and zenith:
         return told
-    return f"{told} The model alone tells {'the zenith face' if vertical else 'the vertical faces'} from that."
+    return f"{told} From that the model alone gives {'the zenith face' if vertical else 'the vertical faces'}."
 
 
 def comparison_calibration(found: Comparison, cube: str, serials: dict[str, str], valid_days: float) -> CubeCalibration:

@@ -17,7 +17,7 @@ Written by `heliocube campaign --reliability docs/reliability.md`. The figures a
 virtual time, with the real drivers and the service itself. They are the same on every machine, and no rig was measured.
 Here each fault falls alone, {runs} times, at rest or in mid-move, at other moments of the unit's screens and of the
 service's decisions each time; then every two of them fall together, once. Every promise of the campaign is watched
-meanwhile. In [the campaign](campaign.md) they fall at random.
+throughout. In [the campaign](campaign.md) they fall at random.
 
 ## One fault at a time
 

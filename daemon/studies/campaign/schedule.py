@@ -92,4 +92,4 @@ class Schedule:
             events = [Happening(**{**event, "value": tuple(event["value"])}) for event in found.pop("events")]
             return cls(**{**found, "sky": tuple(found["sky"]), "events": tuple(events)})
         except (TypeError, KeyError, AttributeError) as error:
-            raise ValueError(f"this is no schedule of the campaign: {error}") from error
+            raise ValueError(f"this is not a schedule of the campaign: {error}") from error

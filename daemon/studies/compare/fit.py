@@ -65,7 +65,7 @@ def flat_pairs(pairs: Pairs, start: datetime | None = None, end: datetime | None
         remedy = (
             "let both lie flat (law flat) for some days, and give those measurements"
             if poses.any() or said
-            else "the measurements tell no a_deg and b_deg: name the time at which both lay flat with --from and --to"
+            else "the measurements have no a_deg and b_deg: name the time at which both lay flat with --from and --to"
         )
         raise UserError(
             f"there is no period in which {pairs.names[0]} and {pairs.names[1]} both lay flat with {LEAST_W:g} W or"
@@ -142,7 +142,7 @@ def read(path: Path) -> Fit:
     try:
         return _fit_of(content)
     except (KeyError, TypeError, ValueError) as error:
-        raise UserError(f"--bias: {path} is damaged ({error}): write it anew with 'heliocube compare fit'") from None
+        raise UserError(f"--bias: {path} is damaged ({error}): write it again with 'heliocube compare fit'") from None
 
 
 def _fit_of(content: dict[str, Any]) -> Fit:

@@ -155,7 +155,7 @@ def _read(path: Path) -> pd.DataFrame:
         raise UserError(f"there is no file {path} with measured powers") from None
     except (OSError, EOFError, zlib.error, ValueError) as error:
         # pandas and pyarrow derive theirs from ValueError; the others are those of a .gz that was cut off or damaged.
-        raise UserError(f"{path} is no table that can be read: {str(error).splitlines()[0]}") from None
+        raise UserError(f"{path} is not a table that can be read: {str(error).splitlines()[0]}") from None
     table = table.drop(columns=[name for name in ("index",) if name in table])
     missing = [name for name in REQUIRED if name not in table]
     unknown = [str(name) for name in table if name not in _COLUMNS]
@@ -213,7 +213,7 @@ def _times(column: Any, path: Path) -> Array:
         times = pd.to_datetime(column.astype(str), utc=True, format="ISO8601", errors="coerce")
     if times.isna().any():
         row = int(np.flatnonzero(times.isna())[0])
-        raise UserError(f"{path}, row {row + 1}: '{column.iloc[row]}' is no time; write 2022-10-14T08:00:05Z")
+        raise UserError(f"{path}, row {row + 1}: '{column.iloc[row]}' is not a time; write 2022-10-14T08:00:05Z")
     seconds: Array = times.dt.tz_localize(None).to_numpy("datetime64[us]").astype(np.int64) / 1e6
     return seconds
 
@@ -223,7 +223,7 @@ def _numbers(column: "pd.Series[float]", path: Path) -> "pd.Series[float]":
     wrong = numbers.isna() & column.notna()
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
-        raise UserError(f"{path}, row {row + 1}: {column.name} is '{column.iloc[row]}', which is no number")
+        raise UserError(f"{path}, row {row + 1}: {column.name} is '{column.iloc[row]}', which is not a number")
     return numbers
 
 

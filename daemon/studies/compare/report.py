@@ -194,7 +194,7 @@ def write_report(
     notes = [
         f"{pairs.names[0]}'s power is "
         + ("not corrected for the bias between the chains." if found is None else "corrected by the fit below."),
-        "Periods are named by their sky where the diffuse fraction tells it, or as they were asked for.",
+        "Periods are named by their sky where the diffuse fraction shows it, or as they were asked for.",
     ]
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -35,7 +35,7 @@ def check_laws_of_losses(law_names: Sequence[str]) -> None:
     """Raise `UserError` for a law whose losses cannot be told apart."""
     for name in law_names:
         if name.partition(":")[0] != TOLD_APART:
-            raise UserError(f"--losses: it tells of {TOLD_APART} and {TOLD_APART}:THRIFT only, not of {name}")
+            raise UserError(f"--losses is for {TOLD_APART} and {TOLD_APART}:THRIFT only, not for {name}")
 
 
 def default_names() -> tuple[str, ...]:

@@ -195,7 +195,7 @@ def from_tables(directory: Path, table_format: str) -> dict[str, pd.DataFrame]:
             found[kind] = _slim(_read(path))
         except (OSError, ValueError) as error:
             # pandas and pyarrow derive theirs from ValueError.
-            raise UserError(f"{path} is no table that can be read: {str(error).splitlines()[0]}") from None
+            raise UserError(f"{path} is not a table that can be read: {str(error).splitlines()[0]}") from None
     return found
 
 

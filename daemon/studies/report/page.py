@@ -322,9 +322,7 @@ def _runs(found: Findings) -> Iterator[Part]:
     if not changes:
         yield element("p", "No change of the configuration was recorded.")
     else:
-        yield table(
-            ("UTC", "local", "key"), changes[:_MOST_LINES], "What changed in the configuration, told at a start"
-        )
+        yield table(("UTC", "local", "key"), changes[:_MOST_LINES], "Changes of the configuration, found at a start")
 
 
 def _events(found: Findings) -> Iterator[Part]:
@@ -332,7 +330,7 @@ def _events(found: Findings) -> Iterator[Part]:
         return
     yield element("h2", "Events")
     rows = [(*_when(note.utc_s, found), note.subject, note.text) for note in found.notes[:_MOST_LINES]]
-    yield table(("UTC", "local", "about", "what"), rows, _of_many("What the service told", len(found.notes)))
+    yield table(("UTC", "local", "about", "what"), rows, _of_many("Messages of the service", len(found.notes)))
 
 
 def _foot(found: Findings) -> Node:

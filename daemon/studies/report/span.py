@@ -111,7 +111,7 @@ def _date(text: str, option: str) -> date:
             return found
     except ValueError:
         pass
-    raise UserError(f"{option}: '{text}' is no day; write 2022-10-14, yesterday or today")
+    raise UserError(f"{option}: '{text}' is not a day; write 2022-10-14, yesterday or today")
 
 
 def _bound(text: str, option: str, longitude_deg: float) -> float:

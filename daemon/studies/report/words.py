@@ -78,7 +78,7 @@ def _sky(material: Material, light: RecordedLight, gained: Yield) -> str:
 
 def _gain(gained: Yield) -> str:
     if not gained.known_s:
-        return "What the tracker's plane received cannot be told: there are no good readings in daylight."
+        return "What the tracker's plane received is not known: there are no good readings in daylight."
     than = "more" if gained.gain_pct >= 0.0 else "less"
     return (
         f"By the light that the cube shows, the tracker's plane received {number(gained.actual_kwh_m2, 2)} kWh/m²,"

@@ -142,7 +142,7 @@ def _year(where: str, text: str, weather: tuple[Path, ...] | WeatherName) -> int
     if not text:
         return YEAR_OF_A_MODEL
     if not (text.isascii() and text.isdigit() and int(text) in _YEARS):
-        raise UserError(f"--sites: {where}: '{text}' is no year in {_YEARS.start}..{_YEARS.stop - 1}")
+        raise UserError(f"--sites: {where}: '{text}' is not a year in {_YEARS.start}..{_YEARS.stop - 1}")
     return int(text)
 
 

@@ -49,7 +49,7 @@ def cluster_pool(address: str, *, apart: bool) -> "Iterator[ClusterPool]":
     try:
         parse_host_port(parse_address(address)[1])
     except ValueError as error:
-        raise UserError(f"--cluster: '{address}' is no address, such as 192.168.1.5:8786: {error}") from None
+        raise UserError(f"--cluster: '{address}' is not an address, such as 192.168.1.5:8786: {error}") from None
     client = _connected(Client, address)
     pool = ClusterPool(client, address, (KilledWorker, AloneDiedError), apart=apart)
     try:
@@ -126,7 +126,7 @@ class ClusterPool:
     def _idle(self) -> WorkersError:
         if self._counted > -math.inf:
             return WorkersError(
-                f"--cluster: all workers of the scheduler at {self._address} are gone: their logs tell why; one without"
+                f"--cluster: all workers of the scheduler at {self._address} are gone: their logs say why; one without"
                 f" this heliocube ends over its first task; then start 'dask worker {self._address}' again"
             )
         return WorkersError(

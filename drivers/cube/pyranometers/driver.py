@@ -79,7 +79,7 @@ class SensorLine:
                 except DeviceError as error:
                     await self.close()
                     self._failed(error)
-            samples.append((face, sensor.lost(f"is out of reach: {self.why_not}")))
+            samples.append((face, sensor.lost(f"cannot be reached: {self.why_not}")))
         return samples
 
     def _failed(self, error: DeviceError) -> None:

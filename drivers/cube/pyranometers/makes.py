@@ -136,7 +136,7 @@ class Smp:
             return Told(math.nan, flaw, f"reports {', '.join(flags)}")
         power = int(number((scale,), "int16"))
         if power not in _SMP_FACTORS:
-            return Told(math.nan, "missing", f"has the scale {power}, which its manual does not know")
+            return Told(math.nan, "missing", f"has the scale {power}, which is not in its manual")
         note = ""
         if status & _SMP_ERROR:
             note = "keeps an error from earlier; its values are used, and 'heliocube probe cube --clear' clears it"
@@ -144,7 +144,7 @@ class Smp:
 
     def _require_kind(self, kind: int) -> None:
         if kind in _SMP_KIN or not 600 <= kind < 700:
-            raise WrongSensorError(f"is no SMP pyranometer but {_SMP_KIN.get(kind, f'a device of type {kind}')}")
+            raise WrongSensorError(f"is not an SMP pyranometer but {_SMP_KIN.get(kind, f'a device of type {kind}')}")
 
 
 class Hukseflux:
@@ -166,7 +166,7 @@ class Hukseflux:
         """Return model and serial number, and take in the scale."""
         scale, model = more[0][2], _text_low_first(more[1])
         if not model.startswith("SR"):
-            raise WrongSensorError(f"is no Hukseflux SR but calls itself {model!r}")
+            raise WrongSensorError(f"is not a Hukseflux SR but calls itself {model!r}")
         if scale == 0:
             raise WrongSensorError("has the scale 0 in register 8")
         self._per_w_m2 = float(scale)

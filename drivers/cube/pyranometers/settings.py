@@ -161,7 +161,7 @@ class PyranometersSettings(CubeDriverSettings):
                 yield SettingsConflict(f"{name}.serial", reason, (f"{twin}.serial",))
             make = self.make_of(name)
             if face.serial is not None and make not in _WITH_SERIAL and self.map.serial_register is None:
-                reason = f'cannot be checked: a sensor of make "{make}" does not tell it; leave it out'
+                reason = f'cannot be checked: a sensor of make "{make}" does not report it; leave it out'
                 if make == "map":
                     reason = "cannot be checked without map.serial_register; set that, or leave it out"
                 yield SettingsConflict(f"{name}.serial", reason, ("map.serial_register",))

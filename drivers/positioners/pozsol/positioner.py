@@ -245,7 +245,7 @@ class PozsolPositioner:
         stops, called_s = self._stops, self._now()
         await self._stand(stops)
         seen = await self._confirm(
-            lambda seen: seen.status_monotonic_s > called_s, "to tell its status", stops, _STATUS_SHOWS_S
+            lambda seen: seen.status_monotonic_s > called_s, "to report its status", stops, _STATUS_SHOWS_S
         )
         kinds = self._watch.reference.kinds
         sent_s = await self._send(Field.STATUS, wire.CLEAR, stops)

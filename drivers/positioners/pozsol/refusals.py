@@ -12,7 +12,7 @@ def why_not_standing(seen: Telemetry, within_s: float, *, still: bool) -> str:
     """Return why stops have not brought both axes to a standstill within this time [s]."""
     if still:
         aims = f"A {seen.position_a:g} to {seen.destination_a:g}, B {seen.position_b:g} to {seen.destination_b:g}"
-        return f"takes no stop: it stands, but is still to go from {aims}"
+        return f"does not accept the stop: it stands, but still has to go from {aims}"
     return f"keeps moving after {within_s:g} s of stops, at A {seen.a_deg:z.1f}, B {seen.b_deg:.1f} deg"
 
 

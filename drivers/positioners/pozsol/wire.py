@@ -134,7 +134,7 @@ def require_allowed(packet: bytes) -> None:
     The last gate before the port: the unit takes whatever begins with ``$`` for a command, so nothing else may leave.
     """
     if not _ALLOWED.fullmatch(packet):
-        raise ValueError(f"{bytes(packet[:16])!r} is no command that may be sent to a positioner")
+        raise ValueError(f"{bytes(packet[:16])!r} is not a command that may be sent to a positioner")
 
 
 def _letter(field: int, value: float | str) -> str:

@@ -64,7 +64,7 @@ class TcpLine:
             raise ConnectError(_DEVICE, f"there is no host {self._host}: is the name right?") from None
         except OSError as error:
             if error.errno == errno.ECONNREFUSED:
-                message = f"nobody listens at {place}: is rotctld running there, with -T and -t?"
+                message = f"nothing listens at {place}: is rotctld running there, with -T and -t?"
                 raise ConnectError(_DEVICE, message) from None
             raise ConnectError(_DEVICE, f"{place} cannot be reached: {error.strerror}") from None
 
@@ -121,11 +121,11 @@ class _Peer(asyncio.Protocol):
         try:
             replies = self._stream.feed(data)
         except ValueError as error:
-            self._fail(ProtocolError(_DEVICE, f"{self._place} is no rotctld: {error}"))
+            self._fail(ProtocolError(_DEVICE, f"{self._place} is not a rotctld: {error}"))
             return
         for reply in replies:
             if not self._asked:
-                self._fail(ProtocolError(_DEVICE, f"{self._place} answers what nobody asked"))
+                self._fail(ProtocolError(_DEVICE, f"{self._place} sent an answer to no question"))
                 return
             future = self._asked.popleft()
             if not future.done():

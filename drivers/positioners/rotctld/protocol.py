@@ -119,7 +119,7 @@ class ReplyStream:
                 replies.append(_reply(self._lines, int(end[1])))
                 self._lines = []
         if len(self._rest) + sum(map(len, self._lines)) > _MOST_BYTES:
-            raise ValueError("it sends without end, and none of that is a reply")
+            raise ValueError("it sends without end, but no reply")
         return replies
 
 

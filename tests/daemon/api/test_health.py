@@ -39,7 +39,7 @@ def test_health_is_bad_when_control_no_longer_looks(serve):
 
 
 DISK_FULL = StoreStatus(Path("records"), 0, 5, 0, "the disk is full")
-BAD_WORD = "mqtt.wind of weather/roof cannot be used: 200 is no wind speed in m/s"
+BAD_WORD = "mqtt.wind of weather/roof cannot be used: 200 is not a wind speed in m/s"
 LINK = LinkStatus("broker:1883", True, 0.0, None, 1, 0, 0, 0, 0, None, troubles=(BAD_WORD,))
 
 

@@ -40,11 +40,15 @@ def test_stored_days_are_read_over_the_interface(run_rig, tmp_path):
             rows = (await call.get(f"/api/history/modes?{SPAN}&tracker=")).json["rows"]
             assert [row["after"] for row in rows] == [ALL[6].after]
             for path, status, words in [
-                ("/api/history/scans", 400, "from='' is no UTC time"),
-                (f"/api/history/secrets?{SPAN}", 400, "there are no records of the kind 'secrets', but scans"),
+                ("/api/history/scans", 400, "from='' is not a UTC time"),
+                (f"/api/history/secrets?{SPAN}", 400, "there are no records of the kind 'secrets'; there are scans"),
                 ("/api/history/scans?from=2022-10-14&to=2022-10-14", 422, "from must be before to"),
                 ("/api/history/scans?from=2022-10-14&to=2023-10-14", 422, "not by more than 7 days"),
-                (f"/api/history/modes?{SPAN}&tracker=west", 422, "there is no tracker 'west' here, but tracker"),
+                (
+                    f"/api/history/modes?{SPAN}&tracker=west",
+                    422,
+                    "there is no tracker 'west'; the trackers are tracker",
+                ),
             ]:
                 reply = await call.get(path)
                 assert (reply.status, words in reply.json["error"]) == (status, True), reply.json
@@ -82,7 +86,7 @@ def test_the_suns_path_is_that_of_the_solar_day_by_pvlib(serve):
             assert (await call.get(f"/api/sun?at={year}-12-31T23:59:59Z")).status == 200
         for year in (1, 1969, 2200, 9999):
             refused = await call.get(f"/api/sun?at={year:04}-12-31T23:59:59Z")
-            assert (refused.status, refused.json["error"].endswith("is no time from 1970 to 2199")) == (422, True)
+            assert (refused.status, refused.json["error"].endswith("is not a time from 1970 to 2199")) == (422, True)
 
     serve(scenario)
 

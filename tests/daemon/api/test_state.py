@@ -167,7 +167,7 @@ def test_scans_since_an_instant_are_the_later_ones_in_order(serve):
         wrong = await call.get("/api/scans?since=yesterday")
         assert (wrong.status, wrong.json["error"]) == (
             400,
-            "since='yesterday' is no UTC time; write 2022-10-14T08:00:00Z",
+            "since='yesterday' is not a UTC time; write 2022-10-14T08:00:00Z",
         )
 
     serve(scenario)

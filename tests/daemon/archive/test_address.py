@@ -24,9 +24,9 @@ def test_a_database_and_an_installation_behind_it():
 @pytest.mark.parametrize(
     ("text", "part"),
     [
-        ("postgresql://db.plant", "is no address of an archive"),
-        ("postgresql://db.plant/a/b", "is no address of an archive"),
-        ("mysql://db.plant/a", "is no address of an archive"),
+        ("postgresql://db.plant", "is not an address of an archive"),
+        ("postgresql://db.plant/a/b", "is not an address of an archive"),
+        ("mysql://db.plant/a", "is not an address of an archive"),
         ("postgresql://db.plant:port/a", "an archive is postgresql://USER@HOST/DATABASE"),
         ("postgresql://me:secret@db.plant:port/a", "an archive is postgresql://USER@HOST/DATABASE"),
         ("postgresql://me:secret@db..plant/a", "a part of the host's name is empty or longer than 63 letters"),
@@ -61,7 +61,7 @@ def test_what_no_wait_can_mend_is_none_that_does_not_answer(query, part):
 def test_a_host_of_the_environment_that_has_no_name_is_one_sentence(monkeypatch):
     pytest.importorskip("psycopg")
     monkeypatch.setenv("PGHOST", "db..plant")
-    with pytest.raises(ArchiveError, match="is no address of a database"):
+    with pytest.raises(ArchiveError, match="is not an address of a database"):
         connected(parse_archive("postgresql:///plant"), "a test")
 
 

@@ -53,7 +53,7 @@ def test_a_package_that_cannot_be_imported_is_named(offered):
 
 def test_a_module_of_other_contents_is_named(offered):
     offered("acme", "empty", "")
-    with pytest.raises(PluginError, match='"empty" of the package acme is no module with SETTINGS and build'):
+    with pytest.raises(PluginError, match='"empty" of the package acme is not a module with SETTINGS and build'):
         load(LAWS, "empty")
 
 

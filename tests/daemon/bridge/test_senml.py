@@ -146,7 +146,7 @@ def test_a_pack_with_any_value_replaced_is_decoded_or_refused_and_raises_nothing
         ({"monotonic": None}, "no record monotonic"),
         ({"simulated": {"n": "simulated", "vb": 1}}, "neither true nor false"),
         ({"simulated": None}, "no record simulated"),
-        ({"calibration": {"n": "calibration", "vs": 20220320}}, "calibration that is no identifier"),
+        ({"calibration": {"n": "calibration", "vs": 20220320}}, "calibration that is not an identifier"),
         ({"session": {"n": "session", "vs": 5}}, "session that is not"),
     ],
 )

@@ -182,7 +182,7 @@ def test_a_store_that_cannot_be_made_is_a_problem(heliocube, tmp_path):
     path.write_text(f'[store]\ndirectory = "{tmp_path / "file" / "records"}"\n')
     code, _, err = heliocube("config", "check", path)
     assert code == 2
-    assert f"store.directory: {tmp_path / 'file'} is no folder" in err
+    assert f"store.directory: {tmp_path / 'file'} is not a folder" in err
 
 
 def test_the_store_of_a_unit_s_file_without_a_folder_is_where_its_unit_keeps_it(heliocube, tmp_path, monkeypatch):
@@ -207,7 +207,7 @@ def test_probe_tells_every_instrument_that_does_not_answer_and_what_else_is_wron
     )
     code, out, err = heliocube("config", "check", "--role", "tracker", "--probe", path)
     assert (code, out) == (2, "")
-    assert f"store.directory: {tmp_path / 'records'} is no folder" in err
+    assert f"store.directory: {tmp_path / 'records'} is not a folder" in err
     assert "positioner: there is no /dev/no-such-positioner: is it plugged in and powered?; cable" in err
     assert "load: there is no /dev/no-such-load" in err
     path.write_text("")

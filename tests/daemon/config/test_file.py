@@ -262,7 +262,7 @@ def test_paths_are_meant_from_the_folder_of_the_file(load, tmp_path):
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("[site]\nname = SIRTA", "line 2, column 8: invalid value in: name = SIRTA (text stands in quotes;"),
+        ("[site]\nname = SIRTA", "line 2, column 8: invalid value in: name = SIRTA (text needs quotes;"),
         ("x = 48,7", "line 1, column 7: expected newline"),
         (
             "[store]\ndirectory = 'a'\ndirectory = 'b'",

@@ -47,9 +47,7 @@ def test_comments_and_order_stay_and_the_old_file_too(file):
     before = load_settings(path)
     old = path.with_name(BEFORE)
     told = migrate(path)
-    assert told == (
-        f"{path} is in today's form: its tracker is named roof, law.name is law.driver now; the old one is {old}"
-    )
+    assert told == (f"{path} is updated: its tracker is named roof, law.name is law.driver now; the old one is {old}")
     assert path.read_text() == OLDER.replace('name = "flat"', 'driver = "flat"') + '\n[[tracker]]\nname = "roof"\n'
     assert old.read_text() == OLDER
     assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE(old.stat().st_mode) == 0o640
@@ -62,7 +60,7 @@ def test_a_file_that_is_in_todays_form_is_left_alone(file):
     migrate(path)
     text = path.read_text()
     path.with_name(BEFORE).unlink()
-    assert migrate(path) == f"{path} needs nothing: it is in today's form"
+    assert migrate(path) == f"{path} is up to date: nothing was changed"
     assert path.read_text() == text
     assert not path.with_name(BEFORE).exists()
 
@@ -96,9 +94,9 @@ def test_an_old_file_that_is_kept_already_is_not_overwritten(file):
 
 def test_an_upgrade_gives_keys_their_names_and_a_tracker_none(file):
     path = file(OLDER)
-    assert migrate(path, keys_only=True).startswith(f"{path} is in today's form: law.name is law.driver now; ")
+    assert migrate(path, keys_only=True).startswith(f"{path} is updated: law.name is law.driver now; ")
     assert path.read_text() == OLDER.replace('name = "flat"', 'driver = "flat"')
-    assert migrate(path, keys_only=True) == f"{path} needs nothing: it is in today's form"
+    assert migrate(path, keys_only=True) == f"{path} is up to date: nothing was changed"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="what is synced is seen in /proc")

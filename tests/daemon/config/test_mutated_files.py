@@ -167,10 +167,10 @@ def test_every_nasty_value_ends_with_code_2_or_is_none(tmp_path, monkeypatch, ca
 def test_what_is_no_ordinary_file_is_not_waited_for(tmp_path):
     pipe = tmp_path / "heliocube.toml"
     os.mkfifo(pipe)
-    with pytest.raises(ConfigError, match="the file is no ordinary one, but a device or a pipe"):
+    with pytest.raises(ConfigError, match="the file is not an ordinary one, but a device or a pipe"):
         load_settings(pipe)
     config = tmp_path / "config.toml"
     for key in ("bridge.key_file", "api.token_file", "mqtt.credentials_file", "cube.calibration_file"):
         config.write_text(f"{key} = 'heliocube.toml'\n")
-        with pytest.raises(ConfigError, match="no ordinary"):
+        with pytest.raises(ConfigError, match="not an ordinary"):
             check_file(config)

@@ -23,7 +23,8 @@ MISTAKES = {
         "instruments.cube.west.serial = 7: is the serial number of the east sensor already; look at the two type plates"
     ),
     "make = 'apogee'\n[instruments.cube.east]\nserial = 7": (
-        'instruments.cube.east.serial = 7: cannot be checked: a sensor of make "apogee" does not tell it; leave it out'
+        'instruments.cube.east.serial = 7: cannot be checked: a sensor of make "apogee" does not report it;'
+        " leave it out"
     ),
     "make = 'map'\n[instruments.cube.map]\nfunction = 5": ("instruments.cube.map.function = 5: must be 3 or 4"),
     "make = 'map'\n[instruments.cube.map]\nregister_number = 65535": (

@@ -146,7 +146,7 @@ def test_a_calibration_is_not_overwritten(tmp_path):
     ("change", "message"),
     [
         (("10.4", "10.5"), "has been edited"),
-        (("10.4", "nan"), r"zenith.gain_w_m2_per_mv: Input should be a finite number; calibrate anew"),
+        (("10.4", "nan"), r"zenith.gain_w_m2_per_mv: Input should be a finite number; calibrate again"),
         (("[zenith]", "[zenit]"), "zenith: Field required"),
         (("[zenith]", "[zenith"), "cannot be read"),
     ],
@@ -193,8 +193,8 @@ def test_expiry_is_told_once_beforehand_and_once_when_it_comes(caplog):
             watch.check((EXPIRES + timedelta(days=days)).timestamp(), 0.0)
     texts = [event.text for event in told]
     assert [text.split(" ", 3)[3] for text in texts] == [
-        "expires on 2024-03-20; calibrate the cube anew",
-        "expired on 2024-03-20; calibrate the cube anew",
+        "expires on 2024-03-20; calibrate the cube again",
+        "expired on 2024-03-20; calibrate the cube again",
     ]
     assert [record.getMessage() for record in caplog.records] == texts
 

@@ -276,7 +276,7 @@ def test_faces_that_a_wrong_clock_condemned_are_used_again_when_it_is_synchronis
     assert day.doubted()
     day.clock.off_s = 0.0
     day.minutes(60)
-    assert day.doubted(), "nothing tells that the new time is right"
+    assert day.doubted(), "nothing confirms the new time"
     day.synchronised = True
     day.minutes(2)
     assert day.doubted() == []

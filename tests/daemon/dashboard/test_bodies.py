@@ -78,7 +78,7 @@ def test_what_is_no_service_of_heliocube_is_not_said_to_have_done_anything(monke
                 house.services[NAMES[0]], "answer", lambda _, text=answer: httpx.Response(200, content=text)
             )
             found = (await house.browser.post("/stow-all", json={})).json()["results"]
-            sentence = "what answers there is no service of heliocube: see dashboard.services"
+            sentence = "what answers is not a service of heliocube: see dashboard.services"
             assert found[0] == {"service": NAMES[0], "accepted": False, "status": 502, "text": sentence}
             reply = await house.order()
             assert (reply.status_code, reply.json()) == (502, {"error": sentence})

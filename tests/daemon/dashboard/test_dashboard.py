@@ -160,8 +160,8 @@ def test_wrong_tokens_are_refused_in_a_sentence_and_not_tried_for_ever():
         for given, status, words in [
             ({"token": TOKEN, "by": ""}, 400, "say who you are"),
             ({"token": TOKEN, "by": "a\nb"}, 400, "say who you are"),
-            ({"token": "short", "by": "ana"}, 400, "that is no token"),
-            ({"token": 7, "by": "ana"}, 400, "that is no token"),
+            ({"token": "short", "by": "ana"}, 400, "that is not a token"),
+            ({"token": 7, "by": "ana"}, 400, "that is not a token"),
         ]:
             reply = await house.browser.post("/login", json=given)
             assert (reply.status_code, words in reply.json()["error"]) == (status, True)

@@ -107,7 +107,7 @@ def test_what_is_no_answer_of_an_archive_is_a_trouble_until_one_comes(tmp_path, 
         service.keep(pose(0), run=run)
         link.answers = [payload.replace(b"RUN", run.id.encode())]
         await service.send_for(5.0)
-        assert link.troubles["archive answer"] == f"what comes on {KEPT} is no answer of an archive"
+        assert link.troubles["archive answer"] == f"the message on {KEPT} is not an answer of an archive"
         await service.send_for(60.0)
         assert link.troubles["archive answer"] is None
         assert link.kept == {(run.id, 0)}

@@ -42,7 +42,7 @@ async def is_told_once_and_tracks(rig, log_lines, sentence, mode=Mode.TRACKING):
     ("mqtt", "sentence"),
     [
         ({}, "nothing listens at 127.0.0.1:1"),
-        ({"host": "no-such-host.invalid"}, "mqtt.host: the name no-such-host.invalid is not known here"),
+        ({"host": "no-such-host.invalid"}, "mqtt.host: the name no-such-host.invalid cannot be resolved"),
         ({"tls": True, "ca_file": Path("/none.pem")}, "mqtt.ca_file: there is no file /none.pem"),
         (
             {"credentials_file": Path("/none")},
@@ -66,7 +66,7 @@ def test_a_link_that_cannot_be_is_told_once_and_the_service_tracks_on(scaled, lo
 @pytest.mark.parametrize(
     ("file", "sentence"),
     [
-        ("other-ca.pem", "has a certificate that mqtt.ca_file does not stand for"),
+        ("other-ca.pem", "has a certificate that mqtt.ca_file does not confirm"),
         ("broker.key", "has no certificates in PEM form"),
     ],
 )
@@ -86,7 +86,7 @@ def test_a_wrong_discovery_prefix_costs_home_assistant_only(broker, scaled, log_
         rig = broker_rig(broker.port, mqtt={"discovery_prefix": "ha/+"})
         async with observer(broker.port) as lab, serving(rig):
             await is_told_once_and_tracks(
-                rig, log_lines, "so Home Assistant is told nothing: correct it and start again"
+                rig, log_lines, "so Home Assistant receives nothing: correct it and start again"
             )
             state = await lab.until(f"{BASE}/state", lambda found: found["mode"]["name"] == "tracking")
             assert "'ha/+' has a wildcard" in state["mqtt"]["troubles"][0]
@@ -112,9 +112,9 @@ def test_a_wrong_topic_of_the_bridge_costs_its_scans_only(broker, scaled, log_li
     ("inputs", "sentence"),
     [
         ({"wind": {"topic": "dome/#"}}, "mqtt.wind.topic: 'dome/#' has a wildcard"),
-        ({"wind": {"topic": "dome/one", "json_path": "a..b"}}, "mqtt.wind.json_path: 'a..b' is no path"),
+        ({"wind": {"topic": "dome/one", "json_path": "a..b"}}, "mqtt.wind.json_path: 'a..b' is not a path"),
         ({"safe": {"topic": "dome/+", "stale_s": 150}}, "mqtt.safe.topic: 'dome/+' has a wildcard"),
-        ({"safe": {"topic": "dome/one", "stale_s": 150, "json_path": "."}}, "mqtt.safe.json_path: '.' is no path"),
+        ({"safe": {"topic": "dome/one", "stale_s": 150, "json_path": "."}}, "mqtt.safe.json_path: '.' is not a path"),
         (
             {"safe": {"topic": "dome/one", "stale_s": 150, "json_path": "no.where"}},
             "the message has nothing at no.where",
@@ -157,16 +157,16 @@ def test_the_program_starts_with_wrong_topics_and_says_so_in_api_and_status_and_
         "[mqtt.wind]\ntopic = 'weather/#'\n[mqtt.safe]\ntopic = 'dome'\njson_path = 'a.'\nstale_s = 86400\n"
     )
     ends = "and silence of 86400 s stows: correct it and start again"
-    no_wind, no_word = f"no wind is heard over MQTT, {ends}", f"no word for safe is heard, {ends}"
+    no_wind, no_word = f"no wind speed is received over MQTT, {ends}", f"no word for safe is received, {ends}"
     sentences = [
         f"mqtt.wind.topic: 'weather/#' has a wildcard, and a topic has none; so {no_wind}",
-        f"mqtt.safe.json_path: 'a.' is no path such as wind.speed or sensors.0.speed; so {no_word}",
+        f"mqtt.safe.json_path: 'a.' is not a path such as wind.speed or sensors.0.speed; so {no_word}",
     ]
 
     async def scenario():
         async with observer(broker.port, f"{BASE}/#") as lab:
             state = await lab.until(
-                f"{BASE}/state", lambda found: "waiting for the first word" in found["mode"]["why"], within_s=60
+                f"{BASE}/state", lambda found: "waiting for the first message" in found["mode"]["why"], within_s=60
             )
             assert state["mqtt"]["troubles"] == sentences
             for sentence in sentences:

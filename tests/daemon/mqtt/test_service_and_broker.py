@@ -320,7 +320,7 @@ def test_tls_with_the_right_authority_and_certificate_connects_and_a_wrong_one_i
         async with serving(right):
             await until(lambda: right.mqtt.status.connected, "the link")
         for mqtt, part in [
-            ({"ca_file": CERTIFICATES / "other-ca.pem", **own}, "certificate that mqtt.ca_file does not stand for"),
+            ({"ca_file": CERTIFICATES / "other-ca.pem", **own}, "certificate that mqtt.ca_file does not confirm"),
             ({"ca_file": CERTIFICATES / "broker.key", **own}, "mqtt.ca_file"),
             ({"ca_file": CERTIFICATES / "none.pem", **own}, "mqtt.ca_file"),
             ({"ca_file": CERTIFICATES / "ca.pem"}, f"127.0.0.1:{broker.port}"),

@@ -35,7 +35,7 @@ def test_each_tracker_has_its_own_topics_commands_and_device(broker, scaled):
                 assert (state["tracker"]["connected"], state["tracker"]["name"]) == (True, "east")
                 await lab.say("heliocube/west/command/hold", {"tracker": "east"})
                 refused = await lab.until("heliocube/west/reply", lambda reply: not reply["accepted"])
-                assert refused["text"] == "there is no tracker 'east' here, but west"
+                assert refused["text"] == "there is no tracker 'east'; the trackers are west"
                 for name in ("east", "west"):
                     modes = [json.loads(message.payload) for message in lab.on(f"heliocube/{name}/mode")]
                     assert {mode["tracker"] for mode in modes} == {name}

@@ -128,4 +128,4 @@ def test_a_way_that_hangs_is_told_and_gets_no_more_before_it_has_returned(hung, 
             await asyncio.sleep(0.01)
 
     asyncio.run(scenario())
-    assert "has not returned within 0.05 s" in caplog.text
+    assert "has not ended within 0.05 s" in caplog.text

@@ -125,7 +125,7 @@ def test_many_trackers_book_the_day_that_has_ended_one_after_the_other(tmp_path)
 def test_a_file_that_cannot_be_read_is_said_and_counted_anew(tmp_path, caplog):
     (tmp_path / "received.json").write_text('{"day": 1, "known_s": -3}')
     assert today(tmp_path).today.known_s == 0.0
-    assert "counted anew" in caplog.text
+    assert "counted from zero again" in caplog.text
 
 
 @pytest.mark.parametrize(("law", "least", "most"), [("chronometric", -0.01, 0.005), ("flat", -0.9, -0.1)])

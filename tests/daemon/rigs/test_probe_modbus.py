@@ -107,7 +107,7 @@ def test_a_sensor_that_is_silent_when_its_error_is_to_be_cleared_is_named():
                 bus.core.sensors.clear()
 
     bus.said = Said()
-    with pytest.raises(DeadlineError, match=r"^cube: address 1 answers no more: is it on still\?"):
+    with pytest.raises(DeadlineError, match=r"^cube: address 1 no longer answers: is it still on\?"):
         bus.run(lambda probe: probe.report(range(1, 2), clear=True))
 
 
@@ -162,7 +162,7 @@ def test_a_sensor_that_is_silent_when_its_address_is_written_is_named():
             return answer
 
     person = Unplugging(bus, [[SimulatedHukseflux(7, 101, bright)]])
-    with pytest.raises(DeadlineError, match=r"^cube: address 7 answers no more"):
+    with pytest.raises(DeadlineError, match=r"^cube: address 7 no longer answers"):
         bus.run(lambda probe: probe.set_addresses(person, range(1, 9)))
 
 

@@ -64,7 +64,7 @@ def test_without_a_name_all_are_meant_those_of_the_cube_too(serve):
     [
         ({"alarm": "reference"}, 409, "the alarm reference is not on: shown are stow-wanted"),
         ({"alarm": "tea"}, 422, "there is no alarm 'tea': shown are stow-wanted"),
-        ({"tracker": "east"}, 422, "there is no tracker 'east' here, but tracker"),
+        ({"tracker": "east"}, 422, "there is no tracker 'east'; the trackers are tracker"),
         ({"alarm": 3}, 400, '"alarm" must be one line of text with at most 200 letters'),
     ],
 )

@@ -58,7 +58,7 @@ def test_a_driver_of_which_too_many_calls_never_return_ends_the_service_at_rest_
 
         getattr(rig, instrument).open = hung
         getattr(rig.cables, instrument).link_up = False
-        ended = "the service ends, and has to be started anew"
+        ended = "the service ends and must be restarted"
         await rig.until(lambda: any(ended in event.text for event in rig.of(Event)), 30, "the end")
         if instrument != "positioner":
             await asyncio.sleep(2)
@@ -67,7 +67,7 @@ def test_a_driver_of_which_too_many_calls_never_return_ends_the_service_at_rest_
             assert rig.truth() == before
             assert rig.of(Move)[-1].outcome is MoveOutcome.INTERRUPTED
 
-    with pytest.raises(UserError, match=rf"{instrument}: 8 calls .* never returned: the service ends, and has to be"):
+    with pytest.raises(UserError, match=rf"{instrument}: 8 calls .* never returned: the service ends and must be"):
         run_rig(scenario)
 
 

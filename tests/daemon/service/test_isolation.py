@@ -66,7 +66,10 @@ def test_a_law_that_raises_a_driver_that_hangs_and_one_that_fails_are_unseen_by_
         assert "the law sun-vector has failed (DefectError: out of range)" in alarms_of(rig, "law")["law-failed"]
         assert {each.law for each in later if each.tracker == "law"} == {"chronometric"}
         assert "a call of its driver has not returned for" in alarms_of(rig, "hung")["driver-hung"]
-        assert "DefectError: out of range: the tracker driver is out of work" in alarms_of(rig, "driver")["driver-hung"]
+        assert (
+            "DefectError: out of range: the tracker driver is neither moved nor stowed"
+            in alarms_of(rig, "driver")["driver-hung"]
+        )
 
         sent = {}
         for name, core in zip(("law", "hung", "driver", "t4"), rig.cables.others, strict=True):

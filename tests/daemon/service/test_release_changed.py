@@ -9,7 +9,7 @@ from daemon.service.operator import Operator
 from tests.daemon.tracker.days import FEWER_SCANS
 from tests.support.rig import ServiceRig
 
-CHANGED = "the program was changed from 0.1.0 to 0.2.0, and nobody has looked yet"
+CHANGED = "the program was changed from 0.1.0 to 0.2.0, and nobody has checked the tracker since"
 
 
 @pytest.fixture

@@ -104,7 +104,7 @@ def test_a_stop_without_a_name_is_for_all_and_other_commands_ask_for_one(run_rig
         assert modes(rig) == [Mode.HOLD] * 2
         with pytest.raises(CommandError, match="'auto' needs the name of a tracker, one of east, west"):
             await give(rig, "auto")
-        with pytest.raises(CommandError, match="there is no tracker 'north' here, but east, west"):
+        with pytest.raises(CommandError, match="there is no tracker 'north'; the trackers are east, west"):
             await give(rig, "auto", tracker="north")
         await give(rig, "auto", tracker="east")
         await rig.until(lambda: modes(rig) == [Mode.TRACKING, Mode.HOLD], 120, "the release of one")
@@ -201,7 +201,7 @@ def test_a_driver_that_hangs_for_good_costs_its_own_tracker_and_not_the_service(
         await rig.until(lambda: rig.service.trackers[1].alarms.active, 120, "the alarm")
         (alarm,) = rig.service.trackers[1].alarms.active
         assert alarm.name == "driver-hung"
-        assert "the tracker west is out of work until the service is started anew" in alarm.text
+        assert "the tracker west is neither moved nor stowed until the service is restarted" in alarm.text
         await asyncio.sleep(900)
         assert modes(rig) == [Mode.TRACKING, Mode.FAULT]
         assert [event.tracker for event in rig.of(Event) if event.subject == "service"] == ["west"]

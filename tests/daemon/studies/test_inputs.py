@@ -15,5 +15,5 @@ def test_a_table_that_is_packed_otherwise_than_with_gzip_is_refused_with_what_to
     path.write_bytes(b"damaged")
     with pytest.raises(UserError) as refused:
         read(path)
-    remedy = "cannot be read as it is packed: unpack it, or pack the table alone with gzip (.gz)"
+    remedy = "is packed in a way that cannot be read: unpack it, or pack the table alone with gzip (.gz)"
     assert str(refused.value) == f"{path} {remedy}"

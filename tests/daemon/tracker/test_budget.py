@@ -55,7 +55,7 @@ def test_the_last_move_and_the_last_degree_are_allowed_and_no_more(moves, each_d
     why = budget.refusal(next_deg)
     assert (why is not None) == refused
     if refused:
-        assert why.startswith(f"the laws have used up what they may move in a day: {account}")
+        assert why.startswith(f"the laws have used up the day's budget of motion: {account}")
         assert budget.texts == [why]
 
 
@@ -65,7 +65,9 @@ def test_the_last_move_and_the_last_degree_are_allowed_and_no_more(moves, each_d
 def test_the_last_quarter_of_either_is_kept_for_the_sun_and_that_is_told(moves, each_deg, kept):
     budget = Budget().spend(moves, each_deg)
     assert budget.is_for_the_sun == kept
-    assert [text[:55] for text in budget.texts] == ["three quarters of what the laws may move in a day are u"] * kept
+    assert [text.partition(" (")[0] for text in budget.texts] == [
+        "three quarters of the day's budget of motion are used"
+    ] * kept
 
 
 def test_a_day_is_the_suns_and_begins_with_nothing_used():
@@ -88,4 +90,4 @@ def test_what_was_used_is_kept_over_a_restart_and_so_is_that_a_day_has_begun(tmp
 def test_what_cannot_be_read_is_counted_anew_and_said(tmp_path, caplog):
     (tmp_path / "day.json").write_text('{"day": 19000, "moves": -1}')
     assert left(Budget(tmp_path)) == (100, 400.0)
-    assert "the moves of the day are counted anew" in caplog.text
+    assert "the moves of the day are counted from zero again" in caplog.text

@@ -26,7 +26,7 @@ def test_no_law_moves_more_often_than_the_day_allows_and_that_is_told_once(run_r
     async def scenario(rig):
         await asyncio.sleep(1500)
         assert len(rig.of(Move)) == 3
-        assert alarms(rig)["day-budget"].startswith("the laws have used up what they may move in a day: 3 moves of 3")
+        assert alarms(rig)["day-budget"].startswith("the laws have used up the day's budget of motion: 3 moves of 3")
         await operator(rig).goto(10, 60, "people are not limited")
         await at_rest(rig)
         assert rig.truth() == at(10, 60)
@@ -44,7 +44,7 @@ def test_the_last_quarter_of_the_day_s_travel_follows_the_sun_by_the_clock(run_r
     async def scenario(rig):
         await asyncio.sleep(4000)
         said = alarms(rig)["day-budget"]
-        assert said.startswith("three quarters of what the laws may move in a day are used (")
+        assert said.startswith("three quarters of the day's budget of motion are used (")
         assert "of 110): the rest is kept for following the sun by the clock; see motion.moves_per_day" in said
         assert rig.mode is Mode.TRACKING
 

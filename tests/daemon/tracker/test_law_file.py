@@ -19,4 +19,4 @@ def test_a_law_that_has_learned_nothing_leaves_what_is_there(tmp_path):
 def test_what_cannot_be_read_is_learned_anew_and_said(tmp_path, caplog):
     (tmp_path / FILE_NAME).write_text('{"albedo": ')
     assert LawFile(StateFolder(tmp_path)).load() is None
-    assert "learned.json cannot be used: what was learned of the site is learned anew" in caplog.text
+    assert "learned.json cannot be used: the law learns the site again from the beginning" in caplog.text

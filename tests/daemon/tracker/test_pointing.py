@@ -271,7 +271,7 @@ def test_a_move_is_worth_its_way_beyond_the_deadband_and_from_a_place_that_is_kn
     ("build", "words"),
     [
         (lambda: None, "the law flat cannot be built: TypeError: .* takes 0 positional arguments but 2 were given"),
-        (lambda _settings, _tracker: None, "what the law flat builds is no law but None"),
+        (lambda _settings, _tracker: None, "what the law flat builds is not a law but None"),
     ],
 )
 def test_a_law_that_cannot_be_built_is_refused_in_a_sentence(monkeypatch, build, words):

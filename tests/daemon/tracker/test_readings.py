@@ -159,7 +159,7 @@ def test_without_the_zenith_face_and_with_the_clock_in_doubt_nothing_tells_day_f
     rig = Rig(Believing(believes=False))
     rig.minutes(9.0, bad=("zenith",))
     data, why, _ = rig.judge(sun_known=False)
-    assert (data, why) == (Data.BAD, "neither the zenith face nor the clock tells day from night")
+    assert (data, why) == (Data.BAD, "neither the zenith face nor the clock shows whether it is day or night")
 
 
 def test_a_zenith_face_that_is_not_believed_makes_no_night_while_the_sun_is_up():

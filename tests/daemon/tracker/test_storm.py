@@ -62,7 +62,7 @@ def test_nothing_is_tracked_before_the_wind_has_been_heard(run_rig):
         rig.wind_m_s = None
         await asyncio.sleep(120)
         assert rig.mode is Mode.STARTING
-        assert rig.control.why == "waiting for the first word of wind"
+        assert rig.control.why == "waiting for the first message of wind"
         rig.wind_m_s = 3.0
         await rig.until_mode(Mode.TRACKING, 10)
 

@@ -90,7 +90,7 @@ def test_all_reasons_are_told():
 def test_nothing_may_be_judged_safe_before_every_source_has_been_heard_once():
     rig = Rig()
     rig.look(0, roof=3)
-    assert rig.watch.waiting_why(0) == "waiting for the first word of field"
+    assert rig.watch.waiting_why(0) == "waiting for the first message of field"
     rig.look(5, field=3)
     assert rig.watch.waiting_why(5) is None
     rig.look(10, field=None)
@@ -201,7 +201,7 @@ def test_a_storm_is_kept_as_it_was_however_often_the_service_restarts_in_it(tmp_
 def test_what_cannot_be_read_stays_a_reason_over_restarts(tmp_path):
     (tmp_path / "safety.json").write_text("{")
     (first,) = Rig(tmp_path).look(0)
-    assert "nobody knows whether the tracker was stowed before the restart" in first
+    assert "it is not known whether the tracker was stowed before the restart" in first
     for _ in range(3):
         (again,) = Rig(tmp_path).look(0)
     assert again == f"stowed before the restart, since 2023-11-14T22:13:20.000Z: {first}"

@@ -107,7 +107,7 @@ def test_silence_and_noise_are_told_apart_anew_for_each_question():
     async def _(path, device):
         waiting = asyncio.create_task(path.exchange(READ, 1.0))
         await device.asked.acquire()
-        with pytest.raises(DeadlineError, match="sent something that is no answer"):
+        with pytest.raises(DeadlineError, match="sent something that is not an answer"):
             await waiting
         with pytest.raises(DeadlineError) as silent:
             await path.exchange(READ, MISSED_S)

@@ -151,7 +151,7 @@ def test_overcast_days_are_refused():
 def test_haze_from_which_the_level_cannot_be_told_is_refused():
     # The vertical faces' level is known to 2.6 %, where 2.5 % would do, and the zenith face's to 2.4 %.
     (clause,) = missing(*readings(SIRTA, ClearSky(SIRTA, (0.165,)), MAY, 4))
-    assert clause.startswith("clear sky that tells the level of the gains: it is known to 5.2 % (k = 2) only")
+    assert clause.startswith("clear sky that determines the level of the gains: it is known to 5.2 % (k = 2) only")
     assert "of a face from its certificate" in clause
 
 

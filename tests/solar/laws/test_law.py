@@ -48,7 +48,7 @@ def test_half_a_direction_or_one_without_a_length_is_none(law):
     aim = law(tracker()).aim(Moment(FORENOON, None, None))
     assert aim.target is None
     assert math.isnan(aim.elevation_deg)
-    assert aim.why == "the readings tell no direction"
+    assert aim.why == "the readings give no direction"
 
 
 def test_a_law_that_says_no_more_than_a_direction_keeps_nothing_and_stands_in_nobodys_way():

@@ -164,7 +164,9 @@ def test_a_move_that_the_day_does_not_allow_is_not_said_to_be_worth_nothing(limi
     law.book(0.0)
     aim = law.aim(Moment(NOON, None, Angles(-50.0, 15.0)))
     assert aim.target is None
-    assert re.fullmatch(r"\d+\.\d W/m2 to gain, but what the law may move in a day does not allow it \(.*\)", aim.why)
+    assert re.fullmatch(
+        r"\d+\.\d W/m2 to gain, but the law's budget of motion for the day does not allow it \(.*\)", aim.why
+    )
 
 
 def test_the_settings_reach_the_law():

@@ -86,7 +86,8 @@ class Reporting:
             late = islice(reversed(plant.records), _LATE_RECORDS)
             if not blocked and not any(_reports(record, begun_s) for record in late):
                 self._fails(
-                    "unreported", f"from {begun_s:.1f} s on an axis turned {turned_deg:.1f} deg, and nobody was told"
+                    "unreported",
+                    f"from {begun_s:.1f} s on an axis turned {turned_deg:.1f} deg, and nothing was reported",
                 )
 
     def forget(self) -> None:

@@ -224,7 +224,7 @@ def test_a_face_with_a_reference_holds_the_level_of_the_others(heliocube, tmp_pa
     assert made.zenith.gain_uncertainty_percent < 0.7 < 2.0 < made.east.gain_uncertainty_percent
     words = " ".join(told.split())
     assert "The level of the gains is held by the gain of zenith (U 0.5 %), and by the clear-sky model." in words
-    assert "The model alone tells the vertical faces from that." in words
+    assert "From that the model alone gives the vertical faces." in words
 
 
 def test_readings_of_another_calibration_are_refused(heliocube, tmp_path):
@@ -260,7 +260,7 @@ def test_a_field_calibration_that_the_readings_cannot_support_says_what_is_missi
         ({"reference": "time,ghi\n2022-03-11T12:00Z,nan\n"}, "has no reading in its column ghi"),
         ({"reference": "time,ghi\n2022-03-11T12:00Z,-9999\n"}, "has 1 impossible value, taken as missing"),
         ({"reference": "\n \ntime,ghi\n\n2022-03-11T12:00Z,1\n\n\n2022-03-11T12:01Z,much\n"}, "line 8: ghi is 'much'"),
-        ({"reference": "time,ghi\nnoon,1\n"}, "line 2: 'noon' is no time such as"),
+        ({"reference": "time,ghi\nnoon,1\n"}, "line 2: 'noon' is not a time such as"),
         ({"reference": "time,ghi\n2022-03-11T12:00Z,1\n2022-03-11T12:00Z,2\n"}, "line 3: the time does not come after"),
         ({"reference": "time,ghi\n2021-03-11T12:00Z,1\n2021-03-11T12:01Z,2\n"}, "reference and sensors do not overlap"),
         ({"sensors": "time,east_mv\n2022-03-11T12:00Z,1\n"}, "needs the columns east_mv, south_mv, west_mv, zenith_mv"),

@@ -206,7 +206,7 @@ ROW = "2022-10-12T10:00:00Z,{},50"
         ("time,tracker,pmpp_w", [], "holds no measurements"),
         ("time,tracker,pmpp_w", [ROW.format("T-Cube")], "no powers of 'T-Chrono', only of 'T-Cube'"),
         ("time,tracker,pmpp_w", ["2022-10-12T10:00:00Z,T-Cube,fifty"], "row 1: pmpp_w is 'fifty'"),
-        ("time,tracker,pmpp_w", ["noon,T-Cube,50"], "row 1: 'noon' is no time"),
+        ("time,tracker,pmpp_w", ["noon,T-Cube,50"], "row 1: 'noon' is not a time"),
         (
             "time,tracker,pmpp_w,simulated",
             ["2022-10-12T10:00:00Z,T-Cube,50,perhaps"],

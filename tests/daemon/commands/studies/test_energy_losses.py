@@ -153,9 +153,12 @@ def test_weather_that_nobody_measured_is_marked(monkeypatch, short_weather, tmp_
 @pytest.mark.parametrize(
     ("more", "reason"),
     [
-        (("--laws", "optimal,mu-prime"), "--losses: it tells of optimal and optimal:THRIFT only, not of mu-prime"),
-        (("--laws", "bound"), "not of bound"),
-        (("--peak-kw", 1, "--price", 1, "--drive-price", 1, "--drive-life-deg", 9), "--losses tells no money"),
+        (("--laws", "optimal,mu-prime"), "--losses is for optimal and optimal:THRIFT only, not for mu-prime"),
+        (("--laws", "bound"), "not for bound"),
+        (
+            ("--peak-kw", 1, "--price", 1, "--drive-price", 1, "--drive-life-deg", 9),
+            "--losses gives no amounts of money",
+        ),
         (("--sky", "rainbow"), "there is no sky 'rainbow'"),
     ],
 )

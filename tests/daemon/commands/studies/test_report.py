@@ -178,10 +178,10 @@ def test_nothing_is_overwritten_unasked(heliocube, store, tmp_path):
         ((), "name either --day DAY, or --from and --to"),
         (("--day", "2022-10-14", "--to", "2022-10-15"), "name either --day DAY, or --from and --to"),
         (("--from", "2022-10-14"), "--from and --to belong together"),
-        (("--day", "14 October"), "--day: '14 October' is no day; write 2022-10-14, yesterday or today"),
-        (("--day", "2022-13-14"), "--day: '2022-13-14' is no day"),
-        (("--day", "0001-01-01"), "--day: '0001-01-01' is no day"),
-        (("--day", "9999-12-31"), "--day: '9999-12-31' is no day"),
+        (("--day", "14 October"), "--day: '14 October' is not a day; write 2022-10-14, yesterday or today"),
+        (("--day", "2022-13-14"), "--day: '2022-13-14' is not a day"),
+        (("--day", "0001-01-01"), "--day: '0001-01-01' is not a day"),
+        (("--day", "9999-12-31"), "--day: '9999-12-31' is not a day"),
         (("--from", "0001-01-01T00:00+01:00", "--to", "2022-10-14"), "'0001-01-01T00:00+01:00' is not a date or time"),
         (("--from", "2022-10-14", "--to", "noon"), "--to: 'noon' is not a date or time"),
         (("--from", "2022-10-15", "--to", "2022-10-14"), "--from 2022-10-15 is not before --to 2022-10-14"),
@@ -263,7 +263,7 @@ def test_a_damaged_table_is_one_sentence(heliocube, tmp_path):
     asked = ("plot", "angles", "--tables", tmp_path, "--site", "48.7,0", "--out", tmp_path / "a.svg")
     code, _, said = heliocube(*asked)
     assert (code, said.count("\n")) == (2, 1)
-    assert f"{tmp_path / 'scans.csv'} is no table that can be read" in said
+    assert f"{tmp_path / 'scans.csv'} is not a table that can be read" in said
 
 
 @pytest.mark.parametrize(

@@ -115,12 +115,15 @@ def test_every_tracker_is_held_unless_a_person_has_asked_for_something(heliocube
     (tmp_path / "records" / "east" / "operator.json").write_text(json.dumps(stop))
     code, out, _ = heliocube("rollback", "-c", file, "--to", program(VERSION))
     assert code == 0
-    assert "east stays as persons have asked" in out
+    assert "east stays as a person has ordered" in out
     assert "west is held until 'heliocube auto'" in out
     assert json.loads((tmp_path / "records" / "east" / "operator.json").read_text()) == stop
     hold = json.loads((tmp_path / "records" / "west" / "operator.json").read_text())["hold"]
     assert hold["by"] == "heliocube"
-    assert hold["why"] == f"the program was changed back from {release()} to 0.0.9+4f1c, and nobody has looked yet"
+    assert (
+        hold["why"]
+        == f"the program was changed back from {release()} to 0.0.9+4f1c, and nobody has checked the tracker since"
+    )
 
 
 def test_on_the_machine_of_a_cube_nothing_is_held(heliocube, program, tmp_path, monkeypatch):

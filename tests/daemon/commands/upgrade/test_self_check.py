@@ -101,7 +101,7 @@ def test_a_service_that_nobody_hears_is_said_not_to_run(heliocube, config):
         (lambda path: None, f"version {VERSION}, ", True),
         (lambda path: set_version(path, VERSION - 1), f"makes it version {VERSION}", True),
         (lambda path: set_version(path, VERSION + 1), "written by a newer heliocube", False),
-        (lambda path: path.write_text("no store"), "no store of heliocube", False),
+        (lambda path: path.write_text("no store"), "is not a store of heliocube", False),
         (lambda path: path.rename(path.with_name("heliocube.20260101T000000Z.damaged.sqlite")), "store salvage", False),
     ],
 )

@@ -46,7 +46,7 @@ def test_each_line_is_a_site_with_its_weather(table, tmp_path):
         (("name,latitude,longitude", "x,1,2,3"), "line 2 has more cells than"),
         (("name,latitude,longitude", "x,1,2"), "line 2 has no weather: name its files there, or with --model"),
         (("name,latitude,longitude,weather", "x,1,2,no.csv"), "line 2: there is no weather file 'no.csv'"),
-        (("name,latitude,longitude,weather,year", "x,1,2,clear,soon"), r"'soon' is no year in 1950\.\.2100"),
+        (("name,latitude,longitude,weather,year", "x,1,2,clear,soon"), r"'soon' is not a year in 1950\.\.2100"),
         (("name,latitude,longitude,weather", "x,1,2,clear", "x,1,3,clear"), "has 'x' at two places"),
         (("name,latitude,longitude,weather", "x,1,2,clear", "x,1,2,clear"), "has 'x' twice with the same weather"),
     ],

@@ -243,7 +243,7 @@ def test_of_two_lines_one_may_be_gone(on_rig):
 
     gone, back = on_rig(pulled, **TWO_LINES)
     assert flaws(gone) == (None, None, "missing", "missing")
-    assert "is out of reach: is not plugged in" in gone.notes[0]
+    assert "cannot be reached: is not plugged in" in gone.notes[0]
     assert values(back) == pytest.approx(LIGHT)
 
 

@@ -105,7 +105,7 @@ def test_the_ends_of_its_range_are_no_values():
 
 
 def test_what_is_no_sr_is_refused():
-    with pytest.raises(WrongSensorError, match="no Hukseflux"):
+    with pytest.raises(WrongSensorError, match="is not a Hukseflux"):
         Hukseflux().identify((1, 0, 0), (0, 0, 100, 0), (0x4241, 0, 0, 0, 0))
 
 

@@ -124,18 +124,18 @@ def test_what_answers_and_cannot_be_it_is_told_at_once(wrong, said):
 def test_noise_is_no_silence():
     bus = Bus()
     sensor = bus.sensor()
-    bus.wrong = DeadlineError("cube", "sent something that is no answer")
+    bus.wrong = DeadlineError("cube", "sent something that is not an answer")
     assert bus.reads(sensor, 40).flaw == "missing"
-    assert sensor.note == "the south sensor (address 2) answers, but sent something that is no answer"
+    assert sensor.note == "the south sensor (address 2) answers, but sent something that is not an answer"
 
 
 def test_of_a_line_that_is_gone_no_sensor_answers_and_each_is_proven_anew():
     bus = Bus()
     sensor = bus.sensor()
     bus.reads(sensor)
-    assert sensor.lost("is out of reach: it is gone").flaw == "missing"
+    assert sensor.lost("cannot be reached: it is gone").flaw == "missing"
     assert not sensor.answers
-    assert sensor.note == "the south sensor (address 2) is out of reach: it is gone"
+    assert sensor.note == "the south sensor (address 2) cannot be reached: it is gone"
     bus.asked.clear()
     bus.reads(sensor)
     assert [register for _, register in bus.asked] == [PROOF.register, DATA.register]

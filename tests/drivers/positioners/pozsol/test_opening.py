@@ -256,7 +256,7 @@ def test_angles_and_positions_that_do_not_go_together_are_given_no_target():
 def test_one_that_stands_but_aims_elsewhere_takes_no_stop():
     async def scenario(positioner, unit, now):
         await positioner.open()
-        sentence = r"takes no stop: it stands, but is still to go from A \S+ to 300, B \S+ to \S+"
+        sentence = r"does not accept the stop: it stands, but still has to go from A \S+ to 300, B \S+ to \S+"
         await fails_after(positioner.halt(), now, 12.04, StillMovingError, sentence)
         times = [at_s for at_s, _ in unit.sent]
         assert times[1] - times[0] == pytest.approx(wire.COMMAND_SPACING_S, abs=0.05)

@@ -26,7 +26,7 @@ def test_a_destination_command_is_a_whole_number():
 def test_a_destination_with_a_minus_sign_leaves_neither_the_encoder_nor_the_last_gate(field):
     with pytest.raises(ValueError, match="from 0 on"):
         encode_command(field, -1)
-    with pytest.raises(ValueError, match="no command"):
+    with pytest.raises(ValueError, match="is not a command"):
         wire.require_allowed(b"$%c-1\r" % field)
 
 

@@ -94,7 +94,7 @@ def test_who_says_what_nobody_asked_is_no_rotctld():
     async def _(line, peer):
         peer.writer.write(POSITION)
         await peer.until(lambda: ("<", POSITION) in peer.tapped)
-        with pytest.raises(ProtocolError, match=r"127\.0\.0\.1:\d+ answers what nobody asked"):
+        with pytest.raises(ProtocolError, match=r"127\.0\.0\.1:\d+ sent an answer to no question"):
             await line.ask(b"+\\stop\n", GENEROUS_S)
 
 
@@ -105,7 +105,7 @@ def test_who_sends_without_end_is_no_rotctld():
         await peer.until_told(b"stop\n")
         peer.writer.write(b"SSH-2.0\r\n" * 4000)
         for asked in (waiting, line.ask(b"+\\stop\n", GENEROUS_S)):
-            with pytest.raises(ProtocolError, match=r"127\.0\.0\.1:\d+ is no rotctld: it sends without end"):
+            with pytest.raises(ProtocolError, match=r"127\.0\.0\.1:\d+ is not a rotctld: it sends without end"):
                 await asked
 
 
@@ -123,7 +123,7 @@ def test_an_end_of_the_connection_is_told_to_who_waits_and_to_who_asks_later():
 @pytest.mark.parametrize(
     ("fault", "sentence"),
     [
-        (ConnectionRefusedError(errno.ECONNREFUSED, "refused"), "nobody listens at there:1: is rotctld running there"),
+        (ConnectionRefusedError(errno.ECONNREFUSED, "refused"), "nothing listens at there:1: is rotctld running there"),
         (OSError(errno.ENETUNREACH, "Network is unreachable"), "there:1 cannot be reached: Network is unreachable"),
         (socket.gaierror(socket.EAI_NONAME, "unknown"), "there is no host there: is the name right"),
         (TimeoutError(), "there:1 does not answer: is the machine on, and the network"),

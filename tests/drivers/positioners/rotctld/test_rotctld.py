@@ -209,7 +209,7 @@ def test_a_killed_rotctld_is_a_lost_link_at_once_and_a_new_one_is_taken_up(start
         server.kill()
         with pytest.raises(LinkLostError, match="closed the connection"):
             await read_for_ever(driver)
-        with pytest.raises(ConnectError, match="nobody listens at 127"):
+        with pytest.raises(ConnectError, match="nothing listens at 127"):
             await driver.open()
         await asyncio.to_thread(server.start)
         await driver.open()
@@ -265,7 +265,7 @@ def test_a_rotator_that_its_rotctld_does_not_reach_is_said_with_the_remedy(start
     [
         (b"SSH-2.0-OpenSSH_9.2\r\n", "did not answer get_info"),
         (b"", "did not answer get_info"),
-        (b"RPRT 0\n", "answers without a name to get_info|answers what nobody asked"),
+        (b"RPRT 0\n", "answers without a name to get_info|sent an answer to no question"),
     ],
 )
 def test_what_is_no_rotctld_is_never_believed(run, greeting, sentence):
