@@ -162,7 +162,7 @@ class PositionerSettings(DriverSettings):
         2.0,
         ge=0.5,
         le=60,
-        description="Silence after which the positioner counts as lost; so long it is waited for at its opening too.",
+        description="Silence after which the positioner counts as lost; also the longest wait when it is opened.",
     )
     current_alarm_a: Positive = Field(
         1.6,

@@ -56,7 +56,7 @@ class BridgeSettings(Section):
         " another key that is accepted too. It is read again when it changes."
         " Left out: a new key at each start, which is enough for cube and tracker in one process.",
     )
-    insecure: bool = Field(default=False, description="Take and send unsigned scans. For a closed lab network only.")
+    insecure: bool = Field(default=False, description="Accept and send unsigned scans. For a closed lab network only.")
     accept_from: tuple[Host, ...] = Field(
         (), strict=False, description="Tracker: addresses of the cubes it listens to; empty is any."
     )
@@ -113,8 +113,8 @@ class DashboardSettings(Section):
 
     listen: ListenAddress = Field(
         DEFAULT_DASHBOARD,
-        description="Address and port to serve on. Everyone who reaches it can look; orders need a service's token,"
-        " which travels unencrypted beyond this machine unless a proxy with TLS is in front.",
+        description="Address and port to serve on. Everyone who reaches it can see everything; commands need a"
+        " service's token, which travels unencrypted beyond this machine unless a proxy with TLS is in front.",
     )
     services: tuple[SendAddress, ...] = Field(
         (),
@@ -135,8 +135,8 @@ class NotifySettings(Section):
     people_file: FilePath | None = Field(
         None,
         examples=["notify.people"],
-        description="File with whom to tell, mode 0600 or 0640, for it holds passwords: an address of apprise a line,"
-        " such as ntfy://ntfy.lab/roof or mailto://user:password@lab.example.",
+        description="File with the recipients, mode 0600 or 0640 because it holds passwords: one apprise address per"
+        " line, such as ntfy://ntfy.lab/roof or mailto://user:password@lab.example.",
     )
     services: tuple[SendAddress, ...] = Field(
         (),
@@ -145,7 +145,7 @@ class NotifySettings(Section):
         " names.",
     )
     dashboard: WebAddress | None = Field(
-        None, examples=["https://tracker.lab/"], description="What a message links to, as its readers reach it."
+        None, examples=["https://tracker.lab/"], description="Link in each message, as its readers can open it."
     )
     at_least: Literal["notice", "warning", "critical"] = Field(
         "warning", description="The least severity that is sent."
@@ -154,7 +154,7 @@ class NotifySettings(Section):
         None, examples=["22:00"], description="From this local time on only critical alarms are sent; others wait."
     )
     quiet_until: ClockTime | None = Field(
-        None, examples=["06:30"], description="At this local time what waited is sent, in one message."
+        None, examples=["06:30"], description="At this local time the messages that waited are sent as one."
     )
     most_per_hour: int = Field(
         20, ge=1, le=1000, description="Messages an hour to each address; more are gathered into one."
@@ -166,8 +166,8 @@ class NotifySettings(Section):
     heartbeat: WebAddress | None = Field(
         None,
         examples=["https://hc.example/ping/1234"],
-        description="Address that is asked (GET) again and again while this process works; a watch there calls you"
-        " when that stops.",
+        description="Address that is requested (GET) at regular intervals while this process works; a monitoring"
+        " service there alerts you when that stops.",
     )
     heartbeat_every_s: Duration = Field(300.0, ge=10, description="How often [s].")
 
@@ -186,13 +186,13 @@ class ArchiveSettings(Section):
     password_file: FilePath | None = Field(
         None,
         examples=["archive.password"],
-        description="File of one line, the user's password at the database, mode 0600 or 0640. Left out: as PGPASSFILE"
-        " has it.",
+        description="File of one line, the user's password at the database, mode 0600 or 0640. Left out: the"
+        " password in the file of PGPASSFILE.",
     )
     topics: tuple[TopicFilter, ...] = Field(
         ("+/+/records",),
         strict=False,
-        description="Which topics it listens to; + stands for one level. A prefix of two levels needs +/+/+/records.",
+        description="Topics that it subscribes to; + stands for one level. A prefix of two levels needs +/+/+/records.",
     )
     group: TopicLevel = Field(
         "heliocube", description="Processes with one group share the work: each page of records goes to one of them."
@@ -222,7 +222,7 @@ class WindInput(Section):
         None, examples=["weather/roof"], description="Topic with the wind speed. Left out: there is none."
     )
     json_path: JsonPath = Field(
-        "", description="Where the speed is in a JSON message; empty where the message is the number."
+        "", description="Path of the speed in a JSON message; empty if the message is the number itself."
     )
     unit: Literal["m/s", "km/h", "mph", "kn", "kt"] = Field("m/s", description="Unit of the speed.")
 
@@ -231,15 +231,17 @@ class SafeInput(Section):
     """Somebody on the broker who says whether it is safe to track, such as a weather station or a switch."""
 
     topic: Topic | None = Field(
-        None, examples=["dome/safety"], description="Topic with the word. Left out: there is none."
+        None, examples=["dome/safety"], description="Topic with the safe or unsafe message. Left out: there is none."
     )
     json_path: JsonPath = Field(
-        "", description="Where the word is in a JSON message; empty where the message is the word."
+        "", description="Path of the value in a JSON message; empty if the message is the value itself."
     )
-    safe: str = Field("safe", min_length=1, description="The word for safe; true, false and numbers are words too.")
-    unsafe: str = Field("unsafe", min_length=1, description="The word for unsafe.")
-    stale_s: Duration = Field(300.0, description="Time without the word for safe that counts as unsafe.")
-    stow_at_least_s: Duration = Field(900.0, description="Time that it must have been safe before stow ends.")
+    safe: str = Field(
+        "safe", min_length=1, description="The value that means safe; true, false and numbers are allowed too."
+    )
+    unsafe: str = Field("unsafe", min_length=1, description="The value that means unsafe.")
+    stale_s: Duration = Field(300.0, description="Time without a safe message that counts as unsafe.")
+    stow_at_least_s: Duration = Field(900.0, description="How long it must have been safe before stow ends.")
 
 
 class MqttSettings(Section):
@@ -284,12 +286,11 @@ class MqttSettings(Section):
         1000, ge=10, le=100_000, description="How many messages wait while the broker is away; the oldest go first."
     )
     commands: bool = Field(
-        default=True, description="Take commands. Whoever may write to the broker can move the tracker then."
+        default=True, description="Accept commands. Then everyone who may write to the broker can move the tracker."
     )
     dated_commands: bool = Field(
         default=False,
-        description='Take only commands that have an "id" and a "time" of their own, and each only once; but a stop'
-        " always.",
+        description='Accept only commands with an "id" and a "time", and each only once; a stop is always accepted.',
     )
     command_age_s: Duration = Field(
         30.0, description="Largest difference between the time of a command and the service's clock."

@@ -39,7 +39,7 @@ Edge = Annotated[float, Field(gt=0, le=100)]
 class SiteSettings(Section):
     """Where the rig stands. The default is the paper's: SIRTA, Palaiseau."""
 
-    name: str = Field("SIRTA", description="Name of the place, for people.")
+    name: str = Field("SIRTA", description="Name of the site, for display.")
     latitude_deg: float = Field(
         48.717607,
         ge=-90,
@@ -61,14 +61,14 @@ class FaceSettings(Section):
     gain_w_m2_per_mv: Positive = Field(
         10.0, le=1000, description="Gain. A sensor of 0.1 mV per W/m2, such as the RG100, has a gain of 10."
     )
-    offset_mv: float = Field(0.0, ge=-100, le=100, description="Voltage that the sensor gives in the dark.")
+    offset_mv: float = Field(0.0, ge=-100, le=100, description="Output voltage of the sensor in the dark.")
     azimuth_deg: Azimuth | None = Field(
         None,
         examples=[92.5],
-        description="Where the face truly looks, from north clockwise: 92.5 for an east face turned by 2.5."
-        " Left out: exactly where its name says.",
+        description="True azimuth of the face, clockwise from north: 92.5 for an east face turned by 2.5."
+        " Left out: exactly the direction of its name.",
     )
-    tilt_deg: float = Field(90.0, ge=0, le=180, description="Tilt of the face: 0 looks up, 90 at the horizon.")
+    tilt_deg: float = Field(90.0, ge=0, le=180, description="Tilt of the face: 0 faces up, 90 faces the horizon.")
 
 
 class CubeSettings(Section):
@@ -97,12 +97,12 @@ class CubeSettings(Section):
     self_test_channel: Channel | None = Field(
         None,
         examples=[7],
-        description="Multiplexer input that is short-circuited: read before each scan to prove switch and meter.",
+        description="Multiplexer input that is short-circuited: read before each scan to test multiplexer and meter.",
     )
     second_self_test_channel: Channel | None = Field(
         None,
         examples=[4],
-        description="Another such input, with all address lines the other way: only two together see every stuck line.",
+        description="Another such input, with all address lines inverted: only both together detect every stuck line.",
     )
     self_test_limit_mv: Positive = Field(
         0.5, le=100, description="Largest voltage of a short-circuited input that passes the self-test."
@@ -124,7 +124,7 @@ class WindowSettings(Section):
 
     mean_s: Duration = Field(120.0, description="Span of the newest readings that a decision averages.")
     decide_every_s: Duration = Field(
-        300.0, description="Time from one decision to the next; optimal looks every minute, whatever stands here."
+        300.0, description="Time from one decision to the next; optimal decides every minute, whatever this is set to."
     )
     minimum_coverage: float = Field(
         0.25,
@@ -158,13 +158,13 @@ class RowsSettings(Section):
         (),
         strict=False,
         max_length=1000,
-        description="How far east of one point the middle of each tracker's module is, such as [0, 5, 10].",
+        description="Distance east from one common point to the middle of each tracker's module, such as [0, 5, 10].",
     )
     north_m: tuple[Place, ...] = Field(
-        (), strict=False, max_length=1000, description="How far north of it, in the same order."
+        (), strict=False, max_length=1000, description="Distance north from that point, in the same order."
     )
     up_m: tuple[Place, ...] = Field(
-        (), strict=False, max_length=1000, description="How far above it; empty where the ground is level."
+        (), strict=False, max_length=1000, description="Height above that point; empty if the ground is level."
     )
     module_width_m: Edge | None = Field(
         None, examples=[2.0], description="Edge of the module that lies east to west when it is flat."
@@ -176,13 +176,13 @@ class RowsSettings(Section):
         3,
         ge=0,
         le=100,
-        description="Groups of cells with a bypass diode each, side by side across the width: shade on one takes all"
-        " of its power. 0 counts the shaded area alone.",
+        description="Groups of cells with a bypass diode each, side by side across the width: shade on any part"
+        " of one takes all of its power. 0 counts the shaded area alone.",
     )
     turn_back: Literal["if-it-pays", "always"] = Field(
         "if-it-pays",
-        description="When laws other than optimal, which weighs the shade itself, turn out of it: where all together"
-        " get more beam by that, or always.",
+        description="When laws other than optimal backtrack to avoid shade: only where all trackers together get more"
+        " beam that way, or always. Optimal weighs the shade itself.",
     )
 
     @property
@@ -229,7 +229,7 @@ class MotionSettings(Section):
     moves_per_day: int = Field(
         300, ge=1, le=10000, description="Moves in a solar day beyond which no law moves the tracker."
     )
-    attempts: int = Field(3, ge=1, le=10, description="Tries before a move is given up and a fault declared.")
+    attempts: int = Field(3, ge=1, le=10, description="Attempts before a move is given up and reported as a fault.")
     retry_after_s: Duration = Field(600.0, description="Time after a fault until moves are tried again.")
     rehome: Literal["operator", "automatic"] = Field(
         "operator", description="Who orders the reference run after the positioner has lost its reference."
@@ -239,13 +239,13 @@ class MotionSettings(Section):
 class SafetySettings(Section):
     """When not to track."""
 
-    scan_stale_s: Duration = Field(15.0, description="Age from which the newest scan is not used any more.")
+    scan_stale_s: Duration = Field(15.0, description="Age beyond which the newest scan is no longer used.")
     fallback_after_s: Duration = Field(60.0, description="Time without good readings after which the mode is fallback.")
     keep_pose_s: NotNegative = Field(
         300.0,
         le=900,
-        description="Time since the last good readings for which a tracker in fallback stays where they put it, before "
-        "it follows the sun by ephemeris: a short gap is not worth a swing to the sun and back.",
+        description="How long a tracker in fallback keeps its pose after the last good readings, before it follows "
+        "the sun by ephemeris: a short gap is not worth a move to the sun and back.",
     )
     night_below_w_m2: NotNegative = Field(5.0, le=200, description="Zenith irradiance below which night begins.")
     night_above_w_m2: NotNegative = Field(10.0, le=200, description="Zenith irradiance above which night ends.")
@@ -265,12 +265,12 @@ class SafetySettings(Section):
     )
     stow_wind_m_s: WindSpeed = Field(15.0, description="Wind speed from which the tracker is stowed.")
     release_wind_m_s: WindSpeed = Field(10.0, description="Wind speed below which stow may end.")
-    stow_at_least_s: Duration = Field(900.0, description="Time that the wind must have been calm before stow ends.")
+    stow_at_least_s: Duration = Field(900.0, description="How long the wind must have been calm before stow ends.")
     wind_stale_s: Duration = Field(300.0, description="Silence of the wind sensor that counts as strong wind.")
     without_wind_source: Literal["alarm", "accepted"] = Field(
         "alarm",
-        description="What to do on real instruments when nothing reports the wind: alarm, or accepted where somebody"
-        " else takes care of storms.",
+        description="What to do on real instruments when nothing reports the wind: alarm, or accepted if storms"
+        " are handled by other means.",
     )
 
 

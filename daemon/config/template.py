@@ -76,15 +76,15 @@ for wrong topics and JSON paths: with those it starts
 ([why](decisions/0011-a-wrong-topic-does-not-stop-the-tracker.md)). A safety input that cannot be heard
 keeps the tracker stowed.
 
-`heliocube config migrate FILE` brings a file into today's form: its tracker gets a table of its own, keys get their
-present names. The old file is kept beside it, as `FILE.before-RELEASE`. A file of an earlier version works without
-that; an upgrade does it with `--keys-only`, which leaves a tracker without a name as it is.
+`heliocube config migrate FILE` updates a file: its tracker gets a table of its own, keys get their present
+names. The old file is kept beside it, as `FILE.before-RELEASE`. A file of an earlier version works without that; an
+upgrade does it with `--keys-only`, which leaves a tracker without a name as it is.
 
 Every key may be left out and has its default then. Units are in the names: `_s` seconds, `_deg` degrees, `_w_m2` W/m2,
 `_m_s` m/s, `_mv` millivolts. Unknown keys are errors. Relative paths start from the folder of the file. Times carry
 their UTC offset and stand without quotes: `2022-10-14T06:00:00Z`.
 
-This page is made from the models in `daemon/config/`; write it anew with `python -m daemon.config.template`.
+This page is made from the models in `daemon/config/`; regenerate it with `python -m daemon.config.template`.
 """
 
 

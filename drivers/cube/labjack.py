@@ -69,7 +69,8 @@ class LabjackSettings(CubeDriverSettings):
         8,
         ge=0,
         le=16,
-        description="Resolution against speed, as LabJack counts: 8 is the best of a T7, 12 of a T7-Pro, 16 of a T8.",
+        description="Resolution index of the LabJack, higher is finer and slower: 8 is the best of a T7, 12 of a"
+        " T7-Pro, 16 of a T8.",
     )
 
     def conflicts(self) -> Iterator[SettingsConflict]:

@@ -41,7 +41,8 @@ class LawSettings(BaseModel):
     driver: str = Field("", description="Name of the law.")
     shadow: str = Field(
         "",
-        description="A second law that runs beside it, moves nothing, and tells each night what it would have gained.",
+        description="A second law that runs for comparison. It moves nothing, and reports each night what it"
+        " would have gained.",
     )
 
 

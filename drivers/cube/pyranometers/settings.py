@@ -24,21 +24,25 @@ class RegisterMapSettings(DriverSettings):
     register_number: int = Field(
         0, ge=0, le=65535, description="First register of the irradiance, counted from 0 (40001 of a manual is 0)."
     )
-    number_type: NumberType = Field("float32", description="How the irradiance is written there.")
+    number_type: NumberType = Field("float32", description="Number format of the irradiance.")
     word_order: WordOrder = Field("high-first", description="Which of two registers comes first.")
-    scale: float = Field(1.0, ge=-1e6, le=1e6, description="What the number is multiplied by to give W/m2.")
+    scale: float = Field(1.0, ge=-1e6, le=1e6, description="Factor by which the number is multiplied to get W/m2.")
     status_register: int | None = Field(
         None,
         ge=0,
         le=65535,
         examples=[3],
-        description="Register whose bits say that the irradiance is not to be used; read together with it.",
+        description="Register whose bits mark the irradiance as unusable; read together with it.",
     )
-    status_bits: int = Field(65535, ge=1, le=65535, description="Which of its bits say that.")
+    status_bits: int = Field(65535, ge=1, le=65535, description="Which of its bits mean that.")
     serial_register: int | None = Field(
-        None, ge=0, le=65535, examples=[40], description="First register of the serial number, for pinning it."
+        None,
+        ge=0,
+        le=65535,
+        examples=[40],
+        description="First register of the serial number, so that the configured number can be checked.",
     )
-    serial_type: Literal["uint16", "uint32"] = Field("uint16", description="How the serial number is written there.")
+    serial_type: Literal["uint16", "uint32"] = Field("uint16", description="Number format of the serial number.")
     address_register: int | None = Field(
         None,
         ge=0,
@@ -57,24 +61,26 @@ class PyranometerSettings(DriverSettings):
         ge=1,
         le=4294967295,
         examples=[180123],
-        description="Its serial number: a sensor with another one is not taken for this face.",
+        description="Its serial number: a sensor with another number is not accepted for this face.",
     )
-    make: MakeName | None = Field(None, examples=["apogee"], description="Its make, where it is not that of all.")
+    make: MakeName | None = Field(
+        None, examples=["apogee"], description="Its make, if it differs from that of the others."
+    )
     line: ModbusLine | None = Field(
-        None, examples=["tcp:192.168.1.41:502"], description="Its line, where it is not that of all."
+        None, examples=["tcp:192.168.1.41:502"], description="Its line, if it differs from that of the others."
     )
     function: Literal[3, 4] | None = Field(None, examples=[4], description='Make "map": the function, if another.')
     register_number: int | None = Field(
         None, ge=0, le=65535, examples=[2], description='Make "map": the first register, if another.'
     )
     number_type: NumberType | None = Field(
-        None, examples=["int16"], description='Make "map": how the irradiance is written, if otherwise.'
+        None, examples=["int16"], description='Make "map": number format of the irradiance, if it differs.'
     )
     word_order: WordOrder | None = Field(
-        None, examples=["low-first"], description='Make "map": which register comes first, if the other.'
+        None, examples=["low-first"], description='Make "map": which register comes first, if it differs.'
     )
     scale: float | None = Field(
-        None, ge=-1e6, le=1e6, examples=[0.1], description='Make "map": the factor to W/m2, if another.'
+        None, ge=-1e6, le=1e6, examples=[0.1], description='Make "map": the factor to W/m2, if it differs.'
     )
 
 

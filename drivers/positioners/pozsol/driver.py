@@ -40,7 +40,7 @@ class AxisGeometry(DriverSettings):
         gt=-90, lt=180, description="Unit mm: angle between the fixed sides where the tracker's angle is 0."
     )
     holder_mm: float = Field(
-        0.0, ge=0, le=1000, description="Unit mm: how far the actuator lies beside the third side, by its clamp."
+        0.0, ge=0, le=1000, description="Unit mm: distance of the actuator from the third side, because of its clamp."
     )
     sense: Literal["raises", "lowers"] = Field(
         "raises", description="Unit mm: whether extension raises or lowers the tracker's angle."
@@ -69,7 +69,7 @@ class PozsolSettings(PositionerSettings):
     boot_banner: Banner | None = Field(
         None,
         examples=["POZSOL ready"],
-        description="Text that the unit prints when it has restarted. Whenever it comes, the reference is in doubt.",
+        description="Text that the unit prints after a restart. Whenever it appears, the reference is in doubt.",
     )
     boards: tuple[str, ...] = Field(
         ("36A1",), strict=False, min_length=1, description="Boards (field 37) that may be written to."

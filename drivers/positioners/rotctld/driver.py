@@ -41,10 +41,10 @@ class RotctldSettings(PositionerSettings):
         None, examples=["127.0.0.1:4533"], description="Host and port of Hamlib's rotctld."
     )
     model: int | None = Field(
-        None, ge=1, examples=[603], description="Hamlib's number of the rotator; any other one is refused."
+        None, ge=1, examples=[603], description="Hamlib's number of the rotator; any other is refused."
     )
     resolution_deg: Positive = Field(
-        0.1, le=5, description="What the rotator's positions are rounded to; less than this is no motion."
+        0.1, le=5, description="Step to which the rotator rounds its positions; a smaller change is not motion."
     )
     azimuth_min_deg: Azimuth | None = Field(
         None, examples=[0.0], description="Lowest azimuth of the rotator's range; left out: what rotctld says."
