@@ -125,7 +125,8 @@ class Operator:
             await command
             self._stop_sent_s = asked_s
         except DeviceError as error:
-            lost = str(error)
+            # Of a link that is down the last try to reopen it says why; the command itself says only that it is.
+            lost = motion.outage.reason if motion.outage.is_down else str(error)
         self._note(name, why, by)
         control.tick()
         if lost is not None:
