@@ -157,21 +157,6 @@ def test_on_the_bench_stow_moves_the_axes_and_what_fails_is_said_and_comes_back_
         assert page.complaints == []
 
 
-def test_a_stow_that_fails_does_not_stand_stowed_between_two_tries(browser, tmp_path):
-    with browsers.site_on_bench(tmp_path) as (site, bench), browser.new_context() as context:
-        page = browsers.Page(context, site.url, "fleet")
-        page.sees(".fleet td", "tracking")
-        bench.ask("inject", "b_ignores_targets")
-        page.page.get_by_role("button", name="Stow all").click()
-        page.log_in()
-        page.page.get_by_role("button", name="Stow now").click()
-        page.sees(".fleet [data-name=Alarms]", "move-failed")
-        state = site.state()
-        assert (state["mode"]["name"], state["tracker"]["moving"]) == ("stow", False)
-        page.sees(".hero .moving", "0 of 1 stand stowed, ")
-        bench.ask("repair", "b_ignores_targets")
-
-
 def test_a_day_is_drawn_from_the_store_with_modes_moves_and_events(site, open_page):
     page = open_page("day")
     page.sees(".day .log", "Starting → tracking: the cube's readings are good")

@@ -282,3 +282,18 @@ def test_an_order_does_not_wait_behind_what_is_read_of_a_service_that_hangs(cont
             assert page.complaints == []
         finally:
             dashboard.stop()
+
+
+def test_a_stow_that_fails_does_not_stand_stowed_between_two_tries(browser, tmp_path):
+    with browsers.site_on_bench(tmp_path) as (site, bench), browser.new_context() as context:
+        page = browsers.Page(context, site.url, "fleet")
+        page.sees(".fleet td", "tracking")
+        bench.ask("inject", "b_ignores_targets")
+        page.page.get_by_role("button", name="Stow all").click()
+        page.log_in()
+        page.page.get_by_role("button", name="Stow now").click()
+        page.sees(".fleet [data-name=Alarms]", "move-failed")
+        state = site.state()
+        assert (state["mode"]["name"], state["tracker"]["moving"]) == ("stow", False)
+        page.sees(".hero .moving", "0 of 1 stand stowed, ")
+        bench.ask("repair", "b_ignores_targets")

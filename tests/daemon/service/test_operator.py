@@ -3,22 +3,16 @@
 import asyncio
 import math
 from datetime import UTC, datetime
-from random import Random
 from types import SimpleNamespace
 
 import pytest
 
-from daemon.base.clock import LoopClock
-from daemon.base.process import Notifier
-from daemon.base.records import Bus, Event, Mode, Target
+from daemon.base.records import Event, Mode, Target
 from daemon.config.settings import Settings
-from daemon.rigs.real import build_positioner
 from daemon.service.operator import CommandError, Operator, _Approach
 from daemon.service.operator_commands import Operators, parse
-from daemon.service.rig import Rig, Role, TrackerInstruments
-from daemon.service.service import Service
+from daemon.service.rig import Role
 from sim_drivers.pozsol.setup import AxisDrive, Setup
-from tests.support.addresses import free_port
 from tests.support.motion import commands_sent, show
 from tests.support.phases import at_rest, tracking, under_way
 from tests.support.rig import HandWeather, ServiceRig
@@ -292,27 +286,6 @@ def test_a_stop_that_cannot_be_sent_says_so_and_is_sent_first_when_the_link_is_b
         assert rig.truth() == stands
 
     run_rig(scenario)
-
-
-def test_a_stop_that_cannot_be_sent_says_why_the_positioner_cannot_be_reached():
-    own = {"driver": "rotctld", "server": f"127.0.0.1:{free_port()}"}
-    bridge = {"listen": "127.0.0.1:0"}
-    settings = Settings.model_validate({"bridge": bridge, "instruments": {"positioner": own}})
-
-    async def scenario():
-        clock, stop = LoopClock(asyncio.get_running_loop().time, 1.7e9), asyncio.Event()
-        rig = Rig(None, (TrackerInstruments(build_positioner(settings, clock)),), None, simulated=False)
-        service = Service(settings, Role.TRACKER, rig, clock, Random(1), Bus(), bytes(range(32)), Notifier({}, 0))
-        running = asyncio.create_task(service.run(stop))
-        (tracker,) = service.trackers
-        while not tracker.motion.outage.is_down:  # noqa: ASYNC110 - it is told to a log only
-            await asyncio.sleep(0.01)
-        with pytest.raises(CommandError, match="as soon as the positioner answers: positioner: nobody listens at"):
-            await Operator(tracker, 1.0).stop("halt")
-        stop.set()
-        await running
-
-    asyncio.run(scenario())
 
 
 def test_without_telemetry_nothing_is_ordered_in_one_sentence_each(run_rig):

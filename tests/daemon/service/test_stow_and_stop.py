@@ -4,14 +4,21 @@ import asyncio
 import json
 import math
 from pathlib import Path
+from random import Random
 
 import pytest
 
-from daemon.base.clock import iso_utc
-from daemon.base.records import Mode, ModeChange, Move, MoveOutcome, Target
+from daemon.base.clock import LoopClock, iso_utc
+from daemon.base.process import Notifier
+from daemon.base.records import Bus, Mode, ModeChange, Move, MoveOutcome, Target
+from daemon.config.settings import Settings
+from daemon.rigs.real import build_positioner
 from daemon.service.operator import CommandError, Operator
 from daemon.service.operator_commands import Operators, parse
+from daemon.service.rig import Rig, Role, TrackerInstruments
+from daemon.service.service import Service
 from drivers.errors import DeviceError, RefusedError
+from tests.support.addresses import free_port
 from tests.support.motion import commands_sent
 from tests.support.phases import at_rest, quiet, tracking, under_way
 
@@ -244,3 +251,24 @@ def test_an_auto_that_was_given_before_what_it_would_end_ends_nothing(run_rig, a
         assert getattr(rig.control.wishes, asked) is None
 
     run_rig(scenario)
+
+
+def test_a_stop_that_cannot_be_sent_says_why_the_positioner_cannot_be_reached():
+    own = {"driver": "rotctld", "server": f"127.0.0.1:{free_port()}"}
+    bridge = {"listen": "127.0.0.1:0"}
+    settings = Settings.model_validate({"bridge": bridge, "instruments": {"positioner": own}})
+
+    async def scenario():
+        clock, stop = LoopClock(asyncio.get_running_loop().time, 1.7e9), asyncio.Event()
+        rig = Rig(None, (TrackerInstruments(build_positioner(settings, clock)),), None, simulated=False)
+        service = Service(settings, Role.TRACKER, rig, clock, Random(1), Bus(), bytes(range(32)), Notifier({}, 0))
+        running = asyncio.create_task(service.run(stop))
+        (tracker,) = service.trackers
+        while not tracker.motion.outage.is_down:  # noqa: ASYNC110 - it is told to a log only
+            await asyncio.sleep(0.01)
+        with pytest.raises(CommandError, match="as soon as the positioner answers: positioner: nothing listens at"):
+            await Operator(tracker, 1.0).stop("halt")
+        stop.set()
+        await running
+
+    asyncio.run(scenario())
