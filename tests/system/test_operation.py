@@ -152,11 +152,10 @@ def test_a_service_that_finds_no_store_in_its_place_starts_and_shows_what_it_mov
 
 
 def test_a_file_with_a_mistake_elsewhere_still_stops_the_tracker(service, tmp_path):
-    _, _, address = service
+    config, _, address = service
     token = tmp_path / "api.token"
-    broken = tmp_path / "broken.toml"
-    broken.write_text(f"[site]\nlatitude_deg = 'north'\n[api]\nlisten = '{address}'\ntoken_file = '{token}'\n")
-    code, out, err = heliocube("stop", "-c", broken)
+    config.write_text(f"[site]\nlatitude_deg = 'north'\n[api]\nlisten = '{address}'\ntoken_file = '{token}'\n")
+    code, out, err = heliocube("stop", "-c", config)
     assert (code, err) == (0, "")
     assert "; mode " in out
 

@@ -275,7 +275,7 @@ def test_a_source_that_fails_or_gives_no_answer_stows_and_is_an_alarm(reason, ag
         (status,) = watch.statuses(now)
         assert (status.name, status.why, status.age_s) == ("hail", why, math.inf)
     assert sum(record.exc_info is not None for record in caplog.records) == 1
-    assert watch.waiting_why(5) == "waiting for the first word of hail"
+    assert watch.waiting_why(5) == "waiting for the first message of hail"
 
 
 def test_a_source_that_has_failed_lets_go_after_a_minute_of_work_and_its_own_time_of_calm(caplog):

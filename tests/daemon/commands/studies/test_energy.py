@@ -201,7 +201,7 @@ def test_weather_without_light_while_the_sun_is_up_is_refused(monkeypatch, weath
 def test_a_worth_without_one_of_its_prices_is_refused(monkeypatch, weather, tmp_path, capsys, left_out):
     some = PRICES[: 2 * left_out] + PRICES[2 * left_out + 2 :]
     assert energy(monkeypatch, weather, "--site", SITE, "--out", tmp_path / "o", *some) == 2
-    assert "takes all of --peak-kw, --price, --drive-price and --drive-life-deg" in capsys.readouterr().err
+    assert "needs all of --peak-kw, --price, --drive-price and --drive-life-deg" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
