@@ -54,7 +54,7 @@ def test_the_interface_keeps_to_its_description(url, tmp_path):
             *("--phases", "coverage,fuzzing", "--max-examples", "3", "--seed", "1", "--generation-database", "none"),
         ],
         cwd=tmp_path,
-        env=os.environ | {"COLUMNS": "200", "NO_COLOR": "1"},
+        env=os.environ | {"CONFIGURATION": str(tmp_path / "heliocube.toml"), "COLUMNS": "200", "NO_COLOR": "1"},
         capture_output=True,
         text=True,
         timeout=ENDS_WITHIN_S,
