@@ -1,6 +1,8 @@
 """Errors that a person can put right, and what the program ends with."""
 
+import traceback
 from enum import IntEnum
+from pathlib import Path
 from typing import ClassVar
 
 
@@ -35,3 +37,9 @@ class InterruptedEarlyError(UserError):
     """Ctrl-C has ended the work; the sentence says what is kept of it."""
 
     exit_code: ClassVar[ExitCode] = ExitCode.INTERRUPTED
+
+
+def raised_at(error: BaseException) -> str:
+    """Return where an error was raised, such as "law.py, line 12": its author looks there first."""
+    *_, last = traceback.extract_tb(error.__traceback__)
+    return f"{Path(last.filename).name}, line {last.lineno}"

@@ -1,13 +1,11 @@
 """A cube whose driver may fail in any way: that is an outage of the cube, and not the end of the service."""
 
 import logging
-import traceback
 from collections.abc import Awaitable, Callable
 from numbers import Real
-from pathlib import Path
 from typing import TypeVar, get_args
 
-from daemon.base.errors import UserError
+from daemon.base.errors import UserError, raised_at
 from drivers.errors import DeviceError
 from drivers.interfaces import Cube, CubeReading, FaceFlaw
 
@@ -61,8 +59,7 @@ class GuardedCube:
 
     def _describe(self, error: Exception) -> str:
         """Return an error in words, with the line that raised it; log its traceback the first time."""
-        *_, last = traceback.extract_tb(error.__traceback__)
-        kind, place = type(error).__name__, f"{Path(last.filename).name}, line {last.lineno}"
+        kind, place = type(error).__name__, raised_at(error)
         if (kind, place) not in self._told:
             self._told.add((kind, place))
             log.error("the driver of the cube has failed", exc_info=error)

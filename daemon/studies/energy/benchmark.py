@@ -1,7 +1,6 @@
 """The energy benchmark: laws side by side on measured weather, as a table."""
 
 import csv
-import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -12,7 +11,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.base.errors import UserError
+from daemon.base.errors import UserError, raised_at
 from daemon.config.plugged import FALLBACK_LAW
 from daemon.rigs.measured import by_the_minute, measured_weather
 from daemon.studies.energy.names import BOUND, FIXED, choice
@@ -182,8 +181,7 @@ def _harvest_of(name: str, days: DaysUnderSky) -> Harvest:
 
 def _cause(error: BaseException) -> str:
     """Return an error in words, with the line that raised it."""
-    *_, last = traceback.extract_tb(error.__traceback__)
-    return f"{type(error).__name__}: {error} ({Path(last.filename).name}, line {last.lineno})"
+    return f"{type(error).__name__}: {error} ({raised_at(error)})"
 
 
 def write_csv(rows: Sequence[EnergyRow], path: Path, *, simulated: bool) -> None:
