@@ -113,8 +113,16 @@ async def taken(order):
 
 
 async def move(positioner, a_deg, b_deg, **options):
-    """Give a target until it is taken."""
-    await taken(lambda: positioner.move_to(a_deg, b_deg, **options))
+    """Give a target until it is taken, from standstill each time: one axis may have taken the one before."""
+
+    async def order():
+        try:
+            await positioner.move_to(a_deg, b_deg, **options)
+        except RefusedError:
+            await positioner.halt()
+            raise
+
+    await taken(order)
 
 
 async def home(positioner, axis):
