@@ -93,7 +93,8 @@ class PozsolPositioner:
         self._axes: dict[AxisName, AxisSetup] = {"a": a, "b": b}
         self._boards = boards
         self._watch = PositionerWatch(now, self._axes, stale_s, b_out_bit)
-        self._hear_within_s, self._know_within_s = max(_HEAR_WITHIN_S, stale_s), max(_KNOW_WITHIN_S, stale_s)
+        limits_s = (_HEAR_WITHIN_S, _KNOW_WITHIN_S, _SETUP_WITHIN_S)
+        self._hear_within_s, self._know_within_s, self._setup_within_s = (max(each, stale_s) for each in limits_s)
         self._jitter = (a.step, b.step)
         self._sending = asyncio.Lock()
         self._identified = False
@@ -286,7 +287,7 @@ class PozsolPositioner:
 
         What one has not is waited for once: after a loss of the link an axis may run until the opening is over.
         """
-        deadline_s, wanted = self._now() + _SETUP_WITHIN_S, SETUP_FIELDS - self._has_not.get(serial, frozenset())
+        deadline_s, wanted = self._now() + self._setup_within_s, SETUP_FIELDS - self._has_not.get(serial, frozenset())
         while missing := wanted - self._listen()[0].keys():
             if self._now() >= deadline_s:
                 self._has_not[serial] = missing

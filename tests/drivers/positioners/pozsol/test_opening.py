@@ -119,10 +119,11 @@ def test_a_silent_unit_is_told_within_seconds_and_one_without_some_fields_a_litt
 def test_a_unit_that_may_be_silent_for_longer_is_waited_for_as_long_at_its_opening():
     async def scenario(positioner, unit, now):
         assert (await positioner.open()).board == "36A1"
+        assert missing_fields(positioner.fields()) == ()
         unit.silent = True
         await fails_after(positioner.open(), now, 30.02, ConnectError, "sends no telemetry")
 
-    on_unit(scenario, stale_s=30.0, comes_s={Field.SERIAL: 20.0})
+    on_unit(scenario, stale_s=30.0, comes_s={Field.SERIAL: 20.0, 192: 25.0})
 
 
 @pytest.mark.parametrize(("comes_s", "seconds", "told"), [(3.0, 3.0, 1), (math.inf, 4.5, 0), (0.0, 0.0, 1)])
