@@ -5,8 +5,9 @@
 Prints the share of what the bound gains over ideal chronometric and the travel of: the light of the same minute as the
 faces show it, with moves at once and at the drive's speed, and with a lateral term of the diffuse light that uses the
 fourth face; the light of the minute before; boosted trees on the history of the faces, which are fitted on every second
-day and judged on the others; and somebody who knows the day beforehand and pays for each degree. Trees need
-scikit-learn, which the project does without: `pip install scikit-learn`, or leave them out.
+day and judged on the others, with moves at once and with the prices of `optimal`, beside `optimal` on the same days;
+and somebody who knows the day beforehand and pays for each degree. Trees need scikit-learn, which the project does
+without: `pip install scikit-learn`, or leave them out.
 """
 
 import argparse
@@ -17,9 +18,11 @@ import numpy as np
 from daemon.studies.energy.benchmark import IDEAL, Terms, measured_minutes, steer_of, under_sky
 from daemon.studies.inputs import parse_site
 from solar.energy import Drive, lay_out
-from solar.ephemeris import Site
+from solar.ephemeris import Site, sun_direction
 from solar.frames import FACE_NORMALS, Limits, normal_from_angles
 from solar.laws.light import Light, aim_vector, light_from_faces
+from solar.laws.memory import Expectation, OptimalSettings
+from solar.laws.optimal import OptimalLaw
 from solar.laws.steer import towards
 
 ALBEDO = 0.2
@@ -46,7 +49,8 @@ def share_pct(days, energy, chosen):
 
 def say(name, days, done, chosen=None):
     """Print one line, of the days with light unless others are chosen."""
-    chosen = days.weather.day_types() >= 0 if chosen is None else chosen
+    lit = days.weather.day_types() >= 0
+    chosen = lit if chosen is None else lit & chosen
     share, travel = share_pct(days, done.energy_kwh_m2, chosen), done.travel_deg[chosen].mean()
     print(f"{name:58} {share:6.1f} % {travel:6.0f} deg/day {done.moves[chosen].mean():5.0f} moves", flush=True)
 
@@ -80,7 +84,7 @@ def remembered(values, half_life_min):
 
 
 def by_trees(days):
-    """Return the direction that trees expect for each minute from those before it, and which days are new to them."""
+    """Return the light that trees expect for each minute from those before it, and which days are new to them."""
     from sklearn.ensemble import HistGradientBoostingRegressor  # noqa: PLC0415 - only where it is asked for
 
     weather = days.weather
@@ -100,7 +104,33 @@ def by_trees(days):
         trees.fit(asked[fitted], part[fitted])
         expected.append(trees.predict(asked))
     beam, uniform, horizon = expected
-    return aim_vector(Light(np.maximum(beam, 0.0), np.maximum(uniform, 0.0), horizon), weather.sun, ALBEDO), unseen
+    return Light(np.maximum(beam, 0.0), np.maximum(uniform, 0.0), horizon), unseen
+
+
+class Foretold(OptimalLaw):
+    """`optimal` with its prices and its budget, which is told what to expect instead of remembering it."""
+
+    def expect(self, thrift=1.0):
+        """Return what was told of the sky."""
+        return self.told
+
+
+def priced(days, light, thrift):
+    """Steer by the light expected for each minute, and pay for each move."""
+    weather, settings = days.weather, OptimalSettings(thrift=thrift)
+    law = Foretold(settings, LIMITS, (weather.shape[1],))
+    expected = [weather.gridded(part, np.nan) for part in light]
+    ahead = weather.gridded(sun_direction(weather.utc_s + settings.lead_s, *weather.site), 0.0)
+    lit = weather.gridded(np.ones(len(weather.utc_s)), 0.0)
+    left = 1.0 - np.cumsum(lit, axis=0) / np.maximum(lit.sum(axis=0), 1.0)
+
+    def steer(step, a, b):
+        now = Light(*(part[step] for part in expected))
+        law.told = Expectation(Light(*map(np.nan_to_num, now)), np.zeros(weather.shape[1]), np.isfinite(now.beam))
+        choice = law.decide(a, b, ahead[step], left[step])
+        return choice.a_deg, choice.b_deg
+
+    return steer
 
 
 def foreseen(days, price):
@@ -154,13 +184,19 @@ def main():
     say("the light of the minute before, moves at once", days, days.run(towards(days.weather, now, LIMITS, 1), IDEAL))
     say("the same with a lateral term", days, days.run(towards(days.weather, lateral, LIMITS, 1), IDEAL))
     if not arguments.without_trees:
-        expected, unseen = by_trees(days)
+        light, unseen = by_trees(days)
+        expected = aim_vector(light, days.weather.sun, ALBEDO)
         say(
             "trees on the history, moves at once, days not fitted on",
             days,
             days.run(towards(days.weather, expected, LIMITS), IDEAL),
             unseen,
         )
+        for thrift in (0.5, 1.0, 2.0, 4.0):
+            name = f"the same with optimal's prices, thrift {thrift:g}, 0.9 deg/s"
+            say(name, days, days.run(priced(days, light, thrift), Drive()), unseen)
+        steer = steer_of("optimal", days.weather, days.faces, TERMS)
+        say("optimal on the same days, 0.9 deg/s", days, days.run(steer, Drive()), unseen)
     # A plan needs all poses of all minutes: file by file, a month of them takes 200 MB.
     months = [days_of([path], site, arguments.sky) for path in arguments.weather]
     for price in map(float, arguments.prices.split(",")):
