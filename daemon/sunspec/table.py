@@ -1,7 +1,8 @@
 """What a client may read and write: the registers of a snapshot, and the manual override of model 601.
 
 A control room sets elevation and azimuth and then the mode, in one write or in several. So the angles only wait until
-the mode is written; half an angle, mode 2 (calibrate) and a direction that the tracker cannot take are refused.
+the mode is written; half an angle, one without the other, mode 2 (calibrate) and a direction that the tracker cannot
+take are refused.
 """
 
 from collections.abc import Callable
@@ -149,8 +150,10 @@ class SunSpecTable(NoBits):
             if self.is_held(tracker.name):
                 raise RefusedRequestError(DEVICE_FAILURE)
             return Override(tracker.name, "auto")
-        if target.elevation is None or target.azimuth is None:
+        if target.elevation is None and target.azimuth is None:
             return Override(tracker.name, "hold")
+        if target.elevation is None or target.azimuth is None:
+            raise RefusedRequestError(ILLEGAL_VALUE)
         latitude_deg = self._snapshot().site.latitude_deg
         direction = direction_from_azimuth(target.azimuth / PER_DEG, target.elevation / PER_DEG, latitude_deg)
         a_deg, b_deg = (round(float(angle), 3) for angle in angles_from_direction(direction))

@@ -152,6 +152,16 @@ def test_angles_wait_for_the_mode_and_manual_without_them_holds(run_rig):
     on_rig(run_rig, scenario)
 
 
+def test_manual_with_one_angle_and_not_the_other_is_refused(run_rig):
+    async def scenario(rig, control):
+        at = (await control.models())[601][0] + 20
+        assert await control.write(at, int32(9000)) == 0
+        assert await control.write(at + 4, [1]) == 3
+        assert rig.mode is Mode.TRACKING
+
+    on_rig(run_rig, scenario)
+
+
 WRONG = {
     "half an angle": (0, [1]),
     "the other half": (1, [1]),
