@@ -33,6 +33,8 @@ _ANSWER_WITHIN_S = 0.5
 # A control room asks once a second; a program in a loop waits for the rest of the service.
 _QUESTIONS_PER_S, _QUESTIONS_AT_ONCE, _PAUSE_S = 100.0, 200, 0.05
 _NO_SUCH_UNIT = 11
+# Modbus's guide for TCP: 255 is the device at this address, and 0 is accepted as well.
+_THIS_DEVICE = (0, 0xFF)
 _SETTLE_EVERY_S = 60.0
 _CHUNK = 1024
 
@@ -165,7 +167,7 @@ class SunSpecServer:
 
     async def _answer(self, asked: Asked, host: str) -> bytes:
         pdu = asked.request.pdu
-        if asked.request.unit not in (self._own.unit, 0xFF):
+        if asked.request.unit not in (self._own.unit, *_THIS_DEVICE):
             return bytes((pdu[0] | FAILED, _NO_SUCH_UNIT))
         reply = answer(self._table, pdu) or bytes((pdu[0] | FAILED, DEVICE_FAILURE))
         override = self._table.take()

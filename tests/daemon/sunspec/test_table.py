@@ -115,6 +115,14 @@ def test_a_read_beyond_the_end_and_another_unit_are_exceptions(run_rig):
     on_rig(run_rig, scenario)
 
 
+@pytest.mark.parametrize("unit", [0, 255])
+def test_the_units_that_mean_the_device_itself_on_tcp_are_answered(run_rig, unit):
+    async def scenario(rig, control):
+        assert registers_of(await control.ask(read_registers(unit, 3, BASE, 2))) == (0x5375, 0x6E53)
+
+    on_rig(run_rig, scenario)
+
+
 def test_manual_is_a_goto_and_automatic_gives_back(run_rig):
     async def scenario(rig, control):
         at = (await control.models())[601][0] + 20
