@@ -18,7 +18,7 @@ from daemon.service.snapshot import Snapshot
 from daemon.sunspec.models import SunSpecMap
 from daemon.sunspec.table import Override, SunSpecTable
 from drivers.modbus.framing import Asked, BrokenStreamError, TcpServer
-from drivers.modbus.pdu import DEVICE_FAILURE, FAILED, ILLEGAL_VALUE
+from drivers.modbus.pdu import DEVICE_FAILURE, FAILED, ILLEGAL_VALUE, WRITES
 from drivers.modbus.server import answer
 
 log = logging.getLogger("heliocube.sunspec")
@@ -172,7 +172,7 @@ class SunSpecServer:
         reply = answer(self._table, pdu) or bytes((pdu[0] | FAILED, DEVICE_FAILURE))
         override = self._table.take()
         if reply[0] & FAILED or override is None:
-            if reply[0] & FAILED and pdu[0] > 4:
+            if reply[0] & FAILED and pdu[0] in WRITES:
                 self._tell(f"{host}: exception {reply[1]}")
             return reply
         code = await self._carry_out(override, host)

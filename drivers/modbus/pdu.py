@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 
 READ_COILS, READ_INPUTS, READ_HOLDING, READ_INPUT = 1, 2, 3, 4
 WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS = 5, 6, 15, 16
+WRITES = (WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS)
 FAILED = 0x80
 MOST_REGISTERS = 125
 MOST_WRITTEN = 123
@@ -77,7 +78,7 @@ def reply_length(request: bytes) -> int:
         return 2 + (count + 7) // 8
     if function in (READ_HOLDING, READ_INPUT):
         return 2 + 2 * count
-    return 5 if function in (WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS) else 0
+    return 5 if function in WRITES else 0
 
 
 def belongs(request: bytes, reply: bytes) -> bool:

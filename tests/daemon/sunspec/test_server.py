@@ -11,7 +11,7 @@ from daemon.service.operator_commands import Operators
 from daemon.sunspec.models import BASE
 from daemon.sunspec.server import SunSpecServer
 from drivers.modbus.framing import TcpClient
-from drivers.modbus.pdu import read_registers, registers_of, write_register
+from drivers.modbus.pdu import ModbusRequest, read_registers, registers_of, write_register
 from tests.support.addresses import free_port
 
 
@@ -125,6 +125,17 @@ def test_the_end_of_a_flood_of_refused_writes_is_told_with_their_number(serve, c
         await asyncio.sleep(3600)
         lines = [line.getMessage() for line in caplog.records if line.name == "heliocube.sunspec"]
         assert re.fullmatch(r"writes over SunSpec that were refused: 6 more, the last 3\d min ago", lines[-1])
+        await ended(task)
+
+    serve(scenario)
+
+
+def test_a_question_that_is_no_write_is_not_logged_as_a_refused_write(serve, caplog):
+    async def scenario(rig, server, port):
+        task = await running(rig, server)
+        identify = ModbusRequest(1, bytes((0x2B, 0x0E, 1, 0)))
+        assert (await asked(port, TcpClient().begin(identify)))[-2:] == bytes((0xAB, 1))
+        assert not [line for line in caplog.records if "write" in line.getMessage() and line.levelname == "WARNING"]
         await ended(task)
 
     serve(scenario)
