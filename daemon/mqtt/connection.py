@@ -168,6 +168,8 @@ class Connection:
         return f"{self._place} {_REFUSALS.get(_code(getattr(cause, 'rc', None)), ended)}"
 
 
+# OpenSSL's numbers of why a certificate is refused (x509_vfy.h).
+_OUT_OF_DATE, _OTHER_NAME = (9, 10), (62, 64)
 # What a broker says to a connection that it does not want.
 _REFUSALS = {
     133: "refuses the client id: see mqtt.client_id",
@@ -192,6 +194,17 @@ class _TlsSocket(ssl.SSLSocket):
         except OSError:
             self.close()
             raise
+
+
+def _wrong_certificate(error: ssl.SSLCertVerificationError) -> str:
+    """Return what is wrong with the broker's certificate, in words that lead to its remedy."""
+    if error.verify_code in _OUT_OF_DATE:
+        what = "a certificate that is out of date by this machine's clock"
+    elif error.verify_code in _OTHER_NAME:
+        what = "a certificate for another name than mqtt.host"
+    else:
+        what = "a certificate that mqtt.ca_file does not confirm"
+    return f"{what}: {error.verify_message}"
 
 
 class _Client(aiomqtt.Client):
@@ -220,7 +233,7 @@ class _Client(aiomqtt.Client):
         try:
             super()._client_connect()
         except ssl.SSLCertVerificationError as error:
-            self.refusal = f"{place} has a certificate that mqtt.ca_file does not confirm: {error.verify_message}"
+            self.refusal = f"{place} has {_wrong_certificate(error)}"
             raise
         except ssl.SSLError as error:
             self.refusal = f"{place} cannot be reached with TLS: {error.reason or 'no reason given'}; see mqtt.tls"

@@ -24,17 +24,19 @@ CERTIFICATES = Path(__file__).parent / "certificates"
 class Broker:
     """One broker on a loopback port of its own."""
 
-    def __init__(self, folder, users=None, acl=None, tls=False, most_bytes=None, unsaid_most_bytes=None):
+    def __init__(
+        self, folder, users=None, acl=None, tls=False, most_bytes=None, unsaid_most_bytes=None, certificate="broker"
+    ):
         self.port = free_port()
         self.process = None
         self._folder = folder
         self._arguments = (
-            self._mosquitto(users, acl, tls, most_bytes, unsaid_most_bytes)
+            self._mosquitto(users, acl, tls and certificate, most_bytes, unsaid_most_bytes)
             if MOSQUITTO
             else [sys.executable, "-m", "tests.support.broker", str(self.port)]
         )
 
-    def _mosquitto(self, users, acl, tls, most_bytes, unsaid_most_bytes):
+    def _mosquitto(self, users, acl, certificate, most_bytes, unsaid_most_bytes):
         lines = [f"listener {self.port} 127.0.0.1", "persistence false", f"user {getpass.getuser()}"]
         lines.append("max_queued_messages 0")
         lines.append(f"allow_anonymous {'false' if users else 'true'}")
@@ -53,10 +55,10 @@ class Broker:
             path.write_text(acl)
             path.chmod(0o600)
             lines.append(f"acl_file {path}")
-        if tls:
+        if certificate:
             lines += [
                 f"cafile {CERTIFICATES / 'ca.pem'}",
-                f"certfile {CERTIFICATES / 'broker.pem'}",
+                f"certfile {CERTIFICATES / certificate}.pem",
                 f"keyfile {CERTIFICATES / 'broker.key'}",
                 "require_certificate true",
             ]

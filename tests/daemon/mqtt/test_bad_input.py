@@ -81,6 +81,31 @@ def test_a_wrong_authority_is_told_once_and_the_service_tracks_on(make_broker, s
     scaled(scenario)
 
 
+@needs_mosquitto
+@pytest.mark.parametrize(
+    ("certificate", "mqtt", "sentence"),
+    [
+        ("expired", {"ca_file": CERTIFICATES / "expired.pem"}, "has a certificate that is out of date by"),
+        (
+            "broker",
+            {"ca_file": CERTIFICATES / "ca.pem", "host": "localhost"},
+            "has a certificate for another name than",
+        ),
+    ],
+)
+def test_a_certificate_that_is_out_of_date_or_of_another_name_is_not_laid_to_the_authority(
+    make_broker, scaled, certificate, mqtt, sentence
+):
+    broker = make_broker(tls=True, certificate=certificate).start()
+
+    async def scenario():
+        rig = broker_rig(broker.port, mqtt={"tls": True, **mqtt, **OWN})
+        async with serving(rig):
+            await until(lambda: sentence in (rig.mqtt.status.down_why or ""), sentence)
+
+    scaled(scenario)
+
+
 def test_a_wrong_discovery_prefix_costs_home_assistant_only(broker, scaled, log_lines):
     async def scenario():
         rig = broker_rig(broker.port, mqtt={"discovery_prefix": "ha/+"})
