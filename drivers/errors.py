@@ -42,6 +42,10 @@ class DeadlineError(DeviceError):
     """One exchange took longer than its deadline."""
 
 
+class UnreachedError(DeadlineError):
+    """A gateway, or a device that is busy, says that there is no answer to be had now."""
+
+
 class ProtocolError(DeviceError):
     """The instrument sent something that its protocol does not allow."""
 

@@ -11,7 +11,7 @@ from daemon.config.plugged import PYRANOMETERS
 from daemon.config.settings import Settings
 from drivers.cube.pyranometers.makes import Block, Make, Told, WhoAmI, WrongSensorError, make_of
 from drivers.cube.pyranometers.settings import MakeName, PyranometersSettings
-from drivers.errors import DeadlineError, RefusedError
+from drivers.errors import DeadlineError, RefusedError, UnreachedError
 from drivers.modbus.client import ModbusBus
 from drivers.modbus.paths import ModbusPath, path_to
 from drivers.modbus.pdu import READ_HOLDING, READ_INPUT, write_coil, write_register
@@ -203,7 +203,8 @@ class ModbusProbe:
             try:
                 await self._greet(bus, unit, twice=self._face_at(line, unit) is not None)
             except DeadlineError as error:
-                if error.message:
+                # A gateway answers in the place of everybody who is not there.
+                if error.message and not isinstance(error, UnreachedError):
                     found.append(Answering(unit, _GARBLED))
                 continue
             found.append(await self._identified(bus, line, unit))

@@ -4,12 +4,12 @@ import asyncio
 import math
 from collections.abc import Callable
 
-from drivers.errors import DeadlineError, RefusedError
+from drivers.errors import RefusedError, UnreachedError
 from drivers.modbus.paths import ModbusPath
 from drivers.modbus.pdu import READ_INPUT, ModbusRequest, exception_text, read_registers, registers_of
 
-# What a gateway says for a device that is not there: silence, in another form.
-_NO_DEVICE = (10, 11)
+# A device or its gateway that has no time now, and a gateway's device that is not there: silence, in another form.
+_NOT_NOW = (5, 6, 10, 11)
 
 
 class ModbusBus:
@@ -62,7 +62,7 @@ class ModbusBus:
         Raises
         ------
         DeadlineError
-            None came in time, or a gateway said so.
+            None came in time; `UnreachedError` where device or gateway said so.
         RefusedError
             The device answers that it cannot do that.
         LinkLostError
@@ -81,8 +81,8 @@ class ModbusBus:
             finally:
                 self._quiet_since_s = self._now()
         if text := exception_text(reply):
-            if reply[1] in _NO_DEVICE:
-                raise DeadlineError(self._device, f"address {request.unit} {text}")
+            if reply[1] in _NOT_NOW:
+                raise UnreachedError(self._device, f"address {request.unit} {text}")
             raise RefusedError(self._device, f"address {request.unit} {text}")
         return reply
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 from drivers.cube.pyranometers.makes import Block, Make, Words, WrongSensorError
-from drivers.errors import DeadlineError, RefusedError
+from drivers.errors import DeadlineError, RefusedError, UnreachedError
 from drivers.interfaces import FaceFlaw, FaceSample
 from drivers.modbus.client import ModbusBus
 
@@ -80,6 +80,8 @@ class BusSensor:
             return self._without(self._flaw)
         try:
             return await self._ask(check=check)
+        except UnreachedError as error:
+            return self._missed("missing", f"does not answer: {error.message}")
         except DeadlineError as error:
             text = f"answers, but {error.message}" if error.message else "does not answer"
             return self._missed("missing" if error.message else "late", text)

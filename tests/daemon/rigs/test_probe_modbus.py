@@ -19,8 +19,20 @@ def bright(_now_s):
     return 321.0
 
 
+class Gateway(InMemoryModbus):
+    """The way through a gateway, which answers itself where a sensor does not."""
+
+    async def exchange(self, request, within_s):
+        try:
+            return await super().exchange(request, within_s)
+        except DeadlineError:
+            return bytes((request.pdu[0] | 0x80, 11))
+
+
 class Bus:
     """A line of simulated sensors, and what the probe has said of it."""
+
+    path = InMemoryModbus
 
     def __init__(self, *sensors, **keys):
         self.core = DeviceLineCore(sensors)
@@ -35,7 +47,7 @@ class Bus:
                 "COM5",
                 clock,
                 self.said.append,
-                path=lambda _line: InMemoryModbus("cube", self.core, clock.monotonic),
+                path=lambda _line: self.path("cube", self.core, clock.monotonic),
             )
             runner.run(work(probe))
         return "\n".join(self.said)
@@ -66,6 +78,14 @@ def test_two_of_one_address_and_nobody_at_all():
     bus = Bus(SimulatedSmp(1, 101, bright), SimulatedSmp(1, 102, bright))
     assert "garbage: are there two" in bus.run(lambda probe: probe.report(range(1, 3), clear=False))
     assert "A and B the right way round" in Bus().run(lambda probe: probe.report(range(1, 3), clear=False))
+
+
+def test_whom_a_gateway_does_not_reach_is_not_there():
+    bus = Bus(SimulatedSmp(1, 101, bright))
+    bus.path = Gateway
+    said = bus.run(lambda probe: probe.report(range(1, 6), clear=False))
+    assert "address 1: SMP3 no. 101" in said
+    assert len(bus.said) == 2, said
 
 
 @pytest.mark.parametrize(

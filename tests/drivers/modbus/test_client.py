@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from daemon.base.timeloop import VirtualTimeLoop
-from drivers.errors import DeadlineError, RefusedError
+from drivers.errors import RefusedError, UnreachedError
 from drivers.modbus.client import ModbusBus
 from drivers.modbus.pdu import read_registers, write_register
 
@@ -40,12 +40,15 @@ READ = read_registers(7, 3, 0, 1)
     [
         ("83 02", RefusedError, "address 7 has no such register"),
         ("83 04", RefusedError, "address 7 "),
+        # One that has no time now.
+        ("83 05", UnreachedError, "address 7 needs longer"),
+        ("83 06", UnreachedError, "address 7 is busy"),
         # A gateway without a way to the device, and one whose device keeps silent.
-        ("83 0A", DeadlineError, "address 7 "),
-        ("83 0B", DeadlineError, "address 7 "),
+        ("83 0A", UnreachedError, "address 7 "),
+        ("83 0B", UnreachedError, "address 7 "),
     ],
 )
-def test_a_device_that_a_gateway_does_not_reach_is_silent_and_one_that_cannot_refuses(reply, error, words):
+def test_a_device_that_is_busy_or_not_reached_by_its_gateway_is_silent_and_one_that_cannot_refuses(reply, error, words):
     with pytest.raises(error, match=words):
         ask(Path(reply), READ)
 

@@ -8,7 +8,7 @@ import pytest
 from drivers.cube.pyranometers.driver import SensorLine
 from drivers.cube.pyranometers.makes import Block, Told, WhoAmI
 from drivers.cube.pyranometers.sensor import BusSensor
-from drivers.errors import ConnectError, DeadlineError, LinkLostError, RefusedError
+from drivers.errors import ConnectError, DeadlineError, LinkLostError, RefusedError, UnreachedError
 
 DATA, PROOF, LONG_PROOF = Block(3, 0, 1), Block(3, 40, 1), Block(3, 40, 2)
 
@@ -127,6 +127,16 @@ def test_noise_is_no_silence():
     bus.wrong = DeadlineError("cube", "sent something that is not an answer")
     assert bus.reads(sensor, 40).flaw == "missing"
     assert sensor.note == "the south sensor (address 2) answers, but sent something that is not an answer"
+
+
+def test_a_busy_one_is_told_from_the_third_miss_on_and_its_make_is_not_doubted():
+    bus = Bus()
+    sensor = bus.sensor()
+    bus.wrong = UnreachedError("cube", "address 2 is busy (exception 6)")
+    for said in ("", "", "the south sensor (address 2) does not answer: address 2 is busy (exception 6)"):
+        bus.now_s += 100.0
+        assert bus.reads(sensor).flaw == "missing"
+        assert (sensor.answers, sensor.note) == (False, said)
 
 
 def test_of_a_line_that_is_gone_no_sensor_answers_and_each_is_proven_anew():
