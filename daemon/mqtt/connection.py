@@ -177,6 +177,8 @@ _REFUSALS = {
     135: "refuses user or password: see mqtt.credentials_file",
     136: "is not available now",
     141: "does not answer any more",
+    154: "keeps no retained messages, and the service needs them: allow them in the broker's settings",
+    155: "takes no messages of QoS 1, and the service needs them: allow them in the broker's settings",
 }
 
 

@@ -25,19 +25,27 @@ class Broker:
     """One broker on a loopback port of its own."""
 
     def __init__(
-        self, folder, users=None, acl=None, tls=False, most_bytes=None, unsaid_most_bytes=None, certificate="broker"
+        self,
+        folder,
+        users=None,
+        acl=None,
+        tls=False,
+        most_bytes=None,
+        unsaid_most_bytes=None,
+        certificate="broker",
+        setting="",
     ):
         self.port = free_port()
         self.process = None
         self._folder = folder
         self._arguments = (
-            self._mosquitto(users, acl, tls and certificate, most_bytes, unsaid_most_bytes)
+            self._mosquitto(users, acl, tls and certificate, most_bytes, unsaid_most_bytes, setting)
             if MOSQUITTO
             else [sys.executable, "-m", "tests.support.broker", str(self.port)]
         )
 
-    def _mosquitto(self, users, acl, certificate, most_bytes, unsaid_most_bytes):
-        lines = [f"listener {self.port} 127.0.0.1", "persistence false", f"user {getpass.getuser()}"]
+    def _mosquitto(self, users, acl, certificate, most_bytes, unsaid_most_bytes, setting):
+        lines = [f"listener {self.port} 127.0.0.1", setting, "persistence false", f"user {getpass.getuser()}"]
         lines.append("max_queued_messages 0")
         lines.append(f"allow_anonymous {'false' if users else 'true'}")
         if most_bytes:

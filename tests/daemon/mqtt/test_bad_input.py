@@ -106,6 +106,26 @@ def test_a_certificate_that_is_out_of_date_or_of_another_name_is_not_laid_to_the
     scaled(scenario)
 
 
+@needs_mosquitto
+@pytest.mark.parametrize(
+    ("setting", "sentence"),
+    [
+        ("retain_available false", "keeps no retained messages, and the service needs them"),
+        ("max_qos 0", "takes no messages of QoS 1, and the service needs them"),
+    ],
+)
+def test_a_broker_that_cannot_do_what_the_service_needs_is_said_to_lack_it(make_broker, scaled, setting, sentence):
+    broker = make_broker(setting=setting).start()
+
+    async def scenario():
+        rig = broker_rig(broker.port)
+        async with serving(rig):
+            await until(lambda: "not connected yet" not in told(rig), "a reason")
+            assert sentence in told(rig)[0]
+
+    scaled(scenario)
+
+
 def test_a_wrong_discovery_prefix_costs_home_assistant_only(broker, scaled, log_lines):
     async def scenario():
         rig = broker_rig(broker.port, mqtt={"discovery_prefix": "ha/+"})
