@@ -16,7 +16,6 @@ from daemon.api.port.doorkeeper import Doorkeeper
 from daemon.base.addresses import parse_address
 from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage
-from daemon.base.records import Event, Record
 from daemon.config.links import ApiSettings
 
 log = logging.getLogger("heliocube.api")
@@ -59,7 +58,8 @@ class _Server(uvicorn.Server):
 class ApiServer:
     """The local interface as a companion of the service.
 
-    A port that is taken does not stop the service: that is told once, and tried again every few seconds.
+    A port that cannot be had does not stop the service: an alarm tells it at all other doors until the port is had, and
+    it is tried again every few seconds.
 
     Parameters
     ----------
@@ -67,19 +67,21 @@ class ApiServer:
         Where to listen.
     api
         What the routes do.
-    clock, publish
-        The service's time, and where events go.
+    clock
+        The service's time.
+    alarm
+        Raises an alarm, or ends it with None.
     speed
         How many times as fast as the machine's the clock runs.
     """
 
     def __init__(
-        self, settings: ApiSettings, api: Api, clock: Clock, publish: Callable[[Record], None], speed: float
+        self, settings: ApiSettings, api: Api, clock: Clock, alarm: Callable[[str, str | None], None], speed: float
     ) -> None:
         self._address = parse_address(settings.listen)
         self._api = api
         self._clock = clock
-        self._publish = publish
+        self._alarm = alarm
         self._speed = speed
         self._connections = Connections(api.token, api.refusals, speed)
         self._outage = Outage(log, "the local interface")
@@ -120,13 +122,12 @@ class ApiServer:
             bound.listen()
         except OSError as error:
             bound.close()
-            first = not self._outage.is_down
-            reason = f"cannot listen on {self._address}: {error.strerror}; set api.listen to another port"
-            reported = self._outage.down(now_s, reason)
-            if first and reported:
-                self._publish(Event(self._clock.utc(), now_s, "api", reason))
+            reason = f"cannot listen on {self._address}: {error.strerror}"
+            self._outage.down(now_s, f"{reason}; set api.listen to another port")
+            self._alarm("api-down", f"the local interface {reason}: 'heliocube stop' cannot reach the service")
             return
         self._outage.up(now_s)
+        self._alarm("api-down", None)
         self._bound = bound
 
     async def _serve(self, bound: socket.socket) -> None:

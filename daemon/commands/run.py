@@ -284,7 +284,7 @@ def _api(
     token = generate_token() if settings.token_file is None else load_token(settings.token_file)
     operators = Operators(service.trackers, speed, service.cube_alarms)
     api = Api(see, recent, operators, token, service.clock, speed, settings.hosts, glance, own)
-    server = ApiServer(settings, api, service.clock, service.bus.publish, speed)
+    server = ApiServer(settings, api, service.clock, service.cube_alarms.set, speed)
     if server.url is not None:
         where = f"the token of commands is in {settings.token_file}"
         if settings.token_file is None:

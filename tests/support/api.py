@@ -62,7 +62,7 @@ def server_of(rig, settings, recent=None, store=None, hosts=(), links=None, file
     operators = Operators(rig.service.trackers, 1.0, rig.service.cube_alarms)
     own = OwnConfiguration(file, [tracker.name for tracker in rig.service.trackers])
     api = Api(lambda: rig.see(recent, store, links), recent, operators, TOKEN, rig.clock, 1.0, hosts, own=own)
-    return ApiServer(settings, api, rig.clock, rig.bus.publish, 1.0)
+    return ApiServer(settings, api, rig.clock, rig.service.cube_alarms.set, 1.0)
 
 
 @pytest.fixture

@@ -241,6 +241,15 @@ _ALL = (
         "free space on the disk, or correct its permissions; the alarm ends with the first record that is written",
     ),
     _kind(
+        "api-down",
+        Severity.WARNING,
+        "the address and port of `api.listen` cannot be used: another program has them, or this one may not",
+        "`heliocube stop` and all other commands, the dashboard, `/metrics` and `heliocube notify` cannot reach the"
+        " service; the tracker and commands over MQTT and SunSpec are not affected",
+        "end the program that has the port (`ss -ltnp` names it): the service takes it within 10 s; or set api.listen"
+        " to another port, then restart the service",
+    ),
+    _kind(
         "archive-behind",
         Severity.WARNING,
         "no archive has confirmed records for an hour",

@@ -6,7 +6,7 @@ from daemon.base.records import Event
 from tests.support.api import server_of
 
 
-def test_a_port_that_is_taken_is_told_once_and_taken_when_it_is_free(serve, run_rig):
+def test_a_port_that_is_taken_is_an_alarm_at_every_other_door_until_it_is_had(serve, run_rig):
     async def scenario(rig, call):
         port = call.server.url.rpartition(":")[2]
         settings = rig.service.settings.api.model_copy(update={"listen": f"127.0.0.1:{port}"})
@@ -14,11 +14,18 @@ def test_a_port_that_is_taken_is_told_once_and_taken_when_it_is_free(serve, run_
         assert second.url is None
         serving = asyncio.create_task(second.run())
         await asyncio.sleep(300)
-        told = [event.text for event in rig.of(Event) if event.subject == "api"]
-        assert told == [f"cannot listen on 127.0.0.1:{port}: Address already in use; set api.listen to another port"]
+        (alarm,) = (await call.get("/api/state")).json["alarms"]
+        assert (alarm["name"], alarm["state"]) == ("api-down", "raised")
+        text = (
+            f"the local interface cannot listen on 127.0.0.1:{port}: Address already in use: 'heliocube stop' cannot"
+            " reach the service"
+        )
+        assert alarm["text"] == text
         call.server.close()
         await asyncio.sleep(11)
         assert second.url == f"http://127.0.0.1:{port}"
+        told = [event.text for event in rig.of(Event) if event.subject == "alarm"]
+        assert told == [f"raised api-down: {text}", f"cleared api-down: {text}"]
         serving.cancel()
         await asyncio.wait((serving,))
 
