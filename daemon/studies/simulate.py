@@ -11,7 +11,7 @@ from typing import Literal
 from daemon.base.clock import LoopClock
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier
-from daemon.base.records import Bus, Decision, Mode, ModeChange, Move, Record, Scan
+from daemon.base.records import Bus, Decision, Event, Mode, ModeChange, Move, Record, Scan
 from daemon.base.timeloop import virtual_time
 from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
@@ -23,6 +23,7 @@ from daemon.rigs.simulated import build_simulated_rig, build_weather
 from daemon.service.rig import Role
 from daemon.service.service import Service
 from daemon.store.tables import TableError, TableWriter
+from daemon.studies.failed_laws import failed_laws
 from daemon.studies.simulated_day import SIMULATED_COLUMNS, PlaneInsolation, Poses, placed
 from solar.ephemeris import DAY_S, sun_day
 
@@ -41,8 +42,10 @@ class Summary:
         Sum over both axes of what the tracker turned between starts and ends of its moves.
     mode_s
         Seconds in each mode, of all trackers.
-    warning
-        About the weather file, or None.
+    warnings
+        About the weather file.
+    failed_laws
+        A sentence for each law that failed, so that another one pointed from then on.
     interrupted_utc_s
         Until when it came before Ctrl-C, or None.
     insolation
@@ -54,7 +57,8 @@ class Summary:
     moves: int = 0
     travel_deg: float = 0.0
     mode_s: dict[Mode, float] = field(default_factory=lambda: dict.fromkeys(Mode, 0.0))
-    warning: str | None = None
+    warnings: list[str] = field(default_factory=list)
+    failed_laws: list[str] = field(default_factory=list)
     interrupted_utc_s: float | None = None
     insolation: tuple[PlaneInsolation, ...] = ()
 
@@ -178,6 +182,7 @@ def _require_daylight(settings: Settings, start_utc_s: float, end_utc_s: float) 
 class _Tally:
     def __init__(self, start_utc_s: float, trackers: Sequence[str]) -> None:
         self._summary = Summary()
+        self._events: list[Event] = []
         self._modes = dict.fromkeys(trackers, (Mode.STARTING, start_utc_s))
 
     def count(self, record: Record) -> None:
@@ -191,6 +196,8 @@ class _Tally:
             summary.travel_deg += abs(record.end_a_deg - record.from_a_deg) + abs(record.end_b_deg - record.from_b_deg)
         elif isinstance(record, ModeChange):
             self._enter(record.after, record.time_utc_s, record.tracker)
+        elif isinstance(record, Event):
+            self._events.append(record)
 
     def _enter(self, mode: Mode, utc_s: float, tracker: str) -> None:
         before, since_utc_s = self._modes[tracker]
@@ -200,5 +207,6 @@ class _Tally:
     def close(self, end_utc_s: float, warning: str | None) -> Summary:
         for tracker, (mode, _) in tuple(self._modes.items()):
             self._enter(mode, end_utc_s, tracker)
-        self._summary.warning = warning
+        self._summary.warnings = [] if warning is None else [warning]
+        self._summary.failed_laws = failed_laws(self._events, several=len(self._modes) > 1)
         return self._summary

@@ -49,6 +49,7 @@ def page_of(summary: "Summary", settings: "Settings", out: Path, pages: "Sequenc
         "weather": settings.simulation.weather,
         "seed": settings.simulation.seed,
         **asdict(summary),
+        "warnings": [*summary.warnings, *summary.failed_laws],
         "tables": out,
         "reports": pages,
     }
@@ -56,8 +57,8 @@ def page_of(summary: "Summary", settings: "Settings", out: Path, pages: "Sequenc
 
 def report(summary: "Summary", settings: "Settings", out: Path) -> None:
     """Print what was simulated and where the tables are; a warning goes to standard error."""
-    if summary.warning:
-        warn(summary.warning)
+    for warning in summary.warnings:
+        warn(warning)
     site = settings.site
     hours = ", ".join(f"{mode} {seconds / 3600:.1f} h" for mode, seconds in summary.mode_s.items() if seconds >= 180)
     laws = ", ".join(dict.fromkeys(own.law.driver for _, own in settings.trackers))
@@ -75,7 +76,7 @@ def report(summary: "Summary", settings: "Settings", out: Path) -> None:
         *(["that is without the shade of neighbours"] if any(own.rows.east_m for _, own in settings.trackers) else []),
         f"tables in {out}",
     )
-    for line in lines:
+    for line in [*lines[:1], *summary.failed_laws, *lines[1:]]:
         say(line)
 
 
@@ -197,6 +198,7 @@ def replay(
     check_outputs([out], "--out", force=force)
     if faces is not None and not faces.is_file():
         raise UserError(f"there is no file {faces}: name a CSV file with the columns time,east,south,west,zenith")
+    from daemon.studies.failed_laws import failed_laws
     from daemon.studies.recorded import read_csv, rows_of_store
     from daemon.studies.replay import replay as run_replay
 
@@ -221,10 +223,14 @@ def replay(
         from daemon.studies.report.studies import report_replay
 
         pages = report_replay(settings, span, rows, replayed, out, report_to, local, force=force)
+    warnings, law = failed_laws(replayed.events, several=False), settings.law.driver
     if as_json:
-        print_json({"simulated": True, "rows": done, "law": settings.law.driver, "table": out, "reports": pages})
+        page = {"simulated": True, "rows": done, "law": law, "warnings": warnings, "table": out, "reports": pages}
+        print_json(page)
     else:
-        say(f"{done} rows by {settings.law.driver} on a SIMULATED tracker: {out}")
+        say(f"{done} rows by {law} on a SIMULATED tracker: {out}")
+        for warning in warnings:
+            say(warning)
         tell_pages(pages)
     if done < len(rows):
         raise InterruptedEarlyError(f"interrupted: {done} of {len(rows)} rows are in {out}{without_page(report_to)}")

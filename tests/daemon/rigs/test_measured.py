@@ -65,7 +65,7 @@ def test_what_is_missing_is_counted_and_told(gaps):
 def test_a_day_with_gaps_is_simulated_and_the_cube_reads_nothing_in_them(gaps, tmp_path):
     start = datetime(2022, 6, 14, 10, 50, tzinfo=UTC)
     summary = simulate(settings_under(gaps), start, 1.7 / 24, tmp_path / "out", "csv", lambda _share: None)
-    assert "1.3 h of daylight are missing" in summary.warning
+    assert "1.3 h of daylight are missing" in summary.warnings[0]
     with (tmp_path / "out" / "scans.csv").open(newline="") as file:
         times = [datetime.fromisoformat(row["time"]).timestamp() - MIDNIGHT for row in csv.DictReader(file)]
     steps = np.diff(times)

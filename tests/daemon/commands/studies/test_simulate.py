@@ -3,6 +3,26 @@
 import csv
 import json
 
+import pytest
+
+from solar.laws.flat import FlatLaw
+
+NOON_UTC_S = 1665748800.0
+FAILED = "the law flat has failed (ZeroDivisionError: no such sky), and chronometric points instead from 2022-10-14T"
+
+
+@pytest.fixture
+def fails_from_noon_on(monkeypatch):
+    """Let the law flat raise an error from 2022-10-14T12:00:30Z on."""
+    aim = FlatLaw.aim
+
+    def fails(law, now):
+        if now.utc_s > NOON_UTC_S + 30.0:
+            raise ZeroDivisionError("no such sky")
+        return aim(law, now)
+
+    monkeypatch.setattr(FlatLaw, "aim", fails)
+
 
 def test_so_many_trackers_have_names_of_their_own_and_one_line_stands_for_all_of_them(heliocube, tmp_path):
     out = tmp_path / "out"
@@ -41,3 +61,26 @@ def test_trackers_without_a_cube_are_told_what_is_missing_and_what_else_may_be_m
     assert told.count("\n") == 1
     assert "instruments.voltmeter.resource is missing" in told
     assert told.endswith("; where the cube is another process's, give --role tracker\n")
+
+
+@pytest.mark.usefixtures("fails_from_noon_on")
+def test_a_law_that_fails_is_told_in_the_summary_with_the_time_from_which_on_another_points(heliocube, tmp_path):
+    asked = ("simulate", "--law", "flat", "--start", "2022-10-14T11:50Z", "--days", 0.01, "--out", tmp_path)
+    code, told, _ = heliocube(*asked)
+    assert (code, told.splitlines()[1]) == (0, f"{FAILED}12:00:31Z on")
+    code, told, _ = heliocube(*asked, "--force", "--json")
+    assert (code, json.loads(told)["warnings"]) == (0, [f"{FAILED}12:00:31Z on"])
+
+
+@pytest.mark.usefixtures("fails_from_noon_on")
+def test_a_replay_tells_of_a_law_that_fails_as_a_simulation_does(heliocube, tmp_path):
+    faces = tmp_path / "faces.csv"
+    minutes = "".join(
+        f"2022-10-14T{11 + m // 60}:{m % 60:02}:00Z,30{m % 10},50{m % 9},10{m % 8},60{m % 7}\n" for m in range(50, 71)
+    )
+    faces.write_text("time,east,south,west,zenith\n" + minutes)
+    asked = ("replay", faces, "--site", "48.7,2.2", "--law", "flat", "--out", tmp_path / "out.csv")
+    code, told, _ = heliocube(*asked)
+    assert (code, told.splitlines()[1]) == (0, f"{FAILED}12:05:05Z on")
+    code, told, _ = heliocube(*asked, "--force", "--json")
+    assert (code, json.loads(told)["warnings"]) == (0, [f"{FAILED}12:05:05Z on"])
