@@ -1,5 +1,6 @@
 """When a notice is sent: at once, after the quiet hours, or gathered with others where there are too many."""
 
+from dataclasses import replace
 from datetime import time
 
 from daemon.base.recurrence import RateLimit
@@ -44,14 +45,16 @@ class Backlog:
         self._quiet = quiet
         self._limit = RateLimit(most_per_hour / 3600.0, most_per_hour)
         self._waiting: list[Notice] = []
+        self._lost = self._lost_told = 0
         self._failures = 0
         self._not_before_s = 0.0
 
     def put(self, notice: Notice) -> None:
-        """Take a notice; of too many the oldest goes that is not urgent."""
+        """Take a notice; of too many the oldest is lost that is not urgent, and the next message says so."""
         self._waiting.append(notice)
         if len(self._waiting) > _MOST_WAITING:
             self._waiting.remove(next((old for old in self._waiting if not old.urgent), self._waiting[0]))
+            self._lost += 1
 
     def due(self, now_s: float, local: time) -> tuple[Notice, list[Notice]] | None:
         """Return what is to be sent now and the notices that it stands for, or None.
@@ -68,11 +71,22 @@ class Backlog:
             return None
         # A message that was not taken may have been too long for its way, which would keep the urgent ones with it.
         chosen = sorted(chosen, key=lambda notice: not notice.urgent)[: max(len(chosen) >> self._failures, 1)]
-        return gathered(chosen), chosen
+        self._lost_told = self._lost
+        return self._with_lost(gathered(chosen)), chosen
+
+    def _with_lost(self, notice: Notice) -> Notice:
+        if not self._lost:
+            return notice
+        lost = f"Older changes that are lost, because more than {_MOST_WAITING} waited: {self._lost}."
+        return replace(notice, body=f"{lost}\n{notice.body}")
 
     def sent(self, notices: list[Notice]) -> None:
         """Take off what was sent."""
         self._failures = 0
+        # Of those on their way some may have counted as lost meanwhile.
+        on_the_way = sum(all(notice is not each for each in self._waiting) for notice in notices)
+        self._lost -= self._lost_told + on_the_way
+        self._lost_told = 0
         self._waiting = [notice for notice in self._waiting if all(notice is not each for each in notices)]
 
     def failed(self, now_s: float) -> float:

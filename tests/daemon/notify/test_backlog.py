@@ -53,3 +53,19 @@ def test_what_comes_and_goes_is_gathered_into_one_message(lab, told):
         assert lab.titles[3:] == ["heliocube: 9 changes of alarms"]
 
     told(scenario, most_per_hour=3)
+
+
+@pytest.mark.slow
+def test_the_next_message_says_how_many_changes_were_lost_while_too_many_waited(lab, told):
+    async def scenario(step):
+        lab.taking = False
+        lab.alarms = [lab.alarm("clock") | {"tracker": f"row-{number}"} for number in range(205)]
+        await step()
+        lab.taking = True
+        for _ in range(3):
+            await step(1800.0)
+        lost = "Older changes that are lost, because more than 200 waited: 5."
+        assert [message.splitlines()[0] for message in lab.messages] == [lost, "roof SIMULATED: WARNING row-105 clock"]
+        assert sum(message.count("clock") for message in lab.messages) == 200
+
+    told(scenario)
