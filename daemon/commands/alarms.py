@@ -108,6 +108,7 @@ def notify(
 
     from daemon.base import process
     from daemon.base.clock import SystemClock
+    from daemon.base.state import StateFolder
     from daemon.config.links import NotifySettings, section_of_guest
     from daemon.config.section import beside
     from daemon.notify import courier
@@ -127,4 +128,7 @@ def notify(
     services, people = ", ".join(settings.services), ", ".join(each.name for each in recipients)
     say(f"telling {people} of alarms of {services}")
     manager = process.Notifier(os.environ, os.getpid())
-    asyncio.run(courier.serve(settings, recipients, SystemClock(), manager))
+    # systemd's; whoever runs it by hand sees the terminal.
+    kept_in = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    folder = StateFolder(Path(kept_in) if kept_in else None, behind=True)
+    asyncio.run(courier.serve(settings, recipients, SystemClock(), manager, folder))

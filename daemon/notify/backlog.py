@@ -49,6 +49,11 @@ class Backlog:
         self._failures = 0
         self._not_before_s = 0.0
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether all was sent."""
+        return not self._waiting
+
     def put(self, notice: Notice) -> None:
         """Take a notice; of too many the oldest is lost that is not urgent, and the next message says so."""
         self._waiting.append(notice)

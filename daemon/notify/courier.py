@@ -16,10 +16,12 @@ from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier, on_signals
 from daemon.base.reconnect import Outage
+from daemon.base.state import StateFolder
 from daemon.config.links import NotifySettings
 from daemon.notify.backlog import Backlog, QuietHours
 from daemon.notify.notices import Notice, ServiceWatch
 from daemon.notify.recipients import Recipient
+from daemon.notify.told import Told, ToldFile
 
 log = logging.getLogger("heliocube.notify")
 
@@ -44,8 +46,10 @@ async def test(settings: NotifySettings, recipients: Sequence[Recipient], report
     return all(taken)
 
 
-async def serve(settings: NotifySettings, recipients: Sequence[Recipient], clock: Clock, manager: Notifier) -> None:
-    """Tell people of alarms until SIGINT, SIGTERM or SIGHUP.
+async def serve(
+    settings: NotifySettings, recipients: Sequence[Recipient], clock: Clock, manager: Notifier, folder: StateFolder
+) -> None:
+    """Tell people of alarms until SIGINT, SIGTERM or SIGHUP; what was told is kept in `folder`.
 
     Raises `UserError` for a service's address that is none.
     """
@@ -61,7 +65,7 @@ async def serve(settings: NotifySettings, recipients: Sequence[Recipient], clock
 
     # Proxies of the environment are for the world outside.
     async with httpx.AsyncClient(trust_env=False) as client:
-        courier = Courier(settings, services, recipients, clock, client, manager.watchdog)
+        courier = Courier(settings, services, recipients, clock, client, manager.watchdog, ToldFile(folder))
         with on_signals(end_from_outside):
             task = asyncio.create_task(courier.run())
             manager.ready()
@@ -89,6 +93,8 @@ class Courier:
         Asks the services.
     alive
         Called after each round.
+    file
+        Keeps over a restart what was told; None keeps nothing.
     """
 
     def __init__(
@@ -99,15 +105,18 @@ class Courier:
         clock: Clock,
         client: httpx.AsyncClient,
         alive: Callable[[], None] = lambda: None,
+        file: ToldFile | None = None,
     ) -> None:
         self._settings = settings
         self._clock = clock
         self._client = client
         self._alive = alive
-        now_s = clock.monotonic()
+        self._file = file or ToldFile(StateFolder(None))
+        now_s, before = clock.monotonic(), self._file.load()
+        self._told = before
+        own = settings.silent_after_s, settings.at_least, settings.dashboard, now_s
         self._watches = {
-            service: ServiceWatch(str(service), settings.silent_after_s, settings.at_least, settings.dashboard, now_s)
-            for service in services
+            service: ServiceWatch(str(service), *own, before.get(str(service), Told())) for service in services
         }
         quiet = QuietHours(settings.quiet_from, settings.quiet_until)
         self._backlogs = [(recipient, Backlog(quiet, settings.most_per_hour)) for recipient in people]
@@ -129,6 +138,8 @@ class Courier:
         finally:
             for telling in self._under_way.values():
                 telling.cancel()
+            self._keep()
+            self._file.close()
 
     async def step(self) -> Collection[asyncio.Task[None]]:
         """Ask every service once, and begin to tell what there is to tell; return what is under way.
@@ -136,11 +147,13 @@ class Courier:
         A way that is still busy with what it was given before gets no more, and keeps neither the others waiting nor
         the next round.
         """
+        self._keep()
         found = await asyncio.gather(*(self._ask(service, watch) for service, watch in self._watches.items()))
         for notice in (notice for notices in found for notice in notices):
             log.info("%s", notice.title)
             for _, backlog in self._backlogs:
                 backlog.put(notice)
+        self._told = {str(service): watch.told for service, watch in self._watches.items()}
         for way, outage in self._ways.items():
             before = self._under_way.get(way)
             if before is not None and not before.done():
@@ -149,6 +162,11 @@ class Courier:
                 outage.down(self._clock.monotonic(), f"it cannot be used: {ascii(error)[:200]}")
             self._under_way[way] = asyncio.create_task(way())
         return self._under_way.values()
+
+    def _keep(self) -> None:
+        """Keep what was told, once everybody has been told: after a restart it is told again otherwise."""
+        if all(backlog.is_empty for _, backlog in self._backlogs):
+            self._file.save(self._told)
 
     async def _ask(self, service: Address, watch: ServiceWatch) -> list[Notice]:
         try:

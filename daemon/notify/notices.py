@@ -5,10 +5,13 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from daemon.notify.told import Told, ToldAlarm
+
 # Alarms by tracker (empty for the cube's) and name.
 _Shown = dict[tuple[str, str], dict[str, Any]]
 
 SEVERITIES = ("notice", "warning", "critical")
+_NOTHING = Told()
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +43,7 @@ class ServiceWatch:
     """Compares a service with how it was, and returns what to tell.
 
     The first look tells what is on and acknowledged by nobody: what was told before a restart is told once more, rather
-    than never.
+    than never. What was told then and has ended since is told as over.
 
     Parameters
     ----------
@@ -54,9 +57,19 @@ class ServiceWatch:
         Where to look, or None.
     now_s
         Monotonic time: silence counts from here.
+    before
+        What was told before a restart.
     """
 
-    def __init__(self, address: str, silent_after_s: float, at_least: str, link: str | None, now_s: float) -> None:
+    def __init__(
+        self,
+        address: str,
+        silent_after_s: float,
+        at_least: str,
+        link: str | None,
+        now_s: float,
+        before: Told = _NOTHING,
+    ) -> None:
         self._address = address
         self._silent_after_s = silent_after_s
         self._at_least = SEVERITIES.index(at_least)
@@ -64,7 +77,14 @@ class ServiceWatch:
         self._heard_s = now_s
         self._name = address
         self._silent = False
-        self._known: _Shown = {}
+        self._was_silent = before.silent
+        self._known: _Shown = {(alarm.tracker or "", alarm.name): alarm.as_shown() for alarm in before.alarms}
+        self._told = before
+
+    @property
+    def told(self) -> Told:
+        """What has been told, or is about to be, for a restart."""
+        return self._told.model_copy(update={"silent": self._silent or self._was_silent})
 
     def answered(self, state: Mapping[str, Any], now_s: float) -> list[Notice]:
         """Take in the JSON of /api/state; anything else raises an error such as `KeyError`, and is not heard."""
@@ -73,11 +93,13 @@ class ServiceWatch:
             shown = {(alarm["tracker"] or "", alarm["name"]): alarm for alarm in state["alarms"]}
             shown |= self._hidden(_muted(state), shown)
             changes = list(self._changes(shown))
+            on = [alarm for alarm in shown.values() if self._matters(alarm) and alarm["state"] != "cleared"]
+            told = Told(alarms=[ToldAlarm.model_validate(alarm) for alarm in on])
         except Exception:
             self._name = before
             raise
-        notices = [self._back(), *changes] if self._silent else changes
-        self._heard_s, self._silent, self._known = now_s, False, shown
+        notices = [self._back(), *changes] if self._silent or self._was_silent else changes
+        self._heard_s, self._silent, self._was_silent, self._known, self._told = now_s, False, False, shown, told
         return notices
 
     def failed(self, why: str, now_s: float) -> list[Notice]:

@@ -13,7 +13,7 @@ from boot.restarts import BACK_WITHIN_S, Restarts
 from boot.rig import UNITS, Rig
 from boot.tree import CHECKOUT, ENVIRONMENTS, PACKAGES, Tree
 
-_LEAVES = ("etc/heliocube", "var/lib/heliocube")
+_LEAVES = ("etc/heliocube", "var/lib/heliocube", "var/lib/private/heliocube")
 # Not ours: what the run itself has put there, and what the system keeps about every package and user.
 _NOT_OURS = ("srv", "proc", "sys", "run", "tmp", "var/log", "var/cache", "var/tmp")
 

@@ -13,9 +13,11 @@ from apprise.plugins.custom_json import NotifyJSON
 from daemon.api.models import AlarmPart
 from daemon.base.addresses import parse_address
 from daemon.base.alarms.kinds import KINDS
+from daemon.base.state import StateFolder
 from daemon.config.links import NotifySettings
 from daemon.notify.courier import Courier
 from daemon.notify.recipients import recipients_of
+from daemon.notify.told import ToldFile
 
 pytestmark = pytest.mark.slow
 
@@ -141,7 +143,8 @@ def told(lab, tmp_path):
             clock = HandClock()
             async with httpx.AsyncClient(trust_env=False) as client:
                 service = parse_address(lab.address)
-                courier = Courier(chosen, [service], recipients_of(people), clock, client)
+                file = ToldFile(StateFolder(tmp_path))
+                courier = Courier(chosen, [service], recipients_of(people), clock, client, file=file)
 
                 async def step(after_s=10.0):
                     clock.now += after_s

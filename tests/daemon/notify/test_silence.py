@@ -96,3 +96,53 @@ def test_services_are_not_asked_so_seldom_that_the_service_manager_takes_the_pau
     assert NotifySettings(poll_every_s=120.0).poll_every_s < watchdog_s / 2
     with pytest.raises(ValidationError):
         NotifySettings(poll_every_s=watchdog_s)
+
+
+def test_what_ended_while_nobody_was_there_to_tell_it_is_told_as_over_after_the_start(lab, told):
+    async def before(step):
+        lab.alarms = [lab.alarm(), lab.alarm("clock"), lab.alarm("move-failed")]
+        await step()
+        await step()
+
+    async def after(step):
+        lab.alarms = [lab.alarm("clock"), lab.alarm("move-failed", "cleared")]
+        await step()
+        await step()
+
+    told(before)
+    told(after)
+    assert [line.rpartition("SIMULATED: ")[2] for line in lab.messages[1].splitlines()] == [
+        "over: move-failed",
+        "over: stow-wanted",
+        "WARNING clock",
+    ]
+
+
+def test_a_service_that_was_silent_before_a_restart_and_answers_now_is_told_as_back(lab, told):
+    async def before(step):
+        lab.up = False
+        for _ in range(15):
+            await step()
+
+    async def after(step):
+        lab.up = True
+        await step()
+        await step()
+
+    told(before)
+    told(after)
+    assert lab.titles[1:] == ["heliocube roof SIMULATED: answers again"]
+
+
+def test_what_is_no_list_of_what_was_told_is_logged_and_costs_no_alarm(lab, told, tmp_path, caplog):
+    (tmp_path / "told.json").write_text("{")
+
+    async def scenario(step):
+        lab.alarms = [lab.alarm()]
+        await step()
+
+    told(scenario)
+    assert [line.partition("told.json ")[2] for line in caplog.messages] == [
+        "cannot be read: alarms that ended meanwhile are not told as over"
+    ]
+    assert len(lab.titles) == 1

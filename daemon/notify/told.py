@@ -1,0 +1,82 @@
+"""Which alarms were told, over a restart of what tells them: one that ends meanwhile is told as over."""
+
+import logging
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError
+
+log = logging.getLogger("heliocube.notify")
+
+FILE_NAME = "told.json"
+
+
+class ToldAlarm(BaseModel):
+    """One alarm that was on, as `/api/state` has it."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
+
+    name: str
+    severity: str
+    text: str
+    latched: bool
+    tracker: str | None = None
+    acknowledged_at: str | None = None
+
+    def as_shown(self) -> dict[str, Any]:
+        """Return it as one that is on; it has no time, by which one that lasts is told once more."""
+        return {**self.model_dump(), "state": "raised", "raised_at": ""}
+
+
+class Told(BaseModel):
+    """What was told of one service: that it does not answer, and the alarms that were on."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    silent: bool = False
+    alarms: list[ToldAlarm] = Field(default_factory=list)
+
+
+class ToldOfAll(BaseModel):
+    """The same of all services, by their address."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    services: dict[str, Told] = Field(default_factory=dict)
+
+
+class ToldFile:
+    """A small file with it; in a folder without a directory nothing is kept.
+
+    Parameters
+    ----------
+    folder
+        Of the file.
+    """
+
+    def __init__(self, folder: StateFolder) -> None:
+        self._folder = folder
+        self._file = StateFile(folder, FILE_NAME, ToldOfAll, log, "which alarms were told")
+        self._saved: ToldOfAll | None = None
+
+    def load(self) -> dict[str, Told]:
+        """Return what was kept, by address; nothing of a file that cannot be read, which is logged."""
+        try:
+            kept = self._file.load()
+        except UnreadableStateError as error:
+            log.warning("%s: alarms that ended meanwhile are not told as over", error)
+            return {}
+        return {} if kept is None else kept.services
+
+    def save(self, services: dict[str, Told]) -> None:
+        """Have the file replaced as a whole where anything has changed; a disk that failed is tried again."""
+        whole = ToldOfAll(services=services)
+        if whole != self._saved:
+            self._saved = whole
+            self._file.save(whole)
+        self._folder.retry()
+
+    def close(self) -> None:
+        """Give the disk a moment for what it has not taken yet."""
+        self._folder.close()
