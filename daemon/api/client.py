@@ -29,6 +29,7 @@ _LONGEST_REPLY = 16 << 20
 _OK = b"200"
 _UNHEALTHY = b"503"
 _ANOTHER_SERVICE = b"421"
+_UNAUTHORISED = b"401"
 # No such thing, or no such value.
 _MISTYPED = (b"400", b"404", b"405", b"413", b"422")
 # A service whose port is flooded may give a connection up for another.
@@ -140,7 +141,19 @@ class Client:
             )
         if status == _ANOTHER_SERVICE:
             raise NoServiceError(str(refusal))
+        if status == _UNAUTHORISED:
+            self._require_meant("nothing was stopped" if path == "/api/stop" else "nothing is done")
         raise (UserError if status in _MISTYPED else CommandRefusedError)(str(refusal))
+
+    def _require_meant(self, undone: str) -> None:
+        """Raise `NoServiceError` if the service is another file's: with its own token, that one refuses every order."""
+        try:
+            status, content = self._exchange("GET", "/healthz", b"")
+            found = json.loads(content)
+        except (OSError, ValueError):
+            return
+        if status == _ANOTHER_SERVICE and isinstance(found, dict):
+            raise NoServiceError(f"{undone}: {found.get('error')}")
 
     def _exchange_surely(self, method: str, path: str, body: bytes) -> tuple[bytes, bytes]:
         """Ask again where the connection was cut off without an answer, if what is asked may be asked twice."""

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from daemon.api import client
-from daemon.api.client import Client, NoServiceError, find, find_unarmed
+from daemon.api.client import Client, CommandRefusedError, NoServiceError, find, find_unarmed
 from daemon.base.addresses import parse_address
 from daemon.base.records import Mode
 from tests.support.api import TOKEN
@@ -99,6 +99,24 @@ def test_a_copied_file_looks_at_and_orders_no_other_tracker_and_a_stop_says_whic
         assert reply.json["error"].startswith(f"the tracker of {copy} was NOT stopped: its api.listen leads to ")
         assert f"service of {roof} (tracker tracker), which was told to stop instead: stopped on " in str(reply.json)
         assert (await call.post(f"auto?configuration={copy}&configuration={roof}")).status == 200
+
+    serve(scenario, file=roof)
+
+
+@pytest.mark.parametrize(("name", "undone"), [("hold", "nothing is done"), ("stop", "nothing was stopped")])
+def test_another_token_in_a_copied_file_does_not_hide_whose_service_answers(serve, tmp_path, name, undone):
+    roof, copy = tmp_path / "roof.toml", tmp_path / "copy.toml"
+
+    async def scenario(rig, call):
+        listen = call.server.url.removeprefix("http://")
+        for file in (roof, copy):
+            file.write_text(f'[api]\nlisten = "{listen}"\n[mqtt]\nname = "tracker"\n', encoding="utf-8")
+        strangers = {"HELIOCUBE_TOKEN": "s" * 43}
+        elsewhere = rf"^{undone}: api.listen of {copy} leads to the service of {roof} \(tracker tracker\); give"
+        with pytest.raises(NoServiceError, match=elsewhere):
+            await asyncio.to_thread(find(copy, None, None, strangers).command, name)
+        with pytest.raises(CommandRefusedError, match="the token is not the service's"):
+            await asyncio.to_thread(find(roof, None, None, strangers).command, name)
 
     serve(scenario, file=roof)
 
