@@ -275,7 +275,9 @@ class Motion(MotionState):
         name = f"{identity.board}, firmware {identity.firmware}{serial}"
         told = self._note_link(name)
         before, self._before_loss = self._before_loss, None
-        text = elsewhere(before, pose, self._settings.tolerance_deg) if before else ""
+        tolerance_deg = self._settings.tolerance_deg
+        off_its_way = guard.watch.off_its_way(telemetry, tolerance_deg)
+        text = (before and elsewhere(before, pose, tolerance_deg)) or off_its_way
         if text and told:
             self._report(text)
         if text and not telemetry.reference_doubt:

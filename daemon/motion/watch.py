@@ -20,6 +20,7 @@ _SETTLES_S = 10.0
 _JUMP_DEG_PER_S = 10.0
 _SHORTEST_LOOK_S = 0.5
 _AXES: tuple[AxisName, AxisName] = ("a", "b")
+_TURN_DEG = 360.0
 
 
 def jitter(expected: PositionerSettings) -> float:
@@ -65,20 +66,47 @@ class Watch:
         self._stray = elsewhere(expected)
         self._axes_are_angles = expected.axes_are_angles
         self._names = expected.axis_names
+        # Another drive tells by itself that it may have lost its count.
+        self._keeps_way = not expected.has_reference_run
+        self._lost_way: tuple[tuple[float, float], tuple[float, float]] | None = None
+        self._last: Telemetry | None = None
+        self._aim: tuple[float, float] | None = None
         self.forget()
 
     def forget(self) -> None:
         """Know nothing, as after the loss of the link: the next look counts as rest once `rest` has said so."""
-        self._last: Telemetry | None = None
+        if self._keeps_way and self._aim is not None and self._last is not None:
+            self._lost_way = _positions(self._last), self._aim
+        self._last = None
         self._anchor: tuple[float, float] | None = None
         self._since_s = 0.0
         self._shown = False
         self._rest: Telemetry | None = None
         # Where the axes were sent; until when they may still get there: for ever while the move is on.
-        self._aim: tuple[float, float] | None = None
+        self._aim = None
         self._gaps = [0.0, 0.0]
         self._settled_s = -math.inf
         self._homing: frozenset[AxisName] = frozenset()
+
+    def off_its_way(self, telemetry: Telemetry, tolerance_deg: float) -> str:
+        """Return in words that the move on which the link was lost does not lead to this place; empty where it does.
+
+        Told once, and of a drive without a reference run alone. After the loss a rotator may count from another turn.
+        """
+        lost, self._lost_way = self._lost_way, None
+        if lost is None:
+            return ""
+        within = tolerance_deg + self._stray
+        on_it = (
+            (here - min(ends) + within) % _TURN_DEG <= abs(ends[1] - ends[0]) + 2.0 * within
+            for here, ends in zip(_positions(telemetry), zip(*lost, strict=True), strict=True)
+        )
+        if all(on_it):
+            return ""
+        return (
+            f"positioner stands at A {telemetry.a_deg:z.1f}, B {telemetry.b_deg:.1f} deg; the move on which it was lost"
+            " does not lead there"
+        )
 
     @property
     def stands_since_s(self) -> float | None:

@@ -310,6 +310,26 @@ def test_a_rotator_that_stands_elsewhere_after_the_loss_waits_for_a_person(run_r
     run_rotator(scenario)
 
 
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_a_rotator_that_was_lost_in_mid_move_is_doubted_only_off_the_way_of_its_move(run_rotator, is_turned):
+    async def scenario(rig):
+        await until_tracked(rig)
+        await rig.operator.goto(45.0, 80.0, "look")
+        await rig.until(lambda: rig.motion.moving, 20, "the move")
+        await asyncio.sleep(5.0)
+        rig.cables.positioner.link_up = False
+        if is_turned:
+            rig.rotator.turn(100.0, 45.0, rig.clock.monotonic())
+        await asyncio.sleep(60.0)
+        rig.cables.positioner.link_up = True
+        await rig.until(lambda: rig.motion.connected, 60, "the link", every_s=0.5)
+        await asyncio.sleep(5.0)
+        doubt = alarms(rig).get("reference", "")
+        assert ("the move on which it was lost does not lead there" in doubt) is is_turned, doubt
+
+    run_rotator(scenario)
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
