@@ -16,6 +16,7 @@ from daemon.base.records import Event, Irradiances, Mode, Pose, Record, Scan, Ta
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.config.settings import Settings
 from daemon.received.today import Insolation, ReceivedToday
+from daemon.tracker.budget import Used
 from daemon.tracker.law_answers import checked_kept
 from daemon.tracker.phase import ALONE, Phase
 from daemon.tracker.pointing import ShadowLaw, Whereabouts, ask, reading_of
@@ -44,7 +45,7 @@ class Active:
         In which it is.
     pose
         Where it stands; None for not known.
-    travelled_deg, moves
+    used
         What its laws have used of the day.
     received
         Its own count of the day.
@@ -54,8 +55,7 @@ class Active:
 
     mode: Mode
     pose: Pose | None
-    travelled_deg: float
-    moves: int
+    used: Used
     received: ReceivedToday
     mean: Callable[[], Irradiances | None]
 
@@ -150,7 +150,7 @@ class Shadow:
         self._travel = self._load() or Travel(day=received.day_of(utc_s))
         self._axes = _Axes()
         self._due_s = self._moved_s = self._saved_s = -math.inf
-        self._active_before: tuple[float, int] | None = None
+        self._used_before: Used | None = None
         self._mode_before = Mode.STARTING
         self._failed_why: str | None = None
         self._failure_told = False
@@ -241,17 +241,18 @@ class Shadow:
 
     def _count_moves(self, active: Active) -> None:
         """Count what the tracker's laws have moved since the last scan; for both of them where they do not differ."""
-        used, mode = (active.travelled_deg, active.moves), active.mode
-        before, self._active_before = self._active_before, used
+        used, mode = active.used, active.mode
+        before, self._used_before = self._used_before, used
         if before is None:
             # The first move of a service that has just begun is often ordered before the first scan is handed on.
-            before = (0.0, 0) if used[1] <= 1 and self._travel.active_moves == 0 else used
+            before = Used(day=used.day) if used.moves <= 1 and self._travel.active_moves == 0 else used
+        elif before.day != used.day:
+            before = Used(day=used.day)
         alike, self._mode_before = Mode.TRACKING not in (mode, self._mode_before), mode
-        if used == before:
+        # The tracker's own count may begin its day a little later.
+        if used == before or used.day != self._travel.day:
             return
-        # The tracker's own count begins anew with its day.
-        begun = used[1] < before[1]
-        more = used if begun else (used[0] - before[0], used[1] - before[1])
+        more = (used.travelled_deg - before.travelled_deg, used.moves - before.moves)
         self._travel = self._travel.plus(active=more, shadow=more if alike else (0.0, 0))
 
     def _turn(self, scan: Scan, active: Active, utc_s: float) -> None:

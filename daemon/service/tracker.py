@@ -201,8 +201,7 @@ class Tracker:
         return Active(
             mode=control.mode,
             pose=pose,
-            travelled_deg=control.budget.used.travelled_deg,
-            moves=control.budget.used.moves,
+            used=control.budget.used,
             received=self.received,
             mean=lambda: control.state.irradiances,
         )

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -22,6 +23,11 @@ SELDOM = {
     "rest_look_s": 30.0,
 }
 OVERCAST = HandWeather(dni=0, dhi=150)
+
+
+class Flickering(HandWeather):
+    def at(self, utc_s):
+        return replace(super().at(utc_s), dni_w_m2=self.dni * (utc_s // 600 % 2))
 
 
 def seen(rig):
@@ -100,6 +106,31 @@ def test_a_night_tells_what_the_day_was_worth(run_rig):
     assert text.startswith("on the day that has ended flat in the shadow would have received 0.")
     assert " where chronometric received 0." in text
     assert text.endswith(" h of readings")
+
+
+def test_moves_without_the_cube_past_midnight_are_those_of_the_new_day(run_rig):
+    async def scenario(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        await asyncio.sleep(2400)
+        before = rig.control.budget.used
+        rig.cables.voltmeter.link_up = False
+        await asyncio.sleep(2 * 3600)
+        asyncio.get_running_loop().skip(12 * 3600)
+        await asyncio.sleep(2.5 * 3600)
+        used = rig.control.budget.used
+        # As many moves as on the day before, but less far: following the sun by the clock takes short ones.
+        assert used.day == before.day + 1
+        assert used.moves >= before.moves
+        assert used.travelled_deg < before.travelled_deg
+        rig.cables.voltmeter.link_up = True
+        await rig.until_mode(Mode.TRACKING, 120)
+        shadow = seen(rig)
+        assert shadow["failed_why"] is None
+        assert shadow["active_moves"] == used.moves
+        assert shadow["active_travelled_deg"] == pytest.approx(used.travelled_deg)
+
+    law = {"driver": "mu-prime", "shadow": "chronometric"}
+    run_rig(scenario, law=law, weather=Flickering(), start="2022-10-12T15:00", **SELDOM)
 
 
 def test_a_law_in_the_shadow_that_raises_is_left_out_and_the_tracker_goes_on(run_rig, monkeypatch):
