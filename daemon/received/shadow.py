@@ -149,7 +149,7 @@ class Shadow:
         self._file = StateFile(folder, f"shadow-{name}-day.json", Travel, log, f"the day of {name} in the shadow")
         self._travel = self._load() or Travel(day=received.day_of(utc_s))
         self._axes = _Axes()
-        self._due_s = self._moved_s = self._saved_s = -math.inf
+        self._due_s = self._moved_s = self._saved_s = self._heard_s = -math.inf
         self._used_before: Used | None = None
         self._mode_before = Mode.STARTING
         self._failed_why: str | None = None
@@ -202,6 +202,10 @@ class Shadow:
 
     def _add(self, scan: Scan, active: Active, utc_s: float) -> None:
         now_s = scan.time_monotonic_s
+        if now_s - self._heard_s > self._settings.safety.fallback_after_s:
+            # Whatever moved without readings was no law that goes by them.
+            self._mode_before = Mode.FALLBACK
+        self._heard_s = now_s
         self._turn(scan, active, utc_s)
         self._named.law.observe(reading_of(scan, utc_s))
         if active.mode is Mode.TRACKING and active.pose is not None:

@@ -108,7 +108,7 @@ def test_a_night_tells_what_the_day_was_worth(run_rig):
     assert text.endswith(" h of readings")
 
 
-def test_moves_without_the_cube_past_midnight_are_those_of_the_new_day(run_rig):
+def test_moves_without_the_cube_past_midnight_are_those_of_the_new_day_and_of_both_laws(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 120)
         await asyncio.sleep(2400)
@@ -128,6 +128,9 @@ def test_moves_without_the_cube_past_midnight_are_those_of_the_new_day(run_rig):
         assert shadow["failed_why"] is None
         assert shadow["active_moves"] == used.moves
         assert shadow["active_travelled_deg"] == pytest.approx(used.travelled_deg)
+        # It would have followed the sun by the clock as well.
+        assert shadow["moves"] == used.moves
+        assert shadow["travelled_deg"] == pytest.approx(used.travelled_deg)
 
     law = {"driver": "mu-prime", "shadow": "chronometric"}
     run_rig(scenario, law=law, weather=Flickering(), start="2022-10-12T15:00", **SELDOM)
