@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from daemon.base.clock import iso_utc
 from daemon.base.records import Event, Irradiances, Mode, Pose, Record, Scan, Target
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.config.settings import Settings
@@ -21,6 +22,7 @@ from daemon.tracker.law_answers import checked_kept
 from daemon.tracker.phase import ALONE, Phase
 from daemon.tracker.pointing import ShadowLaw, Whereabouts, ask, reading_of
 from solar.energy import Drive
+from solar.ephemeris import DAY_S
 from solar.frames import Angles
 
 log = logging.getLogger("heliocube.received")
@@ -278,11 +280,12 @@ class Shadow:
         other, travel = state.received, state.travel
         if not own.day == other.day == travel.day or max(own.known_s, other.known_s) < _WORTH_TELLING_S:
             return None
-        more = state.gain_over(own)
+        # After an outage the day that has ended is not always the day before.
+        more, date = state.gain_over(own), iso_utc(own.day * DAY_S)[:10]
         if math.isnan(more):
-            return f"{state.law} in the shadow has not seen the whole day that has ended: no comparison"
+            return f"{state.law} in the shadow has not seen the whole of {date}: no comparison"
         return (
-            f"on the day that has ended {state.law} in the shadow would have received {other.actual_kwh_m2:.3f} kWh/m2"
+            f"on {date} {state.law} in the shadow would have received {other.actual_kwh_m2:.3f} kWh/m2"
             f" where {self._settings.law.driver} received {own.actual_kwh_m2:.3f} ({100.0 * more:+z.1f} %), with"
             f" {travel.travelled_deg:.0f} deg of travel in {travel.moves} moves instead of {travel.active_deg:.0f} deg"
             f" in {travel.active_moves}; a model's result from {other.known_s / 3600.0:.1f} h of readings"

@@ -103,7 +103,7 @@ def test_a_night_tells_what_the_day_was_worth(run_rig):
     law = {"driver": "chronometric", "shadow": "flat"}
     rig = run_rig(scenario, law=law, weather=OVERCAST, start="2022-10-12T16:00", **SELDOM)
     (text,) = told(rig)
-    assert text.startswith("on the day that has ended flat in the shadow would have received 0.")
+    assert text.startswith("on 2022-10-12 flat in the shadow would have received 0.")
     assert " where chronometric received 0." in text
     assert text.endswith(" h of readings")
 
@@ -124,6 +124,7 @@ def test_moves_without_the_cube_past_midnight_are_those_of_the_new_day_and_of_bo
         assert used.travelled_deg < before.travelled_deg
         rig.cables.voltmeter.link_up = True
         await rig.until_mode(Mode.TRACKING, 120)
+        assert told(rig)[0].startswith("on 2022-10-12 chronometric in the shadow would have received 0.")
         shadow = seen(rig)
         assert shadow["failed_why"] is None
         assert shadow["active_moves"] == used.moves
