@@ -8,6 +8,7 @@ from solar.frames import Array, Limits, angles_within
 from solar.laws import paper
 from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
 from solar.laws.steer import or_stay
+from solar.laws.three_faces import ThreeFacesLaw
 from solar.laws.words import place
 from solar.rows.backtrack import turned_back
 from solar.rows.group import TrackerGroup
@@ -17,7 +18,7 @@ class ChronometricSettings(LawSettings):
     """chronometric: towards the sun by ephemeris."""
 
 
-class ChronometricLaw(DirectionLaw):
+class ChronometricLaw(ThreeFacesLaw, DirectionLaw):
     """Points at the sun while it is up.
 
     Parameters

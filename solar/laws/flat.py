@@ -4,13 +4,14 @@ from solar.energy import DaylightWeather, Steer, fixed
 from solar.frames import Array, Limits
 from solar.laws.law import DirectionLaw, LawSettings, Moment, TrackerFacts
 from solar.laws.paper import ZENITH
+from solar.laws.three_faces import ThreeFacesLaw
 
 
 class FlatSettings(LawSettings):
     """flat: up."""
 
 
-class FlatLaw(DirectionLaw):
+class FlatLaw(ThreeFacesLaw, DirectionLaw):
     """Points at the zenith.
 
     Parameters

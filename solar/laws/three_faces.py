@@ -13,7 +13,7 @@ from solar.laws.light import FACES_NEEDED, light_from_faces, on_faces, usable_fa
 
 
 class ThreeFacesLaw(Law):
-    """A law that goes by the faces, and goes on with three of them."""
+    """A law that goes on with three faces, be it that it reads none."""
 
     faces_needed = FACES_NEEDED
 

@@ -95,8 +95,8 @@ def test_with_two_faces_broken_it_falls_back_on_the_sun(run_rig):
     assert off_sun_deg(rig) < 2.0
 
 
-@pytest.mark.parametrize("law", ["mu-prime", "sun-vector"])
-def test_the_paper_s_laws_go_on_with_three_faces(run_rig, law):
+@pytest.mark.parametrize("law", ["mu-prime", "sun-vector", "flat", "chronometric"])
+def test_the_other_laws_go_on_with_three_faces_too(run_rig, law):
     rig = run_rig(without(0), law={"driver": law}, **SELDOM)
     assert rig.mode is Mode.TRACKING
     assert rig.of(Decision)[-1].law == law

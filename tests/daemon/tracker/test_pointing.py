@@ -186,7 +186,7 @@ def test_once_a_law_has_failed_the_other_answers_with_its_own_needs():
     law.fails = False
     points.book(3.0)
     assert law.told == [], "it is not asked again"
-    assert (points.chosen.name, points.law.faces_needed, points.law.needs_sun) == ("flat", 4, False)
+    assert (points.chosen.name, points.law.faces_needed, points.law.needs_sun) == ("flat", 3, False)
     assert points.law.decide_every_s == 60.0
 
 

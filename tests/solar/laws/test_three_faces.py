@@ -8,7 +8,7 @@ import pytest
 from solar.energy import Drive, build_sky, faces_under, harvest, lay_out
 from solar.ephemeris import Site
 from solar.frames import Limits
-from solar.laws import mu_prime, sun_vector
+from solar.laws import chronometric, flat, mu_prime, sun_vector
 from solar.laws.law import Moment, TrackerFacts
 from solar.laws.steer import by_readings
 from solar.laws.three_faces import completed
@@ -69,7 +69,7 @@ def test_beside_a_missing_face_the_three_others_count_however_dark_one_is():
     assert np.isfinite(found).all()
 
 
-@pytest.mark.parametrize("law", [mu_prime, sun_vector])
+@pytest.mark.parametrize("law", [mu_prime, sun_vector, flat, chronometric])
 def test_a_dead_zenith_face_does_not_make_it_night(law):
     made = law.build(law.SETTINGS(), TrackerFacts(LYNGBY, Limits(), 5.0, 300.0, NIGHTS))
     assert not made.believes_zenith((500.0, 600.0, 100.0, 0.3), NIGHTS)
