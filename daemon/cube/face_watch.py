@@ -238,9 +238,10 @@ class FaceWatch:
             return
         self._since = {name: self._since.get(name, now) for name in whys}
         parts = []
-        for doubt, since in dict.fromkeys((why, self._since[name]) for name, why in whys.items()):
-            names = [name for name, why in whys.items() if (why, self._since[name]) == (doubt, since)]
+        for doubt in dict.fromkeys(whys.values()):
+            names = [name for name, why in whys.items() if why is doubt]
             many, they, agree = ("faces read", "they", "agree") if len(names) > 1 else ("face reads", "it", "agrees")
+            since = " and ".join(dict.fromkeys(self._since[name] for name in names))
             parts.append(
                 f"the {_in_a_row(names)} {many} {_WHY[doubt]}; not used since {since}, until {they} {agree} with the"
                 " others again"

@@ -198,6 +198,16 @@ def test_swapped_faces_are_both_named_within_the_hour_and_used_again_when_they_a
     assert day.doubted() == []
 
 
+def test_swapped_faces_are_named_together_although_one_was_left_out_before_the_other():
+    day = WatchedDay(MORNING_UTC_S - 3600.0)
+    day.order = [2, 1, 0, 3]
+    east, _, west, _ = day.minutes(60)
+    assert west < east
+    (alarm,) = day.alarms.active
+    assert "the east and west faces read each what the other should: check whether" in alarm.text
+    assert len(re.findall(r"[0-9:]{5} UTC", alarm.text)) == 2
+
+
 @pytest.mark.parametrize("exactly", [False, True])
 def test_beside_a_face_that_repeats_itself_to_the_last_digit_no_other_is_accused_of_a_swap(exactly):
     day = WatchedDay(MORNING_UTC_S)
