@@ -180,7 +180,7 @@ def fit(
     figures.save(stamped(figures.bias_figure(flat, found), flat.simulated), out.parent, out.stem)
     if as_json:
         agreement = {"before": found.before._asdict(), "after": found.after._asdict()}
-        print_json({"simulated": flat.simulated} | asdict(found) | agreement | {"written": out})
+        print_json(asdict(found) | agreement | {"written": out})
         return
     if flat.simulated:
         say("SIMULATED")
@@ -229,6 +229,11 @@ def report(
     if found is not None and found.names != (cube, chrono):
         raise UserError(
             f"--bias: {bias} corrects {found.names[0]} to {found.names[1]}, not {cube} to {chrono}: fit it again"
+        )
+    if found is not None and found.simulated and not pairs.simulated:
+        raise UserError(
+            f"--bias: {bias} was fitted to simulated powers and cannot correct measured ones: fit it to a time in which"
+            f" your {cube} and {chrono} lay flat"
         )
     try:
         flat = flat_pairs(pairs)

@@ -36,6 +36,8 @@ class Fit:
         First and last pair.
     before, after
         Of the corrected tracker's power against the other's, over the very pairs of the fit.
+    simulated
+        Whether any of these pairs was simulated; False in files that do not say it.
     """
 
     names: tuple[str, str]
@@ -44,6 +46,7 @@ class Fit:
     end_utc_s: float
     before: Agreement
     after: Agreement
+    simulated: bool = False
 
 
 def flat_pairs(pairs: Pairs, start: datetime | None = None, end: datetime | None = None) -> Pairs:
@@ -88,6 +91,7 @@ def fit(flat: Pairs) -> Fit:
         end_utc_s=float(flat.utc_s[-1]),
         before=agreement(power, reference),
         after=agreement(bias.corrected(power), reference),
+        simulated=flat.simulated,
     )
 
 
@@ -121,6 +125,7 @@ def write(found: Fit, path: Path) -> None:
         "to": iso_utc(found.end_utc_s),
         "before": _content(found.before),
         "after": _content(found.after),
+        "simulated": found.simulated,
     }
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -153,7 +158,15 @@ def _fit_of(content: dict[str, Any]) -> Fit:
     start, end = (datetime.fromisoformat(content[key]).timestamp() for key in ("from", "to"))
     names = (str(content["corrects"]), str(content["reference"]))
     before, after = (_statistics(content[name]) for name in ("before", "after"))
-    return Fit(names=names, bias=ChainBias(*numbers), start_utc_s=start, end_utc_s=end, before=before, after=after)
+    return Fit(
+        names=names,
+        bias=ChainBias(*numbers),
+        start_utc_s=start,
+        end_utc_s=end,
+        before=before,
+        after=after,
+        simulated=bool(content.get("simulated", False)),
+    )
 
 
 def _statistics(content: dict[str, Any]) -> Agreement:

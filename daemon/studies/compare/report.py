@@ -96,7 +96,7 @@ def modelled_curve(pairs: Pairs) -> Shown | None:
     figure = figures.curve_figure(
         voltage,
         np.maximum(curve(Q_PEAK_G4_1_305, light, warmth, voltage), 0.0),
-        f"{_mark(pairs)}{pairs.names[0]}, {when}Z",
+        f"{_mark(pairs)}{pairs.names[0]}, {when}Z, by the model of the module",
     )
     caption = (
         f"I(V) and P(V) of {pairs.names[0]}'s module at {light:.0f} W/m2 and {warmth:.0f} degC, by the model of the"

@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.daemon.commands.studies.test_compare import SITE, compare
+from tests.daemon.commands.studies.test_compare import SITE, compare, day, flat, powers, table
 from tests.support.stored_day import stored_days
 
-__all__ = ["compare"]
+__all__ = ["compare", "day", "flat", "powers"]
 
 pytestmark = pytest.mark.slow
 
@@ -76,3 +76,20 @@ def test_a_store_with_records_of_real_instruments_takes_none_of_a_simulation(com
     code, _, err = compare("simulate", "--start", "2022-10-12T10:00", "--days", "0.02", "--store", tmp_path / "real")
     assert (code, file.read_bytes() == before) == (2, True)
     assert "has records of real instruments: name another folder" in " ".join(err.split())
+
+
+def test_a_bias_that_was_fitted_to_simulated_powers_corrects_no_measured_ones(compare, flat, powers, tmp_path):
+    pd.read_csv(flat).assign(simulated=True).to_csv(tmp_path / "made.csv", index=False)
+    bias = tmp_path / "bias.json"
+    assert compare("fit", tmp_path / "made.csv", "--out", bias)[0] == 0
+    assert json.loads(bias.read_text())["simulated"] is True
+    code, _, err = compare("report", powers, "--bias", bias, "--site", SITE, "--out", tmp_path / "result")
+    assert code == 2
+    assert err.startswith(f"heliocube: --bias: {bias} was fitted to simulated powers and cannot correct measured ones")
+
+
+def test_a_modelled_curve_says_so_in_its_picture_beside_measured_powers(compare, tmp_path):
+    rows = [f"2022-10-12T10:00:0{second}Z,{name},97,1000,30" for second in (0, 5) for name in ("T-Cube", "T-Chrono")]
+    warm = table(tmp_path / "warm.csv", rows, "time,tracker,pmpp_w,irradiance_w_m2,module_temp_degc")
+    assert compare("report", warm, "--site", SITE, "--out", tmp_path / "result")[0] == 0
+    assert "T-Cube, 2022-10-12T10:00:00Z, by the model of the module" in (tmp_path / "result" / "curve.svg").read_text()
