@@ -21,9 +21,9 @@ Columns = dict[str, Array]
 def evaluate(request: Request, sky: "SkySource | None" = None, latitudes: Iterable[float] | None = None) -> Columns:
     """Return one row for each latitude, tilt, azimuth deviation and day of the request, in this order.
 
-    Ratios are those of :mod:`solar.gain`; ``..._sky`` are the same under `sky`. With `request.printed` days have the
-    paper's own ratios, and years the smallest eta over the days, as the paper's scripts print it. `latitudes` may be
-    the request's own, wrapped in something that watches the progress.
+    Ratios are those of :mod:`solar.gain`; ``..._sky`` are the same under `sky`, which is ``simulated`` or not. With
+    `request.printed` days have the paper's own ratios, and years the smallest eta over the days, as the paper's scripts
+    print it. `latitudes` may be the request's own, wrapped in something that watches the progress.
     """
     along = request.latitudes_deg.tolist() if latitudes is None else latitudes
     blocks = [_one_latitude(request, latitude, sky) for latitude in along]
@@ -94,6 +94,7 @@ def _one_latitude(request: Request, latitude: float, sky: "SkySource | None") ->
     if sky is not None:
         real = sky.energies(latitude, tilts, request.azimuths_deg, request.days, against)
         columns |= {f"{name}_sky": ratio for name, ratio in _ratios(real, against).items() if name != "K_DS_abs"}
+        columns["simulated"] = np.array(sky.simulated)
     shape = np.broadcast_shapes(energies.static.shape, energies.dual.shape)
     return {name: np.broadcast_to(column, shape).ravel() for name, column in columns.items()}
 

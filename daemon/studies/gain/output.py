@@ -71,13 +71,17 @@ def _show(columns: Columns, console: Console, sky_label: str | None, most_rows: 
     if rows == 1:
         _compare({name: float(column[0]) for name, column in columns.items()}, console, sky_label)
         return
+    if sky_label:
+        _print(f"Under the sky: {sky_label}.\n", console)
     told = [name for name in _ASKED if name in columns and np.ptp(columns[name]) > 0.0] or ["phi_deg"]
-    ordered = told + [name for name in columns if name not in told]
+    ordered = told + [name for name in columns if name not in {*told, "simulated"}]
     texts = [[name, *(_number(name, value) for value in columns[name][:most_rows])] for name in ordered]
     _print_aligned(list(zip(*texts, strict=True)), console, keys=len(told))
     if rows > most_rows:
         _print(f"and {rows - most_rows} rows more: --format csv writes them all", console)
     _print("\n" + _LEGEND, console)
+    if sky_label:
+        _print("..._sky: the same under that sky.", console)
 
 
 def _compare(row: dict[str, float], console: Console, sky_label: str | None) -> None:
@@ -150,8 +154,12 @@ def _csv(columns: Columns, file: BinaryIO) -> None:
     rows = next(iter(columns.values())).size
     typed = list(_typed(columns).values())
     for begin in range(0, rows, _CSV_BLOCK_ROWS):
-        texts = [map(repr, column[begin : begin + _CSV_BLOCK_ROWS].tolist()) for column in typed]
+        texts = [map(_cell, column[begin : begin + _CSV_BLOCK_ROWS].tolist()) for column in typed]
         file.write("".join(",".join(row) + "\n" for row in zip(*texts, strict=True)).encode())
+
+
+def _cell(value: float | bool) -> str:
+    return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
 def _typed(columns: Columns) -> dict[str, NDArray[Any]]:

@@ -34,9 +34,10 @@ _KEPT_LATITUDES = 20
 
 @dataclass(frozen=True, slots=True)
 class SkySource:
-    """A sky by latitude, sampled every `step_s`."""
+    """A sky by latitude, sampled every `step_s`; `simulated` where a model made it."""
 
     label: str
+    simulated: bool
     step_s: float
     series_at: Callable[[float], SkySeries]
     warning: str | None = None
@@ -88,7 +89,7 @@ def clear_sky_source(longitude_deg: float, altitude_m: float) -> SkySource:
         _, dni, dhi = clear_sky_ghi(site, instants)
         return sky_series(site, instants, dni, dhi)
 
-    return SkySource("clear sky", CLEAR_STEP_S, series_at)
+    return SkySource("clear sky", True, CLEAR_STEP_S, series_at)
 
 
 def file_sky_source(
@@ -132,4 +133,4 @@ def file_sky_source(
             f"{path.name} has {days_told}: the ratios under its sky are of {those} only, while the theory's are of a"
             " whole year"
         )
-    return SkySource(label, FILE_STEP_S, lambda _: series, "; ".join(notes) or None)
+    return SkySource(label, weather.simulated, FILE_STEP_S, lambda _: series, "; ".join(notes) or None)

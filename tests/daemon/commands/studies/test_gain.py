@@ -1,5 +1,6 @@
 import csv
 import io
+import json
 import re
 
 import numpy as np
@@ -15,7 +16,8 @@ POINTS = "phi_deg,beta_deg,n,lambda_deg\n45,35,172,5\n-33.87,-30,10,15\n82,60,1,
 
 
 def rows(text):
-    return [{name: float(cell) for name, cell in row.items()} for row in csv.DictReader(io.StringIO(text))]
+    read = csv.DictReader(io.StringIO(text))
+    return [{name: float(cell) for name, cell in row.items() if name != "simulated"} for row in read]
 
 
 def test_one_latitude_and_a_range_are_answered_together(heliocube):
@@ -154,6 +156,19 @@ def test_a_clear_sky_stands_beside_the_theory(heliocube):
     assert 1.3 < row["K_DS_clip_sky"] < row["K_DS_clip"]
     assert 1.0 < row["K_DV_sky"] < row["K_DV"]
     assert row["eta_VS_sky"] == pytest.approx(row["K_DS_clip_sky"] / row["K_DV_sky"] - 1.0)
+
+
+def test_simulated_weather_is_called_so_in_every_table(heliocube, tmp_path):
+    assert heliocube("samples", "--out", tmp_path)[0] == 0
+    asked = ("gain", "--lat", 48.7176, "--lon", 2.2, "--weather", tmp_path / "clear.csv", "--day", "284:286")
+    _, out, _ = heliocube(*asked)
+    assert out.startswith("Under the sky: SIMULATED clear.csv, 2022-10-12")
+    _, out, _ = heliocube(*asked, "--format", "csv")
+    assert [row["simulated"] for row in csv.DictReader(io.StringIO(out))] == ["true"] * 3
+    _, out, _ = heliocube(*asked[:-2], "--json")
+    assert json.loads(out)["rows"][0]["simulated"] is True
+    _, out, _ = heliocube(*asked[:-3], weather_file(tmp_path), "--json")
+    assert json.loads(out)["rows"][0]["simulated"] is False
 
 
 def weather_file(folder):
