@@ -79,7 +79,7 @@ def cube(
     force: Annotated[bool, typer.Option("--force", help="Overwrite the figure; never the calibration.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Calibrate the four sensors, laid horizontally beside a reference pyranometer, by the method of ISO 9847."""
+    """Calibrate the four sensors, laid horizontally beside a reference pyranometer, in the manner of ISO 9847."""
     _check_there(reference, sensors)
     from daemon.cube.calibration import write_calibration
     from daemon.studies.calibrate import report, request
@@ -102,15 +102,17 @@ def cube(
         lag=lag,
         reference_uncertainty_percent=reference_uncertainty,
     )
-    lines = report.comparison_lines(found)
+    simulated = readings.simulated or beside.simulated
+    lines = report.marked(report.comparison_lines(found), simulated=simulated)
     calibration = report.comparison_calibration(found, made_on.cube.name, serials, valid_days)
     if plot is not None:
         from daemon.studies.calibrate.plots import draw_comparison
 
-        draw_comparison(found, plot)
+        draw_comparison(found, plot, simulated=simulated)
     write_calibration(calibration, out, lines)
     if as_json:
-        print_json(report.comparison_page(found) | {"calibration": calibration, "written": out, "figure": plot})
+        page = {"simulated": simulated} | report.comparison_page(found)
+        print_json(page | {"calibration": calibration, "written": out, "figure": plot})
         return
     _print(lines if plot is None else [*lines, "", f"figure in {plot}"], calibration.identifier, out)
 
@@ -181,11 +183,13 @@ def field(
     _warn("" if nearby is None else nearby.note, readings.note)
     level = LevelSources(known_faces, nearby, ghi_uncertainty)
     found = calibrate_field(readings, made_on, level, model=sky.value, water_cm=water, cosine_error=cosine_error)
-    lines = report.field_lines(found, made_on, sky.value)
+    simulated = readings.simulated or (nearby is not None and nearby.simulated)
+    lines = report.marked(report.field_lines(found, made_on, sky.value), simulated=simulated)
     calibration = report.field_calibration(found, made_on, sky.value, serials, valid_days)
     write_calibration(calibration, out, lines)
     if as_json:
-        print_json(report.field_page(found, made_on) | {"calibration": calibration, "written": out})
+        page = {"simulated": simulated} | report.field_page(found, made_on)
+        print_json(page | {"calibration": calibration, "written": out})
         return
     _print(lines, calibration.identifier, out)
 

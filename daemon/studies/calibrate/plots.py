@@ -8,12 +8,13 @@ from matplotlib.figure import Figure
 
 from daemon.base.errors import UserError
 from daemon.studies.calibrate.beside import Comparison
+from daemon.studies.stamp import stamped
 
 # Okabe & Ito's colours, which the colour-blind can tell apart.
 _BEFORE, _AFTER, _LINE = "#D55E00", "#0072B2", "#555555"
 
 
-def draw_comparison(found: Comparison, path: Path) -> None:
+def draw_comparison(found: Comparison, path: Path, *, simulated: bool) -> None:
     """Draw each sensor against the reference, and its residual against time and incidence angle; `UserError`."""
     figure = Figure(figsize=(13.0, 2.7 * len(found.faces) + 0.6), layout="constrained")
     axes = figure.subplots(len(found.faces), 3, sharex="col", squeeze=False)
@@ -46,6 +47,6 @@ def draw_comparison(found: Comparison, path: Path) -> None:
         panel.set_xlabel(label)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110)
+        stamped(figure, simulated).savefig(path, dpi=110)
     except OSError as error:
         raise UserError(f"--plot: {path} cannot be written: {error.strerror}") from error

@@ -25,6 +25,7 @@ _MV, _W_M2 = "_mv", "_w_m2"
 _REFERENCE_NAMES = ("ghi", "ghi_w_m2")
 # Of a sensor's voltage either way: a gain of 10 W/m2/mV makes of it four times what the sun can do.
 _LARGEST_MV = 1000.0
+_MADE_UP = "SELECT MAX(simulated) FROM runs WHERE run IN (SELECT run FROM scans WHERE time >= ? AND time < ?)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +44,8 @@ class FaceReadings:
         Identifiers of the calibrations those were made with; empty for the gains of the settings.
     note
         What a person should know of numbers that cannot be, taken as missing, in a sentence; empty without any.
+    simulated
+        Whether any of them comes from a model or a bench.
     """
 
     source: str
@@ -51,6 +54,7 @@ class FaceReadings:
     in_mv: bool
     calibrations: frozenset[str]
     note: str = ""
+    simulated: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +65,7 @@ class ReferenceReadings:
     utc_s: Array
     ghi_w_m2: Array
     note: str
+    simulated: bool
 
 
 def read_reference(path: Path) -> ReferenceReadings:
@@ -73,7 +78,7 @@ def read_reference(path: Path) -> ReferenceReadings:
     there = np.isfinite(ghi[:, 0])
     if not there.any():
         raise UserError(f"{path} has no reading in its column {name}" + (f": {note}" if note else ""))
-    return ReferenceReadings(str(path), utc_s[there], ghi[there, 0], note)
+    return ReferenceReadings(str(path), utc_s[there], ghi[there, 0], note, _simulated(frame))
 
 
 def read_csv(path: Path) -> FaceReadings:
@@ -99,7 +104,7 @@ def read_csv(path: Path) -> FaceReadings:
             frame[name] = frame[name].where(frame[f"{face}_quality"] == "ok", "")
     faces, note = _possible(path, frame, names)
     made_with = frozenset(frame["calibration"]) if "calibration" in frame else frozenset({""})
-    return FaceReadings(str(path), utc_s, faces, in_mv=ending == _MV, calibrations=made_with, note=note)
+    return FaceReadings(str(path), utc_s, faces, ending == _MV, made_with, note, _simulated(frame))
 
 
 def read_store(directory: Path, start: datetime | None, end: datetime | None) -> FaceReadings:
@@ -113,6 +118,7 @@ def read_store(directory: Path, start: datetime | None, end: datetime | None) ->
         try:
             utc_s, faces = stored_faces(connection, low, high)
             made_with = connection.execute(f"SELECT DISTINCT {known} {span}", (low, high)).fetchall()
+            simulated = bool(connection.execute(_MADE_UP, (low, high)).fetchone()[0])
         except sqlite3.Error as error:
             raise UserError(f"the store {path} cannot be read: {error}") from None
     if not utc_s.size:
@@ -123,6 +129,7 @@ def read_store(directory: Path, start: datetime | None, end: datetime | None) ->
         faces=faces,
         in_mv=False,
         calibrations=frozenset(row[0] for row in made_with),
+        simulated=simulated,
     )
 
 
@@ -162,6 +169,10 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array]:
             f"{path}, line {_line_of(path, back[0] + 1)}: the time does not come after the one before; sort the file"
         )
     return frame, utc_s
+
+
+def _simulated(frame: pd.DataFrame) -> bool:
+    return "simulated" in frame and bool((frame["simulated"].str.strip().str.lower() == "true").any())
 
 
 def _line_of(path: Path, row: int) -> int:

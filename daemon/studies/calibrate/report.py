@@ -28,6 +28,12 @@ _ROWS = (
 )
 
 
+def marked(lines: list[str], *, simulated: bool) -> list[str]:
+    """Return the lines, below a mark where they are `simulated`: they stand in the calibration file as well."""
+    mark = "SIMULATED: these readings come from a model or a bench, not from a cube."
+    return [mark, *lines] if simulated else lines
+
+
 def comparison_lines(found: Comparison) -> list[str]:
     """Return gains, offsets and the paper's Table 1 before and after, as lines of text."""
     lines = [

@@ -69,10 +69,10 @@ def in_place(days=3):
     return utc_s, np.array([[scene.sensor_voltage(k, now) for k in range(4)] for now in utc_s.tolist()]) * 1e4 * GAINS
 
 
-def fill_store(folder, utc_s, faces, identifier=""):
+def fill_store(folder, utc_s, faces, identifier="", simulated=0):
     with closing(open_for_writing(folder / FILE_NAME)) as store:
         store.execute("BEGIN")
-        store.execute("INSERT INTO runs VALUES (1, 0, 'both', '0', 0, 'SIRTA', 48.7, 2.2, 156, '', '')")
+        store.execute("INSERT INTO runs VALUES (1, 0, 'both', '0', ?, 'SIRTA', 48.7, 2.2, 156, '', '')", (simulated,))
         rows = Rows(Scan)
         for number, (now, row) in enumerate(zip(utc_s.tolist(), faces.tolist(), strict=True)):
             readings = [FaceReading(value, Quality.OK, now, now) for value in row]
@@ -209,6 +209,21 @@ def test_the_field_calibration_reads_a_store_and_corrects_the_gains(heliocube, t
     assert again.zenith.gain_w_m2_per_mv == pytest.approx(10.0 / GAINS[3], rel=0.002)
     assert 0.45 < again.zenith.gain_uncertainty_percent < 0.7
     assert again.reference == "clear sky, perez1990, the GHI of roof.csv (U 0.5 %)"
+
+
+def test_a_calibration_by_simulated_readings_is_called_so(heliocube, tmp_path):
+    mark = "SIMULATED: these readings come from a model or a bench, not from a cube."
+    out, figure = tmp_path / "field.toml", tmp_path / "figure.svg"
+    fill_store(tmp_path, *in_place(), simulated=1)
+    code, told, _ = heliocube("calibrate", "field", "--store", tmp_path, *SITE, "--out", out)
+    assert (code, told.splitlines()[0], out.read_text().splitlines()[0]) == (0, mark, f"# {mark}")
+    reference, sensors = beside(tmp_path)
+    first, *lines = sensors.read_text().splitlines()
+    sensors.write_text("\n".join([f"{first},simulated", *(f"{line},true" for line in lines)]))
+    asked = ("calibrate", "cube", reference, sensors, *SITE, "--out", tmp_path / "beside.toml")
+    code, told, _ = heliocube(*asked, "--plot", figure, "--json")
+    assert (code, json.loads(told)["simulated"]) == (0, True)
+    assert "<!-- SIMULATED -->" in figure.read_text()
 
 
 def test_a_face_with_a_reference_holds_the_level_of_the_others(heliocube, tmp_path):
