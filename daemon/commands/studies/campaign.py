@@ -34,7 +34,7 @@ def campaign(
         ),
     ] = None,
     keep: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder into which each failure is written, reduced, as seed-N.json.")
+        Path, typer.Option(metavar="DIR", help="Folder for failures, each as seed-N.json; reduced in the end.")
     ] = Path("campaign-failures"),
     force: ForceOption = False,
     as_json: JsonOption = False,

@@ -25,7 +25,7 @@ class Attack:
     say
         Called with what people are to read.
     keep
-        Where reduced failures are written; made with the first one.
+        Where failures are written, whole as soon as they are seen and then reduced; made with the first one.
     show
         Whether each schedule and its log are printed.
 
@@ -90,19 +90,27 @@ class Attack:
         for violation in outcome.violations:
             self._say(f"seed {schedule.seed}: {violation}")
         if outcome.violations:
-            self._say(f"again: heliocube campaign --from {schedule.seed} --seeds 1 --hours {schedule.hours:g} --show")
+            # Hours of other seeds may come before it is reduced, and a Ctrl-C in them.
+            try:
+                self._say(f"again: heliocube campaign --schedule {self._write(schedule)} --show")
+            except UserError as error:
+                self._say(str(error))
 
     def _reduce(self, schedule: Schedule, outcome: CampaignOutcome) -> None:
         first = outcome.violations[0]
         reduced = reduce(schedule, {first.promise}, first.at_s)
+        path = self._write(reduced)
+        self._say(f"reduced to {len(reduced.events)} events, heliocube campaign --schedule {path}:")
+        self._say(reduced.text())
+
+    def _write(self, schedule: Schedule) -> Path:
         path = self._keep / f"seed-{schedule.seed}.json"
         try:
             self._keep.mkdir(parents=True, exist_ok=True)
-            path.write_text(reduced.json() + "\n", encoding="utf-8")
+            path.write_text(schedule.json() + "\n", encoding="utf-8")
         except OSError as error:
             raise UserError(f"--keep: {path} cannot be written: {error}") from error
-        self._say(f"reduced to {len(reduced.events)} events, heliocube campaign --schedule {path}:")
-        self._say(reduced.text())
+        return path
 
 
 def _seed(failed: tuple[Schedule, CampaignOutcome]) -> int:

@@ -142,3 +142,15 @@ def test_ctrl_c_ends_a_campaign_with_what_was_done(tmp_path):
     assert said[0].startswith("2 schedules, 0.04 h")
     assert said[-1] == "ended before 1 more"
     assert not (tmp_path / "failures").exists()
+
+
+@pytest.mark.usefixtures("_ctrl_c")
+def test_a_failure_before_ctrl_c_is_kept_whole(tmp_path, monkeypatch):
+    monkeypatch.setattr("daemon.studies.campaign.bounded.LINES_OF_A_COMMAND", -100)
+    said, keep = [], tmp_path / "failures"
+    given = tuple(Happening(70.0 + 20 * at, "command", name) for at, name in enumerate(("stow", "auto")))
+    failing = replace(draw(7, 0.03), events=given)
+    attack = Attack([failing, draw(1, 0.02), draw(2, 0.02)], HERE, said.append, keep, show=False)
+    assert attack.run(lambda share: share > 0.5 and signal.raise_signal(signal.SIGINT)) == 1
+    assert chosen_schedules(1, 1, 1.0, (), (), keep / "seed-7.json") == [failing]
+    assert f"again: heliocube campaign --schedule {keep / 'seed-7.json'} --show" in said
