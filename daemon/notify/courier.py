@@ -21,7 +21,7 @@ from daemon.config.links import NotifySettings
 from daemon.notify.backlog import Backlog, QuietHours
 from daemon.notify.notices import Notice, ServiceWatch
 from daemon.notify.recipients import Recipient
-from daemon.notify.told import Told, ToldFile
+from daemon.notify.told import ToldFile, ToldService
 
 log = logging.getLogger("heliocube.notify")
 
@@ -116,7 +116,7 @@ class Courier:
         self._told = before
         own = settings.silent_after_s, settings.at_least, settings.dashboard, now_s
         self._watches = {
-            service: ServiceWatch(str(service), *own, before.get(str(service), Told())) for service in services
+            service: ServiceWatch(str(service), *own, before.get(str(service), ToldService())) for service in services
         }
         quiet = QuietHours(settings.quiet_from, settings.quiet_until)
         self._backlogs = [(recipient, Backlog(quiet, settings.most_per_hour)) for recipient in people]

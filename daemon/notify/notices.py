@@ -5,13 +5,13 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from daemon.notify.told import Told, ToldAlarm
+from daemon.notify.told import ToldAlarm, ToldService
 
 # Alarms by tracker (empty for the cube's) and name.
 _Shown = dict[tuple[str, str], dict[str, Any]]
 
 SEVERITIES = ("notice", "warning", "critical")
-_NOTHING = Told()
+_NOTHING = ToldService()
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class ServiceWatch:
         at_least: str,
         link: str | None,
         now_s: float,
-        before: Told = _NOTHING,
+        before: ToldService = _NOTHING,
     ) -> None:
         self._address = address
         self._silent_after_s = silent_after_s
@@ -82,7 +82,7 @@ class ServiceWatch:
         self._told = before
 
     @property
-    def told(self) -> Told:
+    def told(self) -> ToldService:
         """What has been told, or is about to be, for a restart."""
         return self._told.model_copy(update={"silent": self._silent or self._was_silent})
 
@@ -94,7 +94,7 @@ class ServiceWatch:
             shown |= self._hidden(_muted(state), shown)
             changes = list(self._changes(shown))
             on = [alarm for alarm in shown.values() if self._matters(alarm) and alarm["state"] != "cleared"]
-            told = Told(alarms=[ToldAlarm.model_validate(alarm) for alarm in on])
+            told = ToldService(alarms=[ToldAlarm.model_validate(alarm) for alarm in on])
         except Exception:
             self._name = before
             raise

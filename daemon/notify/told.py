@@ -29,7 +29,7 @@ class ToldAlarm(BaseModel):
         return {**self.model_dump(), "state": "raised", "raised_at": ""}
 
 
-class Told(BaseModel):
+class ToldService(BaseModel):
     """What was told of one service: that it does not answer, and the alarms that were on."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -43,7 +43,7 @@ class ToldOfAll(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
-    services: dict[str, Told] = Field(default_factory=dict)
+    services: dict[str, ToldService] = Field(default_factory=dict)
 
 
 class ToldFile:
@@ -60,7 +60,7 @@ class ToldFile:
         self._file = StateFile(folder, FILE_NAME, ToldOfAll, log, "which alarms were told")
         self._saved: ToldOfAll | None = None
 
-    def load(self) -> dict[str, Told]:
+    def load(self) -> dict[str, ToldService]:
         """Return what was kept, by address; nothing of a file that cannot be read, which is logged."""
         try:
             kept = self._file.load()
@@ -69,7 +69,7 @@ class ToldFile:
             return {}
         return {} if kept is None else kept.services
 
-    def save(self, services: dict[str, Told]) -> None:
+    def save(self, services: dict[str, ToldService]) -> None:
         """Have the file replaced as a whole where anything has changed; a disk that failed is tried again."""
         whole = ToldOfAll(services=services)
         if whole != self._saved:

@@ -78,7 +78,9 @@ def read_reference(path: Path) -> ReferenceReadings:
     there = np.isfinite(ghi[:, 0])
     if not there.any():
         raise UserError(f"{path} has no reading in its column {name}" + (f": {note}" if note else ""))
-    return ReferenceReadings(str(path), utc_s[there], ghi[there, 0], note, _simulated(frame))
+    return ReferenceReadings(
+        source=str(path), utc_s=utc_s[there], ghi_w_m2=ghi[there, 0], note=note, simulated=_simulated(frame)
+    )
 
 
 def read_csv(path: Path) -> FaceReadings:
@@ -104,7 +106,15 @@ def read_csv(path: Path) -> FaceReadings:
             frame[name] = frame[name].where(frame[f"{face}_quality"] == "ok", "")
     faces, note = _possible(path, frame, names)
     made_with = frozenset(frame["calibration"]) if "calibration" in frame else frozenset({""})
-    return FaceReadings(str(path), utc_s, faces, ending == _MV, made_with, note, _simulated(frame))
+    return FaceReadings(
+        source=str(path),
+        utc_s=utc_s,
+        faces=faces,
+        in_mv=ending == _MV,
+        calibrations=made_with,
+        note=note,
+        simulated=_simulated(frame),
+    )
 
 
 def read_store(directory: Path, start: datetime | None, end: datetime | None) -> FaceReadings:

@@ -89,7 +89,7 @@ def clear_sky_source(longitude_deg: float, altitude_m: float) -> SkySource:
         _, dni, dhi = clear_sky_ghi(site, instants)
         return sky_series(site, instants, dni, dhi)
 
-    return SkySource("clear sky", True, CLEAR_STEP_S, series_at)
+    return SkySource(label="clear sky", simulated=True, step_s=CLEAR_STEP_S, series_at=series_at)
 
 
 def file_sky_source(
@@ -133,4 +133,10 @@ def file_sky_source(
             f"{path.name} has {days_told}: the ratios under its sky are of {those} only, while the theory's are of a"
             " whole year"
         )
-    return SkySource(label, weather.simulated, FILE_STEP_S, lambda _: series, "; ".join(notes) or None)
+    return SkySource(
+        label=label,
+        simulated=weather.simulated,
+        step_s=FILE_STEP_S,
+        series_at=lambda _: series,
+        warning="; ".join(notes) or None,
+    )

@@ -10,8 +10,7 @@ from daemon.tracker.modes import Data
 from daemon.tracker.readings import Readings
 from solar.ephemeris import Site
 from solar.frames import Limits
-from solar.laws.flat import FlatLaw, FlatSettings
-from solar.laws.law import TrackerFacts
+from solar.laws.law import DirectionLaw, TrackerFacts
 
 
 class SetClock:
@@ -24,7 +23,15 @@ class SetClock:
         return self.now + 1.7e9
 
 
-FOUR_FACES = FlatLaw(FlatSettings(), TrackerFacts(Site(48.7, 2.2, 156.0), Limits(), 5.0, 300.0, 0.0))
+class FourFacesLaw(DirectionLaw):
+    """One that says nothing of faces, as anybody may write it."""
+
+    def direction(self, _now, to_sun):
+        """Return the way to the sun."""
+        return to_sun
+
+
+FOUR_FACES = FourFacesLaw(TrackerFacts(Site(48.7, 2.2, 156.0), Limits(), 5.0, 300.0, 0.0))
 
 
 class Rig:
