@@ -254,8 +254,7 @@ def steer(
         weather.gridded(sun_direction(weather.utc_s + seconds, *weather.site), 0.0)
         for seconds in (plan.lead_s, plan.rest_s)
     )
-    light = weather.gridded(np.ones(len(weather.utc_s)), 0.0)
-    left = 1.0 - np.cumsum(light, axis=0) / np.maximum(light.sum(axis=0), 1.0)
+    left = daylight_left(weather)
     law = OptimalLaw(plan, limits, (days,), learned_by_day(weather, faces, start), group)
 
     def next_pose(step: int, a: Array, b: Array) -> tuple[Array, Array]:
@@ -266,6 +265,13 @@ def steer(
         return choice.a_deg, choice.b_deg
 
     return next_pose
+
+
+def daylight_left(weather: DaylightWeather) -> Array:
+    """Return which share of each day's daylight is still to come after each step, shape (steps, days), 0..1."""
+    light = weather.gridded(np.ones(len(weather.utc_s)), 0.0)
+    left: Array = 1.0 - np.cumsum(light, axis=0) / np.maximum(light.sum(axis=0), 1.0)
+    return left
 
 
 def learned_by_day(weather: DaylightWeather, faces: Array, start: Learned | None = None) -> Learned:

@@ -23,6 +23,7 @@ from solar.frames import FACE_NORMALS, Limits, normal_from_angles
 from solar.laws.light import Light, aim_vector, light_from_faces
 from solar.laws.memory import Expectation, OptimalSettings
 from solar.laws.optimal import OptimalLaw
+from solar.laws.optimal_live import daylight_left
 from solar.laws.steer import towards
 
 ALBEDO = 0.2
@@ -121,8 +122,7 @@ def priced(days, light, thrift):
     law = Foretold(settings, LIMITS, (weather.shape[1],))
     expected = [weather.gridded(part, np.nan) for part in light]
     ahead = weather.gridded(sun_direction(weather.utc_s + settings.lead_s, *weather.site), 0.0)
-    lit = weather.gridded(np.ones(len(weather.utc_s)), 0.0)
-    left = 1.0 - np.cumsum(lit, axis=0) / np.maximum(lit.sum(axis=0), 1.0)
+    left = daylight_left(weather)
 
     def steer(step, a, b):
         now = Light(*(part[step] for part in expected))
