@@ -299,7 +299,7 @@ def _sunspec(service: Service, speed: float, see: Callable[[], Snapshot]) -> Sun
     if not service.settings.sunspec.enabled:
         return None
     operators = Operators(service.trackers, speed)
-    return SunSpecServer(service.settings, see, operators, service.clock, service.bus.publish, speed)
+    return SunSpecServer(service.settings, see, operators, service.clock, service.cube_alarms.set, speed)
 
 
 def _sender(settings: Settings, mqtt: Mapping[str, Mqtt]) -> Callable[[bytes], None] | None:

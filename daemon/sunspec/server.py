@@ -4,12 +4,12 @@ import asyncio
 import contextlib
 import logging
 import math
+import os
 from collections.abc import Callable
 
 from daemon.base.addresses import parse_address
 from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage
-from daemon.base.records import Event, Record
 from daemon.base.recurrence import LogBudget, RateLimit
 from daemon.config.settings import Settings
 from daemon.service.operator import CommandError
@@ -50,8 +50,10 @@ class SunSpecServer:
         Takes a snapshot.
     operators
         Carry out the manual override; the guard of every other way is behind them.
-    clock, publish
-        The service's time, and where events go.
+    clock
+        The service's time.
+    alarm
+        Raises an alarm, or ends it with None.
     speed
         How many times as fast as the machine's the clock runs.
 
@@ -67,13 +69,13 @@ class SunSpecServer:
         see: Callable[[], Snapshot],
         operators: Operators,
         clock: Clock,
-        publish: Callable[[Record], None],
+        alarm: Callable[[str, str | None], None],
         speed: float,
     ) -> None:
         self._own = settings.sunspec
         self._operators = operators
         self._clock = clock
-        self._publish = publish
+        self._alarm = alarm
         self._speed = speed
         self._outage = Outage(log, "the SunSpec device")
         self._refused = LogBudget("writes over SunSpec that were refused")
@@ -86,7 +88,7 @@ class SunSpecServer:
         self.port = 0
 
     async def run(self) -> None:
-        """Serve until cancelled; a port that is taken is told once, and tried again every few seconds."""
+        """Serve until cancelled; a port that cannot be had is an alarm, and tried again every few seconds."""
         address = parse_address(self._own.listen)
         server: asyncio.Server | None = None
         try:
@@ -94,9 +96,11 @@ class SunSpecServer:
                 try:
                     server = await asyncio.start_server(self._serve, address.host, address.port, limit=_CHUNK)
                 except OSError as error:
-                    self._cannot(f"cannot listen on {address}: {error.strerror}; set sunspec.listen to another port")
+                    # What asyncio makes of the reason has the address once more.
+                    self._cannot(f"cannot listen on {address}: {os.strerror(error.errno or 0)}")
                     await asyncio.sleep(_AGAIN_S * self._speed)
             self._outage.up(self._clock.monotonic())
+            self._alarm("sunspec-down", None)
             self.port = server.sockets[0].getsockname()[1]
             may = "the manual override may be written" if self._own.manual else "read-only"
             log.info("SunSpec is served at %s, %s", address, may)
@@ -118,10 +122,8 @@ class SunSpecServer:
         await asyncio.gather(*running, return_exceptions=True)
 
     def _cannot(self, reason: str) -> None:
-        now_s = self._clock.monotonic()
-        first = not self._outage.is_down
-        if self._outage.down(now_s, reason) and first:
-            self._publish(Event(self._clock.utc(), now_s, "sunspec", reason))
+        self._outage.down(self._clock.monotonic(), f"{reason}; set sunspec.listen to another port")
+        self._alarm("sunspec-down", f"the SunSpec device {reason}: no control room can read or command")
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if not self._has_room():

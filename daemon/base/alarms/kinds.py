@@ -250,6 +250,14 @@ _ALL = (
         " to another port, then restart the service",
     ),
     _kind(
+        "sunspec-down",
+        Severity.WARNING,
+        "the address and port of `sunspec.listen` cannot be used: another program has them, or this one may not",
+        "no control room reads or commands over SunSpec; the tracker and all other ways to it are not affected",
+        "end the program that has the port (`ss -ltnp` names it): the service takes it within 10 s; or set"
+        " sunspec.listen to another port, then restart the service",
+    ),
+    _kind(
         "archive-behind",
         Severity.WARNING,
         "no archive has confirmed records for an hour",

@@ -7,6 +7,7 @@ import socket
 
 import pytest
 
+from daemon.base.records import Event
 from daemon.service.operator_commands import Operators
 from daemon.sunspec.models import BASE
 from daemon.sunspec.server import SunSpecServer
@@ -29,7 +30,7 @@ def serve(run_rig):
                 rig.see,
                 Operators(rig.service.trackers, 1.0),
                 rig.clock,
-                rig.bus.publish,
+                rig.service.cube_alarms.set,
                 1.0,
             )
             try:
@@ -141,19 +142,21 @@ def test_a_question_that_is_no_write_is_not_logged_as_a_refused_write(serve, cap
     serve(scenario)
 
 
-def test_a_port_that_is_taken_is_told_once_and_tried_again(serve):
+def test_a_port_that_is_taken_is_an_alarm_until_it_is_had(serve):
     async def scenario(rig, server, port):
-        told = []
-        rig.bus.subscribe(lambda record: told.append(record) if getattr(record, "subject", "") == "sunspec" else None)
         with socket.socket() as taken:
             taken.bind(("127.0.0.1", port))
             taken.listen()
             task = asyncio.create_task(server.run())
             await asyncio.sleep(35)
             assert server.port == 0
-            (only,) = told
-            assert "address already in use; set sunspec.listen to another port" in only.text
         await rig.until(lambda: server.port == port, 30, "the port")
+        text = (
+            f"the SunSpec device cannot listen on 127.0.0.1:{port}: Address already in use: no control room can read or"
+            " command"
+        )
+        told = [event.text for event in rig.of(Event) if event.subject == "alarm"]
+        assert told == [f"raised sunspec-down: {text}", f"cleared sunspec-down: {text}"]
         await ended(task)
 
     serve(scenario)

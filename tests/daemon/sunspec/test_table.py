@@ -32,7 +32,7 @@ class Control:
         self.recent = Recent()
         rig.bus.subscribe(self.recent.note)
         self.see = lambda: rig.see(self.recent)
-        self.server = SunSpecServer(settings, self.see, operators, rig.clock, rig.bus.publish, 1.0)
+        self.server = SunSpecServer(settings, self.see, operators, rig.clock, rig.service.cube_alarms.set, 1.0)
 
     async def ask(self, request):
         return await self.server._answer(Asked(request), "127.0.0.1")
