@@ -13,7 +13,7 @@ import uvicorn
 from daemon.api.app import Api
 from daemon.api.port.connections import Connections
 from daemon.api.port.doorkeeper import Doorkeeper
-from daemon.base.addresses import parse_address
+from daemon.base.addresses import Address, parse_address
 from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage
 from daemon.config.links import ApiSettings
@@ -71,30 +71,37 @@ class ApiServer:
         The service's time.
     alarm
         Raises an alarm, or ends it with None.
+    tell
+        Takes the URL as soon as the port is had.
     speed
         How many times as fast as the machine's the clock runs.
+
+    Attributes
+    ----------
+    url
+        Where it is served; None while it is not.
     """
 
     def __init__(
-        self, settings: ApiSettings, api: Api, clock: Clock, alarm: Callable[[str, str | None], None], speed: float
+        self,
+        settings: ApiSettings,
+        api: Api,
+        clock: Clock,
+        alarm: Callable[[str, str | None], None],
+        tell: Callable[[str], None],
+        speed: float,
     ) -> None:
         self._address = parse_address(settings.listen)
         self._api = api
         self._clock = clock
         self._alarm = alarm
+        self._tell = tell
         self._speed = speed
         self._connections = Connections(api.token, api.refusals, speed)
         self._outage = Outage(log, "the local interface")
         self._bound: socket.socket | None = None
+        self.url: str | None = None
         self._try_to_bind()
-
-    @property
-    def url(self) -> str | None:
-        """Where it is served; None while it is not."""
-        if self._bound is None:
-            return None
-        host, port = self._bound.getsockname()[:2]
-        return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
     async def run(self) -> None:
         """Serve until cancelled."""
@@ -110,7 +117,7 @@ class ApiServer:
         """Give the port back; needed only if `run` was never called."""
         if self._bound is not None:
             self._bound.close()
-            self._bound = None
+            self._bound = self.url = None
 
     def _try_to_bind(self) -> None:
         now_s = self._clock.monotonic()
@@ -129,6 +136,9 @@ class ApiServer:
         self._outage.up(now_s)
         self._alarm("api-down", None)
         self._bound = bound
+        host, port = bound.getsockname()[:2]
+        self.url = f"http://{Address(host, port)}"
+        self._tell(self.url)
 
     async def _serve(self, bound: socket.socket) -> None:
         pace = max(round(self._speed), 1)

@@ -277,21 +277,22 @@ def _api(
     *,
     journal: bool,
 ) -> ApiServer | None:
-    """Return the local interface, bound to its port, and tell where it is; None where there is to be none."""
+    """Return the local interface, which tells where it is once it has its port; None where there is to be none."""
     settings = service.settings.api
     if not settings.enabled:
         return None
     token = generate_token() if settings.token_file is None else load_token(settings.token_file)
+    where = f"the token of commands is in {settings.token_file}"
+    if settings.token_file is None:
+        # A journal is read by more people than a terminal.
+        where = "commands need api.token_file" if journal else f"commands need HELIOCUBE_TOKEN={token}"
+
+    def tell(url: str) -> None:
+        _print(console, f"local interface at {url}; {where}")
+
     operators = Operators(service.trackers, speed, service.cube_alarms)
     api = Api(see, recent, operators, token, service.clock, speed, settings.hosts, glance, own)
-    server = ApiServer(settings, api, service.clock, service.cube_alarms.set, speed)
-    if server.url is not None:
-        where = f"the token of commands is in {settings.token_file}"
-        if settings.token_file is None:
-            # A journal is read by more people than a terminal.
-            where = "commands need api.token_file" if journal else f"commands need HELIOCUBE_TOKEN={token}"
-        _print(console, f"local interface at {server.url}; {where}")
-    return server
+    return ApiServer(settings, api, service.clock, service.cube_alarms.set, tell, speed)
 
 
 def _sunspec(service: Service, speed: float, see: Callable[[], Snapshot]) -> SunSpecServer | None:

@@ -56,13 +56,13 @@ class Caller:
         return await self("POST", f"/api/{name}", body, headers)
 
 
-def server_of(rig, settings, recent=None, store=None, hosts=(), links=None, file=None):
+def server_of(rig, settings, recent=None, store=None, hosts=(), links=None, file=None, tell=print):
     """Return the local interface of a rig's service."""
     recent = Recent() if recent is None else recent
     operators = Operators(rig.service.trackers, 1.0, rig.service.cube_alarms)
     own = OwnConfiguration(file, [tracker.name for tracker in rig.service.trackers])
     api = Api(lambda: rig.see(recent, store, links), recent, operators, TOKEN, rig.clock, 1.0, hosts, own=own)
-    return ApiServer(settings, api, rig.clock, rig.service.cube_alarms.set, 1.0)
+    return ApiServer(settings, api, rig.clock, rig.service.cube_alarms.set, tell, 1.0)
 
 
 @pytest.fixture
