@@ -1,5 +1,6 @@
 """Where an archive is: the URL of a PostgreSQL database, with the name of an installation behind it."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -19,6 +20,9 @@ _CONNECT_S = 10
 _LONGEST_PASSWORD = 1024
 _WHERE_IT_IS = "archive.password_file, or the file of PGPASSFILE, mode 0600"
 _HOW = "postgresql://USER@HOST/DATABASE"
+# The server's own words, in whatever language: libpq writes two spaces after their severity, and a connection that
+# fails carries no SQLSTATE.
+_SAID = re.compile(r'(?:.* failed: )?[^:"]+:  (.+)')
 
 
 class ArchiveError(UserError):
@@ -148,7 +152,8 @@ def telling(address: ArchiveAddress) -> Iterator[None]:
         yield
     except psycopg.errors.ReadOnlySqlTransaction as error:
         raise ArchiveError(
-            f"the database {address.url} takes no records ({one_line(error)}): it is a replica; name the one it follows"
+            f"the database {address.url} takes no records ({one_line(error)}): if it is a replica, name the one it"
+            " follows; else set default_transaction_read_only of the database off"
         ) from None
     except psycopg.errors.InsufficientPrivilege as error:
         raise ArchiveError(
@@ -158,7 +163,8 @@ def telling(address: ArchiveAddress) -> Iterator[None]:
         # Of the locks that a transaction needs, one for each day: the pages of others need no more than there are.
         raise PagesRefusedError(f"the database cannot hold them in one transaction: {one_line(error)}") from None
     except (psycopg.OperationalError, psycopg.InterfaceError) as error:
-        raise ArchiveAwayError(f"the database {address.url} does not answer: {one_line(error)}") from None
+        does = "does not answer" if error.sqlstate is None else "refuses"
+        raise ArchiveAwayError(f"the database {address.url} {does}: {one_line(error)}") from None
     except (psycopg.DataError, psycopg.IntegrityError) as error:
         raise PagesRefusedError(f"the database takes no such records: {one_line(error)}") from None
     except psycopg.Error as error:
@@ -182,12 +188,12 @@ def _reason(address: ArchiveAddress, error: "psycopg.OperationalError") -> Archi
     for part, remedy in remedies.items():
         if part in text:
             return ArchiveError(f"the database {address.url} refuses: {text}: {remedy}")
-    return ArchiveAwayError(f"the database {address.url} does not answer: {text}")
+    does = "refuses" if _SAID.match(str(error)) else "does not answer"
+    return ArchiveAwayError(f"the database {address.url} {does}: {text}")
 
 
 def one_line(error: Exception) -> str:
     """Return the first line of what a database says, without its own preface."""
     first = str(error).strip().split("\n")[0]
-    for mark in ("FATAL: ", "ERROR: "):
-        first = first.rpartition(mark)[2]
-    return first.strip() or type(error).__name__
+    said = _SAID.match(first)
+    return (said[1] if said else first).strip() or type(error).__name__

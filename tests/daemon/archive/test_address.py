@@ -1,5 +1,8 @@
 """Addresses of archives: what is none, and what holds a password, is one sentence."""
 
+import socket
+from threading import Thread
+
 import pytest
 
 from daemon.archive.address import (
@@ -56,6 +59,27 @@ def test_what_no_wait_can_mend_is_none_that_does_not_answer(query, part):
     with pytest.raises(ArchiveError, match=part) as error:
         connected(parse_archive(f"postgresql:///plant?{query}"), "a test")
     assert not isinstance(error.value, ArchiveAwayError)
+
+
+def test_a_refusal_in_another_language_is_told_as_the_server_s_answer():
+    pytest.importorskip("psycopg")
+    said = "Passwort-Authentifizierung für Benutzer »me« fehlgeschlagen"
+    fields = b"".join(part.encode() + b"\0" for part in ("SFATAL", "VFATAL", "C28P01", f"M{said}", ""))
+
+    def refuse():
+        caller, _ = listening.accept()
+        with caller:
+            caller.recv(1000)
+            caller.sendall(b"E" + (len(fields) + 4).to_bytes(4, "big") + fields)
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        server = Thread(target=refuse)
+        server.start()
+        url = f"postgresql://me@127.0.0.1:{listening.getsockname()[1]}/plant?sslmode=disable&gssencmode=disable"
+        with pytest.raises(ArchiveAwayError) as error:
+            connected(parse_archive(url), "a test")
+        server.join()
+    assert str(error.value) == f"the database {url} refuses: {said}"
 
 
 def test_a_host_of_the_environment_that_has_no_name_is_one_sentence(monkeypatch):

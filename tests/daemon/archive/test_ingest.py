@@ -227,6 +227,13 @@ def test_a_database_without_rights_is_one_sentence(postgres, database, heliocube
     assert (code, "make it with createdb" in err, len(err.splitlines())) == (2, True, 1)
 
 
+def test_a_database_that_is_set_to_read_only_is_not_told_to_be_a_replica_for_certain(postgres, database):
+    postgres.sql(f"ALTER DATABASE {database.rpartition('/')[2]} SET default_transaction_read_only = on")
+    part = "else set default_transaction_read_only of the database off"
+    with contextlib.closing(ArchiveWriter(parse_archive(database))) as writer, pytest.raises(ArchiveError, match=part):
+        writer.prepare()
+
+
 def test_who_may_only_read_the_archive_takes_no_page_from_who_may_write(postgres, database):
     with contextlib.closing(ArchiveWriter(parse_archive(database))) as writer:
         writer.prepare()
