@@ -1,8 +1,8 @@
 """What a client may read and write: the registers of a snapshot, and the manual override of model 601.
 
 A control room sets elevation and azimuth and then the mode, in one write or in several. So the angles only wait until
-the mode is written; half an angle, one without the other, mode 2 (calibrate) and a direction that the tracker cannot
-take are refused.
+the mode is written, and no longer than some minutes; those of a goto are forgotten with its end, whoever ends it. Half
+an angle, one without the other, mode 2 (calibrate) and a direction that the tracker cannot take are refused.
 """
 
 from collections.abc import Callable
@@ -24,6 +24,7 @@ from drivers.modbus.server import NoBits, RefusedRequestError
 from solar.frames import angles_from_direction, direction_from_azimuth
 
 _KEPT_S = 0.2
+_WAIT_S = 300.0
 _CONTROL_WORDS = 5
 _ELEVATION, _AZIMUTH, _MODE = 0, 2, 4
 
@@ -70,6 +71,8 @@ class SunSpecTable(NoBits):
         self._now = monotonic_s
         self._writable = writable
         self._manual: dict[str, ManualTarget] = {}
+        self._written_s: dict[str, float] = {}
+        self._gone_to: dict[str, tuple[float, float]] = {}
         self._seen_s = -_KEPT_S
         self._seen: Snapshot | None = None
         self._registers = Registers((), {})
@@ -87,6 +90,8 @@ class SunSpecTable(NoBits):
         """Take in angles and mode of one tracker; what is asked by that is in `take`."""
         if not self._writable:
             raise RefusedRequestError(ILLEGAL_FUNCTION)
+        # Not a snapshot of before: a person may have ended what was set a moment ago.
+        self._seen_s = -_KEPT_S
         controls = self._current().controls
         start = next((first for first in controls if first <= register < first + _CONTROL_WORDS), None)
         if start is None or register + len(values) > start + _CONTROL_WORDS:
@@ -95,7 +100,9 @@ class SunSpecTable(NoBits):
         target, mode = self._written(self._manual.get(name, ManualTarget()), register - start, values)
         if mode is not None:
             self._asked = self._override(self._tracker(name), target, mode)
-        self._manual[name] = target
+        if register < start + _MODE:
+            self._manual[name], self._written_s[name] = target, self._now()
+            self._gone_to.pop(name, None)
         self._seen_s = -_KEPT_S
 
     def is_held(self, tracker: str) -> bool:
@@ -118,15 +125,36 @@ class SunSpecTable(NoBits):
         """Take note that an override was carried out: with ``auto`` the angles of before are forgotten."""
         self._seen_s = -_KEPT_S
         if asked.name == "auto":
-            self._manual.pop(asked.tracker, None)
+            self._forget(asked.tracker)
+        elif asked.name == "goto":
+            self._gone_to[asked.tracker] = (asked.a_deg, asked.b_deg)
 
     def _current(self) -> Registers:
         now_s = self._now()
         if not now_s - self._seen_s < _KEPT_S:
             self._seen = self._see()
+            self._forget_what_is_over(self._seen, now_s)
             self._registers = self._map.registers(self._seen, self._manual)
             self._seen_s = now_s
         return self._registers
+
+    def _forget_what_is_over(self, seen: Snapshot, now_s: float) -> None:
+        """Forget angles whose goto somebody has ended, and those that have waited too long for the mode.
+
+        Else a mode that is written alone would move the tracker to where nobody wants it now.
+        """
+        for tracker in seen.trackers:
+            hold, gone_to = tracker.wishes.hold, self._gone_to.get(tracker.name)
+            if gone_to is not None:
+                over = hold is None or hold.goto_deg != gone_to
+            else:
+                over = now_s - self._written_s.get(tracker.name, now_s) > _WAIT_S
+            if over:
+                self._forget(tracker.name)
+
+    def _forget(self, name: str) -> None:
+        for each in (self._manual, self._written_s, self._gone_to):
+            each.pop(name, None)
 
     def _written(self, target: ManualTarget, offset: int, values: tuple[int, ...]) -> tuple[ManualTarget, int | None]:
         """Return the angles and the mode after a write; half an angle is none."""

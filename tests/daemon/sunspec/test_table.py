@@ -160,6 +160,42 @@ def test_angles_wait_for_the_mode_and_manual_without_them_holds(run_rig):
     on_rig(run_rig, scenario)
 
 
+@pytest.mark.parametrize("ended_by", ["auto", "stop", "goto"])
+def test_manual_alone_holds_where_it_stands_after_a_person_has_ended_the_last_override(run_rig, ended_by):
+    async def scenario(rig, control):
+        at = (await control.models())[601][0] + 20
+        assert await control.write(at, [*int32(3383), *int32(21701), 1]) == 0
+        await rig.until(lambda: rig.truth() == pytest.approx((30.0, 40.0), abs=0.8), 120, "the manual target")
+        assert await control.write(at + 4, [1]) == 0
+        assert (await control.read(at, 5))[:4] == (*int32(3383), *int32(21701))
+        if ended_by == "goto":
+            rig.control.goto(20.0, 60.0, "to be seen", "ana")
+        if ended_by == "stop":
+            await rig.control.stop("a hand in the gear", "ana")
+        rig.control.auto()
+        await asyncio.sleep(60)
+        await at_rest(rig)
+        before = rig.truth()
+        assert await control.write(at + 4, [1]) == 0
+        assert await control.read(at, 5) == (0x8000, 0, 0x8000, 0, 1)
+        await asyncio.sleep(60)
+        assert rig.truth() == pytest.approx(before, abs=0.5)
+
+    on_rig(run_rig, scenario)
+
+
+def test_angles_that_have_waited_for_minutes_are_not_what_manual_means(run_rig):
+    async def scenario(rig, control):
+        at = (await control.models())[601][0] + 20
+        assert await control.write(at, [*int32(3383), *int32(21701)]) == 0
+        await asyncio.sleep(290)
+        assert (await control.read(at, 4)) == (*int32(3383), *int32(21701))
+        await asyncio.sleep(20)
+        assert (await control.read(at, 4)) == (0x8000, 0, 0x8000, 0)
+
+    on_rig(run_rig, scenario)
+
+
 def test_manual_with_one_angle_and_not_the_other_is_refused(run_rig):
     async def scenario(rig, control):
         at = (await control.models())[601][0] + 20
