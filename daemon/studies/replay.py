@@ -28,8 +28,9 @@ from daemon.motion.polling import Polling
 from daemon.rigs.simulated import build_simulated_positioner
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from daemon.service.service import Service
+from daemon.service.tracker import Tracker
+from daemon.studies.failed_laws import failed_laws
 from daemon.studies.recorded import RecordedScan
-from daemon.tracker.pointing import Pointing
 from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Angles, Array
 from solar.laws.law import Law
@@ -61,10 +62,13 @@ class Replayed(NamedTuple):
         Of their readings, as places in `Quality`, shape (rows, 4).
     events
         What the service told meanwhile, its alarms among it.
+    failed_laws
+        A sentence for each law that failed, so that another one pointed from then on.
     """
 
     qualities: NDArray[np.uint8]
     events: list[Event]
+    failed_laws: list[str]
 
 
 def replay(settings: Settings, rows: Sequence[RecordedScan], out: Path, progress: Callable[[float], None]) -> Replayed:
@@ -101,14 +105,15 @@ def replay(settings: Settings, rows: Sequence[RecordedScan], out: Path, progress
         raise UserError(f"--out: {out} cannot be written: {error.strerror}") from None
     finally:
         part.unlink(missing_ok=True)
-    return Replayed(qualities, log.events)
+    return Replayed(qualities, log.events, failed_laws(log.trackers))
 
 
 class _Log:
     """What the tracker did, row by row, and what pointed it."""
 
-    def __init__(self, pointing: Pointing) -> None:
-        self.pointing = pointing
+    def __init__(self, trackers: Sequence[Tracker]) -> None:
+        self.trackers = trackers
+        self.pointing = trackers[0].control.pointing
         self.angles = array("d")
         # Of each reading, a byte.
         self.qualities = bytearray()
@@ -166,7 +171,7 @@ def _run(settings: Settings, rows: Sequence[RecordedScan], progress: Callable[[f
             Notifier({}, 0),
             polling=_POLLING,
         )
-        log = _Log(service.trackers[0].control.pointing)
+        log = _Log(service.trackers)
         bus.subscribe(log.note)
         # What Ctrl-C leaves is what was done: as good as far as it goes.
         with contextlib.suppress(KeyboardInterrupt):

@@ -11,7 +11,7 @@ from typing import Literal
 from daemon.base.clock import LoopClock
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier
-from daemon.base.records import Bus, Decision, Event, Mode, ModeChange, Move, Record, Scan
+from daemon.base.records import Bus, Decision, Mode, ModeChange, Move, Record, Scan
 from daemon.base.timeloop import virtual_time
 from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
@@ -141,6 +141,7 @@ def simulate(
     end_utc_s = end_utc_s if interrupted_utc_s is None else interrupted_utc_s
     summary = tally.close(end_utc_s, warning)
     summary.interrupted_utc_s = interrupted_utc_s
+    summary.failed_laws = failed_laws(service.trackers)
     summary.insolation = tuple(poses.insolation(settings, weather, start_utc_s, end_utc_s))
     return summary
 
@@ -182,7 +183,6 @@ def _require_daylight(settings: Settings, start_utc_s: float, end_utc_s: float) 
 class _Tally:
     def __init__(self, start_utc_s: float, trackers: Sequence[str]) -> None:
         self._summary = Summary()
-        self._events: list[Event] = []
         self._modes = dict.fromkeys(trackers, (Mode.STARTING, start_utc_s))
 
     def count(self, record: Record) -> None:
@@ -196,8 +196,6 @@ class _Tally:
             summary.travel_deg += abs(record.end_a_deg - record.from_a_deg) + abs(record.end_b_deg - record.from_b_deg)
         elif isinstance(record, ModeChange):
             self._enter(record.after, record.time_utc_s, record.tracker)
-        elif isinstance(record, Event):
-            self._events.append(record)
 
     def _enter(self, mode: Mode, utc_s: float, tracker: str) -> None:
         before, since_utc_s = self._modes[tracker]
@@ -208,5 +206,4 @@ class _Tally:
         for tracker, (mode, _) in tuple(self._modes.items()):
             self._enter(mode, end_utc_s, tracker)
         self._summary.warnings = [] if warning is None else [warning]
-        self._summary.failed_laws = failed_laws(self._events, several=len(self._modes) > 1)
         return self._summary

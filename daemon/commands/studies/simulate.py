@@ -198,7 +198,6 @@ def replay(
     check_outputs([out], "--out", force=force)
     if faces is not None and not faces.is_file():
         raise UserError(f"there is no file {faces}: name a CSV file with the columns time,east,south,west,zenith")
-    from daemon.studies.failed_laws import failed_laws
     from daemon.studies.recorded import read_csv, rows_of_store
     from daemon.studies.replay import replay as run_replay
 
@@ -223,7 +222,7 @@ def replay(
         from daemon.studies.report.studies import report_replay
 
         pages = report_replay(settings, span, rows, replayed, out, report_to, local, force=force)
-    warnings, law = failed_laws(replayed.events, several=False), settings.law.driver
+    warnings, law = replayed.failed_laws, settings.law.driver
     if as_json:
         page = {"simulated": True, "rows": done, "law": law, "warnings": warnings, "table": out, "reports": pages}
         print_json(page)
