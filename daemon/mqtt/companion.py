@@ -196,7 +196,7 @@ class Mqtt:
             cost = f"no wind speed is received over MQTT, and silence of {safety.wind_stale_s:g} s stows"
             costs |= {"mqtt.wind.topic": cost, "mqtt.wind.json_path": cost}
         if self._role is not Role.CUBE and mqtt.safe.topic is not None:
-            cost = f"no word for safe is received, and silence of {mqtt.safe.stale_s:g} s stows"
+            cost = f"no message that it is safe is received, and silence of {mqtt.safe.stale_s:g} s stows"
             costs |= {"mqtt.safe.topic": cost, "mqtt.safe.json_path": cost}
         for key, cost in costs.items():
             if key in self._unusable:

@@ -202,7 +202,7 @@ def test_the_program_starts_with_wrong_topics_and_says_so_in_api_and_status_and_
         "[mqtt.wind]\ntopic = 'weather/#'\n[mqtt.safe]\ntopic = 'dome'\njson_path = 'a.'\nstale_s = 86400\n"
     )
     ends = "and silence of 86400 s stows: correct it and start again"
-    no_wind, no_word = f"no wind speed is received over MQTT, {ends}", f"no word for safe is received, {ends}"
+    no_wind, no_word = f"no wind speed is received over MQTT, {ends}", f"no message that it is safe is received, {ends}"
     sentences = [
         f"mqtt.wind.topic: 'weather/#' has a wildcard, and a topic has none; so {no_wind}",
         f"mqtt.safe.json_path: 'a.' is not a path such as wind.speed or sensors.0.speed; so {no_word}",
