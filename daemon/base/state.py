@@ -272,7 +272,9 @@ class StateFolder:
             return None
         forgotten = " and ".join(self._waiting[path].forgotten for path in chosen)
         reason = self._failed.get(chosen[0], "the disk has not answered yet")
-        return f"a restart would forget {forgotten}: {chosen[0]} cannot be written ({reason})"
+        # All files of a folder are beside each other.
+        files = " and ".join([str(chosen[0]), *(path.name for path in chosen[1:])])
+        return f"a restart would forget {forgotten}: {files} cannot be written ({reason})"
 
 
 class StateFile(Generic[State]):

@@ -102,7 +102,9 @@ def test_a_slow_disk_is_not_waited_for_and_gets_the_newest_of_each_file_in_order
     assert folder.trouble is None, "a disk at work is no trouble yet"
     now_s[0] += 6.0
     assert folder.trouble == folder.unsaved
-    assert folder.trouble.endswith("b.json cannot be written (the disk has not answered yet)")
+    assert folder.trouble.endswith(
+        f": {tmp_path / 'b.json'} and a.json cannot be written (the disk has not answered yet)"
+    )
     disk.let.release(3)
     assert folder.settle(60)
     assert disk.written == [("a.json", '{"count":1}'), ("b.json", '{"count":2}'), ("a.json", '{"count":5}')]
