@@ -236,8 +236,7 @@ class Service:
         try:
             await self.open()
             for tracker in self.trackers:
-                tracker.check_wind_source()
-                tracker.check_folder()
+                tracker.check()
             if self._listens and self.receiver is not None:
                 # Not before whoever keeps records listens too.
                 await self.receiver.open()

@@ -248,7 +248,16 @@ class Tracker:
         """Whether this process simulates the instruments itself. A file may say by mistake that it is a bench's."""
         return self._rig.simulated and not self.settings.instruments.bench
 
-    def check_folder(self) -> None:
+    def check(self) -> None:
+        """Raise the alarms for which the settings alone are a reason: no source of stow, nowhere to keep anything."""
+        before = TRACKER.set(self.log_name)
+        try:
+            self._check_wind_source()
+            self._check_folder()
+        finally:
+            TRACKER.reset(before)
+
+    def _check_folder(self) -> None:
         """Raise an alarm where a restart would forget all that a real tracker has to keep, and note the start.
 
         Whether the disk takes it is known before the first stop: the folder reports what it could not write.
@@ -258,7 +267,7 @@ class Tracker:
             started = json.dumps({"started_utc_s": self.clock.utc(), "version": version("heliocube")})
             self.folder.put(self.folder.directory / STARTED_NAME, started, _TO_KEEP, log)
 
-    def check_wind_source(self) -> None:
+    def _check_wind_source(self) -> None:
         """Raise an alarm where nothing would stow a real tracker in a storm."""
         accepted = self.settings.safety.without_wind_source == "accepted"
         if not (self.stow_watch.watched or self._harmless or accepted):
