@@ -95,6 +95,7 @@ class Guard:
         self._alarms = alarms
         self._polled = polled
         self.watch = watch = Watch(expected)
+        self._remedy = "home it" if expected.has_reference_run else "compare it with where it points, then clear it"
         # Three steps of a position that is rounded.
         self._deafness = Deafness(watch.same_place, 3.0 * expected.resolution() / expected.slowest_deg_per_s)
         self._currents = Currents(expected.current_alarm_a)
@@ -325,7 +326,7 @@ class Guard:
         if stray is None:
             return
         if stray.jump:
-            self.doubts.doubt("jump", f"{stray.text}, the reference may be lost: home it")
+            self.doubts.doubt("jump", f"{stray.text}, the reference may be lost: {self._remedy}")
         elif self.stray is None:
             self.stray = stray
             self._strayed_at = telemetry

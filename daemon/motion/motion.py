@@ -281,7 +281,8 @@ class Motion(MotionState):
         if text and told:
             self._report(text)
         if text and not telemetry.reference_doubt:
-            guard.doubts.doubt("jump", f"{text}: compare with the arms, then clear or home it")
+            how = "clear or home it" if self._has_reference_run else "clear it"
+            guard.doubts.doubt("jump", f"{text}: compare with the arms, then {how}")
 
     def _note_link(self, name: str = "") -> bool:
         """Take note that the unit answers; return whether there was anything to tell of it."""

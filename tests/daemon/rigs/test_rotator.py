@@ -1,6 +1,7 @@
 """The service on a simulated rotator behind a simulated rotctld, in virtual time."""
 
 import asyncio
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -301,11 +302,25 @@ def test_a_rotator_that_stands_elsewhere_after_the_loss_waits_for_a_person(run_r
         rig.cables.positioner.link_up = True
         await rig.until(lambda: "reference" in alarms(rig), 120, "the doubt", every_s=0.5)
         assert "before the loss it stood at" in alarms(rig)["reference"]
+        assert alarms(rig)["reference"].endswith(": compare with the arms, then clear it")
         with pytest.raises(RefusedError, match="has no reference run: compare it"):
             rig.motion.home()
         rig.motion.clear_faults()
         await rig.until_mode(Mode.TRACKING, 60)
         assert not [event for event in rig.of(Event) if event.text == "homing"]
+
+    run_rotator(scenario)
+
+
+def test_a_jump_of_a_count_that_no_reference_run_restores_names_what_can_be_done(run_rotator):
+    async def scenario(rig):
+        await until_tracked(rig)
+        await rig.until(lambda: rig.motion.resting, 30, "rest")
+        rig.rotator.turns = replace(rig.rotator.turns, speed_deg_per_s=1e4)
+        rig.rotator.turn(10.0, 45.0, rig.clock.monotonic())
+        await rig.until(lambda: "reference" in alarms(rig), 120, "the doubt", every_s=0.5)
+        remedy = "compare it with where it points, then clear it"
+        assert alarms(rig)["reference"].endswith(f"the reference may be lost: {remedy}")
 
     run_rotator(scenario)
 
