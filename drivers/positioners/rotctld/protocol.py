@@ -50,10 +50,15 @@ class RotctldReply(NamedTuple):
 
     def number(self, label: str) -> float:
         """Return a value as a finite number; `ValueError` where it is none."""
-        text = self.values.get(label, "")
-        number = float(text)
+        text = self.values.get(label)
+        if text is None:
+            raise ValueError(f"{label} is missing")
+        try:
+            number = float(text)
+        except ValueError:
+            number = math.nan
         if not math.isfinite(number):
-            raise ValueError(f"{label} is {text}")
+            raise ValueError(f"{label} is {text!r}, no number")
         return number
 
 
@@ -92,7 +97,7 @@ def error_text(error: int) -> str:
 def state_of(reply: RotctldReply) -> RotatorState:
     """Read the answer to `DUMP_STATE`; `ValueError` where something is missing or no number."""
     return RotatorState(
-        model=int(reply.values.get("Rotor Model", "")),
+        model=int(reply.number("Rotor Model")),
         azimuth_deg=(reply.number("Minimum Azimuth"), reply.number("Maximum Azimuth")),
         elevation_deg=(reply.number("Minimum Elevation"), reply.number("Maximum Elevation")),
         kind=reply.values.get("rot_type", ""),
@@ -111,7 +116,7 @@ class ReplyStream:
         *complete, self._rest = (self._rest + data).split(b"\n")
         replies = []
         for line in complete:
-            text = line.decode("latin-1").rstrip("\r")
+            text = line.decode("latin-1").strip()
             end = _END.fullmatch(text)
             if end is None:
                 self._lines.append(text)
