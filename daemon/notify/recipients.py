@@ -47,7 +47,10 @@ class AppriseRecipient:
 
     def __init__(self, address: str) -> None:
         apprise = _apprise()
-        service = apprise.Apprise.instantiate(address)
+        asset = apprise.AppriseAsset()
+        # A message that is posted to where it was moved is asked for there, and any page is taken for its acceptance.
+        asset.http_redirects = False
+        service = apprise.Apprise.instantiate(address, asset=asset)
         if service is None:
             raise ValueError("apprise knows no such address")
         self._kinds = apprise.NotifyType

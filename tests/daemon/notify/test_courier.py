@@ -43,6 +43,7 @@ class Lab:
         self.alarms, self.up, self.taking = [], True, True
         self.told, self.beats = [], 0
         self.instead, self.mode, self.longest = None, "tracking", None
+        self.moved_to = None
         lab = self
 
         class Handler(BaseHTTPRequestHandler):
@@ -61,7 +62,10 @@ class Lab:
                 self.answer(200 if taking else 500, b"{}")
 
             def answer(self, status, body):
-                self.send_response(status)
+                moved_to = lab.moved_to if self.command == "POST" else None
+                self.send_response(302 if moved_to else status)
+                if moved_to:
+                    self.send_header("Location", moved_to)
                 self.send_header("Content-Length", str(len(body)))
                 self.end_headers()
                 self.wfile.write(body)

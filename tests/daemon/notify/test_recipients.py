@@ -53,6 +53,16 @@ def test_a_try_says_of_each_way_and_of_the_heartbeat_what_came_of_it(lab, tmp_pa
     assert "a test" in str(lab.told[0])
 
 
+@pytest.mark.parametrize("kind", ["ntfy", "json"])
+def test_a_server_that_has_moved_has_taken_nothing_whatever_page_stands_where_it_leads(lab, tmp_path, kind):
+    lab.moved_to = "/sign-in"
+    people = tmp_path / "people"
+    people.write_text(f"{kind}://{lab.address}/roof\n")
+    people.chmod(0o640)
+    (recipient,) = recipients_of(people)
+    assert asyncio.run(recipient.tell(Notice("a title", "a body", "warning"))) is False
+
+
 def test_a_try_that_does_not_reach_everybody_ends_with_4(lab, tmp_path):
     config, people = tmp_path / "notify.toml", tmp_path / "people"
     config.write_text("[notify]\npeople_file = 'people'\n")
