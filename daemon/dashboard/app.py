@@ -208,7 +208,12 @@ class Dashboard:
             raise HTTPException(401, f"the service at {service.name} has another token: log in with that one too")
         client = self._fleet.client if name == "stop" else self._fleet.orders
         content = _encoded({**given, "by": session.by})
-        return await self._post(client, f"{service.url}/api/{name}", token, content, _COMMAND_S)
+        status, answer = await self._post(client, f"{service.url}/api/{name}", token, content, _COMMAND_S)
+        if status == httpx.codes.UNAUTHORIZED:
+            # Its own sentence is for the command line, which reads the file that the service has not read again.
+            session.tokens.pop(service.name, None)
+            raise HTTPException(status, f"the service at {service.name} takes another token now: log in with that one")
+        return status, answer
 
     async def _post(
         self, client: httpx.AsyncClient, url: str, token: str, content: bytes, within_s: float

@@ -124,7 +124,11 @@ def test_a_service_that_was_away_at_the_login_gets_orders_with_the_token_that_th
         ]
         away.gone = False
         refused = await house.order(service=NAMES[1])
-        assert (refused.status_code, refused.json()["error"]) == (401, "the token is not the service's")
+        assert (refused.status_code, refused.json()["error"]) == (
+            401,
+            "the service at 127.0.0.1:1002 takes another token now: log in with that one",
+        )
+        assert (await house.browser.get("/session")).json()["services"] == [NAMES[0]]
         assert sorted((await house.login(OTHER)).json()["services"]) == list(NAMES)
         away.gone = True
         await house.login()
