@@ -196,8 +196,11 @@ class SunSpecTable(NoBits):
         return self._seen or self._see()
 
 
-def _angle(words: tuple[int, ...], low: int, high: int) -> int:
+def _angle(words: tuple[int, ...], low: int, high: int) -> int | None:
+    """Return an angle; None for the mark that stands where none is set, as of a block that is written back as read."""
     value = int(number(words, "int32"))
-    if value == NO_INT32 or not low <= value <= high:
+    if value == NO_INT32:
+        return None
+    if not low <= value <= high:
         raise RefusedRequestError(ILLEGAL_VALUE)
     return value

@@ -196,6 +196,22 @@ def test_angles_that_have_waited_for_minutes_are_not_what_manual_means(run_rig):
     on_rig(run_rig, scenario)
 
 
+def test_a_block_that_is_written_back_as_it_was_read_sets_no_angle(run_rig):
+    async def scenario(rig, control):
+        at = (await control.models())[601][0] + 20
+        block = list(await control.read(at, 5))
+        assert block == [0x8000, 0, 0x8000, 0, 0]
+        assert await control.write(at, [*block[:4], 1]) == 0
+        assert rig.mode is Mode.HOLD
+        assert await control.write(at, [*int32(3383), *int32(21701)]) == 0
+        assert await control.write(at, block) == 0
+        assert await control.read(at, 4) == (0x8000, 0, 0x8000, 0)
+        assert rig.mode is not Mode.HOLD
+        assert await control.write(at, [*int32(3383), 0x8000, 0, 1]) == 3
+
+    on_rig(run_rig, scenario)
+
+
 def test_manual_with_one_angle_and_not_the_other_is_refused(run_rig):
     async def scenario(rig, control):
         at = (await control.models())[601][0] + 20
@@ -212,7 +228,6 @@ WRONG = {
     "an angle and a half": (0, [0, 3000, 0]),
     "calibrate": (4, [2]),
     "beyond the horizon": (0, [*int32(-100), *int32(18000)]),
-    "no number": (0, [0x8000, 0]),
     "out of reach, north": (0, [*int32(3000), *int32(9000), 1]),
     "out of reach, too flat to the west": (0, [*int32(7000), *int32(30000), 1]),
 }
