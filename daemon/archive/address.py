@@ -119,7 +119,7 @@ def connected(address: ArchiveAddress, application: str) -> "psycopg.Connection"
     Raises
     ------
     ArchiveError
-        The database is not there, or lets this user not in; psycopg is not installed.
+        The database is not there, does not let this user in, or cannot hold every text; psycopg is not installed.
     ArchiveAwayError
         Nothing answers there.
     """
@@ -130,17 +130,28 @@ def connected(address: ArchiveAddress, application: str) -> "psycopg.Connection"
             "an archive needs psycopg: run deploy/install.sh --role archive, or pip install 'heliocube[archive]'"
         ) from None
     try:
-        return psycopg.connect(
+        connection = psycopg.connect(
             address.url,
             connect_timeout=_CONNECT_S,
             application_name=application,
             password=address.password or None,
+            # Whatever a role or the environment says.
+            client_encoding="utf8",
         )
     except psycopg.OperationalError as error:
         raise _reason(address, error) from None
     except (psycopg.Error, UnicodeError) as error:
         # A UnicodeError is that of a host in the environment that has no name.
         raise ArchiveError(f"{address.url} is not an address of a database: {one_line(error)}") from None
+    encoding = connection.info.parameter_status("server_encoding")
+    if encoding not in (None, "UTF8"):
+        connection.close()
+        # Names and reasons are in any language, and of SQL_ASCII no text comes back as one.
+        raise ArchiveError(
+            f"the database {address.url} has the encoding {encoding}: make one with"
+            " 'createdb --encoding UTF8 --template template0'"
+        )
+    return connection
 
 
 @contextmanager
@@ -165,7 +176,7 @@ def telling(address: ArchiveAddress) -> Iterator[None]:
     except (psycopg.OperationalError, psycopg.InterfaceError) as error:
         does = "does not answer" if error.sqlstate is None else "refuses"
         raise ArchiveAwayError(f"the database {address.url} {does}: {one_line(error)}") from None
-    except (psycopg.DataError, psycopg.IntegrityError) as error:
+    except (psycopg.DataError, psycopg.IntegrityError, UnicodeError) as error:
         raise PagesRefusedError(f"the database takes no such records: {one_line(error)}") from None
     except psycopg.Error as error:
         raise ArchiveError(f"the database {address.url} refuses: {one_line(error)}") from None

@@ -234,6 +234,24 @@ def test_a_database_that_is_set_to_read_only_is_not_told_to_be_a_replica_for_cer
         writer.prepare()
 
 
+def test_a_database_that_cannot_hold_every_text_is_refused_with_the_way_to_make_one(postgres):
+    postgres.sql("CREATE DATABASE ascii ENCODING 'SQL_ASCII' TEMPLATE template0")
+    with pytest.raises(ArchiveError, match="has the encoding SQL_ASCII: make one with 'createdb") as error:
+        ArchiveWriter(parse_archive(postgres.url("ascii")))
+    assert not isinstance(error.value, ArchiveAwayError)
+    postgres.sql("DROP DATABASE ascii WITH (FORCE)")
+
+
+def test_a_text_that_is_none_costs_its_own_page_alone(postgres, database, monkeypatch):
+    monkeypatch.setenv("PGCLIENTENCODING", "LATIN1")
+    with contextlib.closing(ArchiveWriter(parse_archive(database))) as writer:
+        writer.prepare()
+        for site, taken in (("\ud800", False), ("Łódź", True)):
+            page = SentPage("lab/roof", batch_of(origin(site=site), {"poses": [pose_row(0)]}))
+            with contextlib.nullcontext() if taken else pytest.raises(PagesRefusedError, match="no such records"):
+                assert writer.take([page]).added == 1
+
+
 def test_who_may_only_read_the_archive_takes_no_page_from_who_may_write(postgres, database):
     with contextlib.closing(ArchiveWriter(parse_archive(database))) as writer:
         writer.prepare()
