@@ -18,7 +18,7 @@ from daemon.service.snapshot import Snapshot
 from daemon.sunspec.models import SunSpecMap
 from daemon.sunspec.table import Override, SunSpecTable
 from drivers.modbus.framing import Asked, BrokenStreamError, TcpServer
-from drivers.modbus.pdu import DEVICE_FAILURE, FAILED, ILLEGAL_VALUE, WRITES
+from drivers.modbus.pdu import DEVICE_FAILURE, FAILED, ILLEGAL_VALUE, WRITES, exception_text
 from drivers.modbus.server import answer
 
 log = logging.getLogger("heliocube.sunspec")
@@ -175,7 +175,8 @@ class SunSpecServer:
         override = self._table.take()
         if reply[0] & FAILED or override is None:
             if reply[0] & FAILED and pdu[0] in WRITES:
-                self._tell(f"{host}: exception {reply[1]}")
+                why = exception_text(reply) if self._own.manual else "sunspec.manual is false"
+                self._tell(f"{host}, register {int.from_bytes(pdu[1:3])}: {why}")
             return reply
         code = await self._carry_out(override, host)
         return bytes((pdu[0] | FAILED, code)) if code else reply

@@ -125,6 +125,7 @@ def test_the_end_of_a_flood_of_refused_writes_is_told_with_their_number(serve, c
         writer.close()
         await asyncio.sleep(3600)
         lines = [line.getMessage() for line in caplog.records if line.name == "heliocube.sunspec"]
+        assert lines[1] == "a write over SunSpec is refused: 127.0.0.1, register 40000: sunspec.manual is false"
         assert re.fullmatch(r"writes over SunSpec that were refused: 6 more, the last 3\d min ago", lines[-1])
         await ended(task)
 

@@ -212,11 +212,13 @@ def test_a_block_that_is_written_back_as_it_was_read_sets_no_angle(run_rig):
     on_rig(run_rig, scenario)
 
 
-def test_manual_with_one_angle_and_not_the_other_is_refused(run_rig):
+def test_manual_with_one_angle_and_not_the_other_is_refused(run_rig, caplog):
     async def scenario(rig, control):
         at = (await control.models())[601][0] + 20
         assert await control.write(at, int32(9000)) == 0
         assert await control.write(at + 4, [1]) == 3
+        why = f"127.0.0.1, register {at + 4}: does not take the value or the count (exception 3)"
+        assert caplog.messages[-1] == f"a write over SunSpec is refused: {why}"
         assert rig.mode is Mode.TRACKING
 
     on_rig(run_rig, scenario)
