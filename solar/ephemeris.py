@@ -169,6 +169,15 @@ def sun_day(utc_s: Instant, latitude_deg: float, longitude_deg: float, altitude_
     return _sun_day(mean_solar_day, latitude_deg, longitude_deg, altitude_m)
 
 
+def share_of_daylight_left(utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0) -> float:
+    """Return how much of the solar day's daylight is still to come, 0..1; without sunrise or sunset, of the day."""
+    day = sun_day(utc_s, latitude_deg, longitude_deg, altitude_m)
+    rise_s, set_s = day.sunrise_utc_s, day.sunset_utc_s
+    if rise_s is None or set_s is None:
+        rise_s, set_s = day.noon_utc_s - DAY_S / 2.0, day.noon_utc_s + DAY_S / 2.0
+    return min(max((set_s - utc_s) / (set_s - rise_s), 0.0), 1.0)
+
+
 @lru_cache(maxsize=REMEMBERED_DAYS)
 def _sun_day(mean_solar_day: float, latitude_deg: float, longitude_deg: float, altitude_m: float) -> SunDay:
     """Work it out once for all trackers of a process, which ask as soon as a day begins."""

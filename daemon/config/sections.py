@@ -227,7 +227,10 @@ class MotionSettings(Section):
         description="Degrees of travel in a solar day, A and B added, beyond which no law moves the tracker.",
     )
     moves_per_day: int = Field(
-        300, ge=1, le=10000, description="Moves in a solar day beyond which no law moves the tracker."
+        300,
+        ge=1,
+        le=10000,
+        description="Moves in a solar day beyond which no law moves the tracker; they are made to last until sunset.",
     )
     attempts: int = Field(3, ge=1, le=10, description="Attempts before a move is given up and reported as a fault.")
     retry_after_s: Duration = Field(600.0, description="Time after a fault until moves are tried again.")

@@ -17,7 +17,7 @@ from daemon.base.records import Event, Irradiances, Mode, Pose, Record, Scan, Ta
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.config.settings import Settings
 from daemon.received.today import Insolation, ReceivedToday
-from daemon.tracker.budget import Used
+from daemon.tracker.budget import Used, is_early
 from daemon.tracker.law_answers import checked_kept
 from daemon.tracker.phase import ALONE, Phase
 from daemon.tracker.pointing import ShadowLaw, Whereabouts, ask, reading_of
@@ -236,7 +236,9 @@ class Shadow:
         distance_deg = abs(heading.a_deg - there.a_deg) + abs(heading.b_deg - there.b_deg)
         travel = self._travel
         within = (
-            travel.travelled_deg + distance_deg <= motion.travel_per_day_deg and travel.moves < motion.moves_per_day
+            travel.travelled_deg + distance_deg <= motion.travel_per_day_deg
+            and travel.moves < motion.moves_per_day
+            and not is_early(travel.moves, motion, self._settings.site.place(), utc_s)
         )
         if within and law.affords(distance_deg):
             law.book(distance_deg)

@@ -7,14 +7,16 @@ from pydantic import BaseModel, ConfigDict, Field
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.config.sections import MotionSettings
-from solar.ephemeris import DAY_S
+from solar.ephemeris import DAY_S, Site, share_of_daylight_left
 
 log = logging.getLogger("heliocube.control")
 
 FILE_NAME = "day.json"
 _ALARM = "day-budget"
 _FOR_THE_SUN = 0.25
-"""Of both limits: the sun's own day takes some 250 degrees and 100 moves, its afternoon half of that."""
+"""Of the travel: the sun's own day takes some 250 degrees, its afternoon half of that."""
+_AT_ONCE = 0.1
+"""Of the moves: so many may be made before their time, because clouds do not come evenly over the day."""
 _SEE = "see motion.moves_per_day and motion.travel_per_day_deg"
 
 
@@ -28,15 +30,31 @@ class Used(BaseModel):
     moves: int = Field(default=0, ge=0)
 
 
+def is_early(moves: int, settings: MotionSettings, site: Site, utc_s: float) -> bool:
+    """Whether so many moves are made by now that the next has to wait: they are to last until sunset.
+
+    Parameters
+    ----------
+    moves
+        That were made today.
+    settings, site
+        The limit, and where the sun is looked at.
+    utc_s
+        Now [s]. While the sun is down nothing waits: it is twilight, or the clock is wrong.
+    """
+    left = share_of_daylight_left(utc_s, *site)
+    return 0.0 < left < 1.0 and moves > settings.moves_per_day * (1.0 - left * (1.0 - _AT_ONCE))
+
+
 class DayBudget:
-    """Counts the moves of the laws, and lets none go beyond the day's limits.
+    """Counts the moves of the laws, spreads them over the day, and lets none go beyond its limits.
 
     Parameters
     ----------
     settings
         The limits.
-    longitude_deg
-        Of the site, east positive: a day is the sun's, from midnight to midnight.
+    site
+        A day is the sun's there, from midnight to midnight.
     folder
         Where the count is kept over a restart.
     alarms
@@ -45,11 +63,9 @@ class DayBudget:
         The time of construction [s].
     """
 
-    def __init__(
-        self, settings: MotionSettings, longitude_deg: float, folder: StateFolder, alarms: Alarms, utc_s: float
-    ) -> None:
+    def __init__(self, settings: MotionSettings, site: Site, folder: StateFolder, alarms: Alarms, utc_s: float) -> None:
         self._settings = settings
-        self._longitude_deg = longitude_deg
+        self._site = site
         self._file = StateFile(folder, FILE_NAME, Used, log, "the moves of the day")
         self._alarms = alarms
         # An older day's count ends with the first `turn`, which comes when the clock can be trusted.
@@ -67,12 +83,14 @@ class DayBudget:
 
     @property
     def is_for_the_sun(self) -> bool:
-        """Whether what is left is kept for following the sun by the clock, which beats standing until the evening."""
-        settings = self._settings
-        return (
-            self.moves_left < _FOR_THE_SUN * settings.moves_per_day
-            or self.travel_left_deg < _FOR_THE_SUN * settings.travel_per_day_deg
-        )
+        """Whether the travel that is left is kept for following the sun by the clock, which beats standing."""
+        return self.travel_left_deg < _FOR_THE_SUN * self._settings.travel_per_day_deg
+
+    def waits_why(self, utc_s: float) -> str | None:
+        """Return why the next move has to wait for a later time of the day; None if it need not, or there is none."""
+        if self.moves_left < 1 or not is_early(self.used.moves, self._settings, self._site, utc_s):
+            return None
+        return f"waits, because the day's {self._settings.moves_per_day} moves are to last until sunset"
 
     def turn(self, utc_s: float) -> None:
         """Begin a new day when the sun has passed its lowest point since the last call."""
@@ -98,7 +116,7 @@ class DayBudget:
         if self.is_for_the_sun:
             self._alarms.set(
                 _ALARM,
-                f"three quarters of the day's budget of motion are used ({self._account}): the rest is kept for"
+                f"three quarters of the day's budget of travel are used ({self._account}): the rest is kept for"
                 f" following the sun by the clock; {_SEE}",
             )
 
@@ -110,7 +128,7 @@ class DayBudget:
         )
 
     def _day_of(self, utc_s: float) -> int:
-        return int((utc_s + self._longitude_deg * DAY_S / 360.0) // DAY_S)
+        return int((utc_s + self._site.longitude_deg * DAY_S / 360.0) // DAY_S)
 
     def _load(self) -> Used | None:
         try:

@@ -3,7 +3,7 @@
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
@@ -122,7 +122,7 @@ class Control(Doors):
         self._alarms = alarms
         self._reminders = Reminders(clock, settings.site, alarms, publish)
         self._folder = folder
-        self.budget = DayBudget(settings.motion, settings.site.longitude_deg, folder, alarms, clock.utc())
+        self.budget = DayBudget(settings.motion, settings.site.place(), folder, alarms, clock.utc())
         self._readings = readings
         self._since_utc_s = clock.utc()
         self._due_s = -math.inf
@@ -187,6 +187,7 @@ class Control(Doors):
                     self._clock.utc() + in_s,
                     self._settings.motion.deadband_deg,
                     sun_known=self._clock_watch.trusted,
+                    may_move=self.budget.waits_why(self._clock_watch.believed_utc_s + in_s) is None,
                 ),
             )
         return None if self._foreseen is None else self._foreseen[1]
@@ -227,7 +228,8 @@ class Control(Doors):
         """Judge the situation once, change mode if it calls for that, and act in the mode."""
         now_s = self._clock.monotonic()
         self._watch_clock()
-        self._turn_days(self._clock_watch.believed_utc_s)
+        self.budget.turn(self._clock_watch.believed_utc_s)
+        self.pointing.turn(self._clock_watch.believed_utc_s)
         self._freeze()
         mean = self._readings.mean(now_s)
         situation = self._situation(now_s, mean)
@@ -248,10 +250,6 @@ class Control(Doors):
         self._alarms.set("not-kept", self._folder.trouble)
         self._alarms.set("law-failed", self.pointing.failed_why)
         self.last_tick_s = now_s
-
-    def _turn_days(self, utc_s: float) -> None:
-        self.budget.turn(utc_s)
-        self.pointing.turn(utc_s)
 
     def _watch_clock(self) -> None:
         step_s = self._clock_watch.step_s()
@@ -346,7 +344,11 @@ class Control(Doors):
         answer, target = said
         # A law that fails gives way while it is asked; a move may use up the law's share of the day.
         law = self._deciding.name
-        moved = said.worth_moving(whereabouts.heading, deadband_deg) and self._order_within_budget(target)
+        worth_it = said.worth_moving(whereabouts.heading, deadband_deg)
+        waits_why = self.budget.waits_why(self._clock_watch.believed_utc_s) if worth_it else None
+        if waits_why is not None:
+            target = replace(target, why=f"{target.why}; {waits_why}")
+        moved = worth_it and waits_why is None and self._order_within_budget(target)
         log.info("%s", "moving" if moved else "staying", extra={"fields": _log_fields(law, target)})
         self._decision = Decision(
             time_utc_s=utc_s,
@@ -370,9 +372,8 @@ class Control(Doors):
         if heading is None:
             return self._order(target)
         distance_deg = abs(heading.a_deg - target.a_deg) + abs(heading.b_deg - target.b_deg)
-        if not self.pointing.law.affords(distance_deg):
-            return False
-        if self.budget.refusal(distance_deg) is not None or not self._order(target):
+        refused = not self.pointing.law.affords(distance_deg) or self.budget.refusal(distance_deg) is not None
+        if refused or not self._order(target):
             return False
         self.budget.book(distance_deg)
         self.pointing.book(distance_deg)

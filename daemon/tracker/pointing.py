@@ -74,7 +74,7 @@ class Foresight:
     target
         Where the tracker would be then: where it stands, without a target of the law's.
     moves
-        Whether that would be worth a move; the budget of the day may still say no.
+        Whether that would be worth a move, and early enough for one; all of the day's budget may still be used up.
     """
 
     law: str
@@ -271,10 +271,12 @@ def foresee(
     deadband_deg: float,
     *,
     sun_known: bool,
+    may_move: bool,
 ) -> Foresight | None:
     """Return what a law would say at a later instant, UTC [s], by the readings of now; None where it cannot be asked.
 
-    The question goes to a copy: whether anybody looks must not change what the law remembers.
+    A move that may not be made then is none. The question goes to a copy: whether anybody looks must not change what
+    the law remembers.
     """
     try:
         asked = NamedLaw(chosen.name, copy.deepcopy(chosen.law))
@@ -282,7 +284,7 @@ def foresee(
     except Exception:
         log.debug("the law %s cannot be asked ahead", chosen.name, exc_info=True)
         return None
-    return Foresight(chosen.name, answer.target, answer.worth_moving(whereabouts.heading, deadband_deg))
+    return Foresight(chosen.name, answer.target, may_move and answer.worth_moving(whereabouts.heading, deadband_deg))
 
 
 def _standing(pose: Pose | None, why: str) -> Target:

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from solar.energy import DaylightWeather, Steer
-from solar.ephemeris import DAY_S, SunDay, SunPosition, sun_day, sun_direction, sun_position
+from solar.ephemeris import SunPosition, share_of_daylight_left, sun_direction, sun_position
 from solar.frames import Angles, Array, Limits, azimuth_from_direction, direction_from_azimuth
 from solar.laws.heard import Heard, solar_day
 from solar.laws.law import Aim, Estimates, LawSettings, Moment, Reading, TrackerFacts
@@ -97,7 +97,6 @@ class LiveOptimal(ThreeFacesLaw):
         self._day = self._day_of(tracker.utc_s)
         if kept is not None and kept.day == self._day:
             self._law.resume(kept.travelled_deg, kept.moves)
-        self._sun_day: SunDay | None = None
         first = Heard(self.site, tracker.scan_every_s, self._day, self._law.memory)
         alike = (type(self), self.site, tracker.scan_every_s, self._day, *self._law.site.learned.to_dict().values())
         self._heard: Heard = tracker.common.setdefault(alike, first)
@@ -152,7 +151,7 @@ class LiveOptimal(ThreeFacesLaw):
                 target=None,
                 why="where the tracker stands is not known",
             )
-        choice = self._law.choose(*now.heading, directions[1], self._daylight_left(utc_s), directions[2])
+        choice = self._law.choose(*now.heading, directions[1], share_of_daylight_left(utc_s, *self.site), directions[2])
         azimuth, elevation = azimuth_from_direction(choice.vector, self.site[0])
         moves = bool(choice.move)
         hindered = self._hindered(choice, directions[1])
@@ -209,16 +208,6 @@ class LiveOptimal(ThreeFacesLaw):
     def _day_of(self, utc_s: float) -> int:
         """Count the solar days from midnight to midnight."""
         return solar_day(utc_s, self.site.longitude_deg)
-
-    def _daylight_left(self, utc_s: float) -> float:
-        if self._sun_day is None or not (abs(self._sun_day.noon_utc_s - utc_s) < 0.51 * DAY_S):
-            self._sun_day = sun_day(utc_s, *self.site)
-        day = self._sun_day
-        if day.sunrise_utc_s is None or day.sunset_utc_s is None:
-            rise_s, set_s = day.noon_utc_s - DAY_S / 2.0, day.noon_utc_s + DAY_S / 2.0
-        else:
-            rise_s, set_s = day.sunrise_utc_s, day.sunset_utc_s
-        return min(max((set_s - utc_s) / (set_s - rise_s), 0.0), 1.0)
 
 
 SETTINGS = LiveOptimalSettings

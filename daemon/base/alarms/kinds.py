@@ -268,7 +268,7 @@ _ALL = (
     _kind(
         "day-budget",
         Severity.NOTICE,
-        "the laws have used three quarters of the moves or the travel of the solar day, or all; ends at solar midnight",
+        "the laws have used three quarters of the solar day's travel, or all of that or the moves; ends at midnight",
         "until then the tracker follows the sun by the clock; with nothing left it moves only to stow, for the night"
         " and on command",
         "nothing on a day with much change in the sky; if it happens often, raise motion.deadband_deg, or the day's"

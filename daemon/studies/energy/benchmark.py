@@ -40,8 +40,8 @@ _PVLIB = (
 )
 UNLIMITED = (
     "There is no daily budget of moves and travel here: the service follows the sun by the clock once three quarters of"
-    " its motion.moves_per_day or motion.travel_per_day_deg are used, which concerns laws that turn to and fro under"
-    " broken clouds, such as mu-prime and sun-vector, and hardly optimal, which has a smaller budget of its own."
+    " its motion.travel_per_day_deg are used, which concerns laws that turn to and fro under broken clouds, such as"
+    " mu-prime and sun-vector, and not optimal, which has a smaller budget of its own."
 )
 IDEAL = Drive(np.inf, 0.0, 1)
 _HEADS = ("law", "kWh/m2", "gain %", *DAY_TYPES, "share %", "worst clear", "deg/day", "return", "moves")

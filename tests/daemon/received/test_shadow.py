@@ -81,6 +81,16 @@ def test_two_laws_that_say_the_same_gain_nothing_over_each_other(run_rig):
     run_rig(scenario, law={"driver": "chronometric", "shadow": "sun-vector"})
 
 
+def test_its_moves_are_to_last_until_sunset_too(run_rig):
+    async def scenario(rig):
+        await most_of_an_hour(rig)
+        # At ten o'clock half of six, and the fourth at five to eleven.
+        assert seen(rig)["moves"] == 3
+
+    law, motion = {"driver": "mu-prime", "shadow": "chronometric"}, {"moves_per_day": 6}
+    run_rig(scenario, law=law, motion=motion, **SELDOM)
+
+
 def test_where_a_person_holds_the_tracker_the_one_in_the_shadow_stands_beside_it(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 120)

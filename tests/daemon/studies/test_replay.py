@@ -120,10 +120,10 @@ def test_it_stands_where_the_live_tracker_stood(run_rig, replayed, law):
 
 def test_a_row_names_the_law_that_decided_and_not_the_one_that_was_chosen(replayed, tmp_path):
     config = tmp_path / "heliocube.toml"
-    config.write_text("[motion]\nmoves_per_day = 4\n")
+    config.write_text("[motion]\ntravel_per_day_deg = 80.0\n")
     rows = replayed(readings(NOON + np.arange(0, 3600, 30.0)), "sun-vector", "--config", config)
     laws = [row["law"] for row in rows if row["mode"] == "tracking"]
-    assert list(dict.fromkeys(laws)) == ["sun-vector", "chronometric"], "the last of the moves are the clock's"
+    assert list(dict.fromkeys(laws)) == ["sun-vector", "chronometric"], "the last of the travel is the clock's"
 
 
 def test_a_gap_by_day_is_bridged_by_the_sun_and_one_by_night_at_the_night_position(replayed):

@@ -7,10 +7,12 @@ from daemon.base.clock import SystemClock
 from daemon.base.state import StateFolder
 from daemon.config.sections import MotionSettings
 from daemon.tracker.budget import DayBudget
+from solar.ephemeris import Site
 
 DAY_S = 86400.0
-# The sun's midnight at 90 deg east is 18:00 UTC.
-EAST_DEG, MIDNIGHT_UTC_S = 90.0, 19_000 * DAY_S - 21_600.0
+# The sun's midnight at 90 deg east is 18:00 UTC. On the equator its day lasts from six to six there.
+EAST, MIDNIGHT_UTC_S = Site(0.0, 90.0, 0.0), 19_000 * DAY_S - 21_600.0
+HOUR_S = 3600.0
 SETTINGS = MotionSettings(moves_per_day=100, travel_per_day_deg=400.0)
 
 
@@ -19,7 +21,7 @@ class Budget(DayBudget):
 
     def __init__(self, folder=None, utc_s=MIDNIGHT_UTC_S):
         self.told = Alarms(SystemClock(), lambda _record: None)
-        super().__init__(SETTINGS, EAST_DEG, StateFolder(folder), self.told, utc_s)
+        super().__init__(SETTINGS, EAST, StateFolder(folder), self.told, utc_s)
 
     @property
     def texts(self):
@@ -60,14 +62,31 @@ def test_the_last_move_and_the_last_degree_are_allowed_and_no_more(moves, each_d
 
 
 @pytest.mark.parametrize(("moves", "each_deg", "kept"), [
-    (75, 1.0, False), (76, 1.0, True), (10, 30.0, False), (10, 30.1, True),
+    (76, 1.0, False), (10, 30.0, False), (10, 30.1, True),
 ])  # fmt: skip
-def test_the_last_quarter_of_either_is_kept_for_the_sun_and_that_is_told(moves, each_deg, kept):
+def test_the_last_quarter_of_the_travel_is_kept_for_the_sun_and_that_is_told(moves, each_deg, kept):
     budget = Budget().spend(moves, each_deg)
     assert budget.is_for_the_sun == kept
     assert [text.partition(" (")[0] for text in budget.texts] == [
-        "three quarters of the day's budget of motion are used"
+        "three quarters of the day's budget of travel are used"
     ] * kept
+
+
+@pytest.mark.parametrize(("hour", "moves", "waits"), [
+    (5.5, 90, False),
+    (6.5, 13, False),
+    (6.5, 15, True),
+    (12.0, 54, False),
+    (12.0, 57, True),
+    (17.5, 95, False),
+    (17.5, 98, True),
+    (17.5, 100, False),
+    (18.5, 99, False),
+])  # fmt: skip
+def test_the_moves_of_a_day_last_until_sunset_and_a_tenth_may_be_made_early(hour, moves, waits):
+    why = Budget().spend(moves, 1.0).waits_why(MIDNIGHT_UTC_S + hour * HOUR_S)
+    assert (why is not None) == waits
+    assert why is None or why == "waits, because the day's 100 moves are to last until sunset"
 
 
 def test_a_day_is_the_suns_and_begins_with_nothing_used():

@@ -9,6 +9,7 @@ import pytest
 from daemon.base.records import Decision, Event, Mode, Move
 from daemon.base.state import StateFolder
 from daemon.tracker.budget import DayBudget
+from solar.ephemeris import Site
 from tests.daemon.tracker.days import FEWER_SCANS, SLOW, at, operator, pass_quietly
 from tests.daemon.tracker.test_optimal import ClearDays
 from tests.support.api import serve
@@ -35,16 +36,28 @@ def test_no_law_moves_more_often_than_the_day_allows_and_that_is_told_once(run_r
         await asyncio.sleep(200)
         assert rig.truth() == at(0, 90)
 
-    rig = run_rig(scenario, motion={"moves_per_day": 3}, **FEWER_SCANS)
+    rig = run_rig(scenario, motion={"moves_per_day": 3}, start="2022-10-12T15:00", **FEWER_SCANS)
     assert [event.subject for event in rig.of(Event)].count("alarm") == 1
     assert not rig.of(Decision)[-1].moved
+
+
+def test_a_move_that_comes_too_early_for_the_day_s_moves_waits_and_says_so(run_rig):
+    async def scenario(rig):
+        await asyncio.sleep(1500)
+        assert len(rig.of(Move)) == 3
+        assert not alarms(rig)
+        assert not rig.control.foresee().moves
+
+    waiting = run_rig(scenario, motion={"moves_per_day": 6}, **FEWER_SCANS).of(Decision)[-1]
+    assert waiting.target.why.endswith("; waits, because the day's 6 moves are to last until sunset")
+    assert not waiting.moved
 
 
 def test_the_last_quarter_of_the_day_s_travel_follows_the_sun_by_the_clock(run_rig):
     async def scenario(rig):
         await asyncio.sleep(4000)
         said = alarms(rig)["day-budget"]
-        assert said.startswith("three quarters of the day's budget of motion are used (")
+        assert said.startswith("three quarters of the day's budget of travel are used (")
         assert "of 110): the rest is kept for following the sun by the clock; see motion.moves_per_day" in said
         assert rig.mode is Mode.TRACKING
 
@@ -97,9 +110,9 @@ def test_the_count_survives_a_restart_and_ends_with_the_solar_day(run_rig, serve
         await asyncio.sleep(600)
         assert not rig.tracker.alarms.active
 
-    run_rig(first, **options)
-    serve(second, start="2022-10-12T14:00", **options)
-    run_rig(third, start="2022-10-13T14:00", **options, **SLOW)
+    run_rig(first, start="2022-10-12T14:30", **options)
+    serve(second, start="2022-10-12T15:00", **options)
+    run_rig(third, start="2022-10-13T14:30", **options, **SLOW)
 
 
 @pytest.mark.parametrize("text", ['{"day": 1, "moves": -3}', "\x00", "[]"])
@@ -123,7 +136,8 @@ def test_a_step_of_the_clock_opens_no_new_days_budget(run_rig, law):
         if law == "optimal":
             assert rig.control.pointing.law.to_dict()["moves"] == 2
 
-    run_rig(scenario, motion={"moves_per_day": 2}, law={"name": law, "moves_per_day": 2})
+    afternoon = "2022-10-12T14:00"
+    run_rig(scenario, start=afternoon, motion={"moves_per_day": 2}, law={"name": law, "moves_per_day": 2})
 
 
 def test_while_the_clock_is_in_doubt_a_day_ends_by_the_time_that_was_believed(run_rig):
@@ -143,7 +157,7 @@ def test_while_the_clock_is_in_doubt_a_day_ends_by_the_time_that_was_believed(ru
 def test_a_day_is_the_suns_and_not_utcs(run_rig):
     async def scenario(rig):
         settings, alarms_ = rig.service.settings.motion, rig.tracker.alarms
-        budget = DayBudget(settings, 150.0, StateFolder(None), alarms_, 0.0)
+        budget = DayBudget(settings, Site(0.0, 150.0, 0.0), StateFolder(None), alarms_, 0.0)
         budget.book(10.0)
         budget.turn(13.9 * 3600)
         assert budget.used.moves == 1

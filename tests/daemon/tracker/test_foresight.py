@@ -73,7 +73,7 @@ def test_whether_anybody_looks_changes_no_decision(kind, foreseen_deg):
     chosen = NamedLaw("restless", kind(FlatSettings(), facts))
     stands = Whereabouts(Pose(0.0, 0.0, 0.0, 60.0, moving=False), None)
     for _ in range(3):
-        found = foresee(chosen, None, stands, 0.0, 0.6, sun_known=True)
+        found = foresee(chosen, None, stands, 0.0, 0.6, sun_known=True, may_move=True)
         assert (found.target.a_deg if found else None) == (foreseen_deg and pytest.approx(foreseen_deg))
     assert ask(chosen, None, stands, 0.0, sun_known=True).target.a_deg == pytest.approx(5.0)
 
