@@ -79,8 +79,8 @@ def reserve_room(path: Path) -> None:
 
 def _overwrite(path: Path, text: str) -> None:
     """Give a file another content in its own place; it is on the disk when this returns."""
-    if path.exists() and not os.access(path, os.W_OK):
-        # Somebody else's, who ran a command here as root.
+    if path.exists() and not (path.is_file() and os.access(path, os.W_OK)):
+        # Somebody else's, who ran a command here as root, or a pipe.
         path.unlink()
     with path.open("r+" if path.exists() else "w", encoding="utf-8", newline="\n") as file:
         file.write(text)
@@ -317,6 +317,9 @@ class StateFile(Generic[State]):
         if self.path is None:
             return None
         try:
+            if self.path.exists() and not self.path.is_file():
+                # Whoever opens a pipe waits for a writer, and a device may never end.
+                raise UnreadableStateError(self.path)
             return self._model.model_validate_json(self.path.read_bytes())
         except (FileNotFoundError, NotADirectoryError):
             return None

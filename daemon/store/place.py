@@ -65,7 +65,7 @@ def is_claimed(directory: Path, role: str) -> bool:
     import fcntl  # noqa: PLC0415 - not there on Windows
 
     try:
-        descriptor = os.open(_lock_file(directory, role), os.O_RDONLY | os.O_CLOEXEC)
+        descriptor = os.open(_lock_file(directory, role), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError:
         return False
     except OSError:

@@ -53,6 +53,16 @@ def test_what_cannot_be_read_is_the_callers_to_judge(tmp_path, content):
     assert caught.value.path == tmp_path / "kept.json"
 
 
+def test_a_pipe_in_its_place_is_not_waited_for_and_the_next_contents_take_its_place(tmp_path):
+    path = tmp_path / "kept.json"
+    os.mkfifo(path)
+    with pytest.raises(UnreadableStateError):
+        state_file(tmp_path).load()
+    for count in range(3):
+        state_file(tmp_path).save(Kept(count=count))
+        assert state_file(tmp_path).load() == Kept(count=count)
+
+
 def test_a_disk_that_fails_is_reported_once_until_it_works_again_and_gets_the_newest_content(tmp_path, caplog):
     caplog.set_level(logging.INFO)
     directory = tmp_path / "folder"
