@@ -93,9 +93,12 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
     ------
     UnusableStoreError
         What is there is no store, damaged, or that of a newer program.
+    StoreError
+        It is a link into a folder that is not there.
     sqlite3.Error
         The disk is full or fails.
     """
+    require_target(path)
     if path.is_dir():
         raise UnusableStoreError(f"{path} is a folder: move it away", "folder")
     if path.exists() and not path.is_file():
@@ -144,8 +147,21 @@ def _is_database(path: Path) -> bool:
     return True
 
 
+def require_target(path: Path) -> None:
+    """Raise `StoreError` where the store is a link into a folder that is not there, which a disk may yet bring."""
+    target = Path(os.path.realpath(path))
+    try:
+        lost = path.is_symlink() and not target.parent.is_dir()
+    except PermissionError:
+        # Whoever opens it says so.
+        return
+    if lost:
+        raise StoreError(f"{path} is a link to {target}, whose folder is not there: mount its disk, or remove the link")
+
+
 def require_store(path: Path) -> None:
     """Raise `StoreError` where there is no file of a store."""
+    require_target(path)
     try:
         there = path.is_file()
     except PermissionError:

@@ -17,7 +17,7 @@ from daemon.config.file import ConfigError
 from daemon.config.settings import Settings
 from daemon.store.aside import aside_text
 from daemon.store.copies import no_room
-from daemon.store.schema import FILE_NAME, VERSION, open_for_reading, unreadable
+from daemon.store.schema import FILE_NAME, VERSION, open_for_reading, require_target, unreadable
 from daemon.store.tables import COLUMNS
 
 _MB = 1e6
@@ -56,6 +56,7 @@ def store(settings: Settings) -> Finding:
     if (aside := aside_text(path)) is not None:
         return Finding("store", str(path), aside)
     try:
+        require_target(path)
         if not path.exists():
             return Finding("store", f"nothing in {directory} yet: the first start makes it")
         text, older = _kept(path)

@@ -220,6 +220,22 @@ def test_a_folder_that_cannot_be_is_an_alarm_and_no_end(tmp_path):
     assert alarms["store-down"] is None
 
 
+def test_a_link_to_a_disk_that_is_not_mounted_says_so_and_waits_for_it(tmp_path):
+    (tmp_path / "store").mkdir()
+    (tmp_path / "store" / FILE_NAME).symlink_to(tmp_path / "disk" / "x.sqlite")
+    alarms, says = {}, f"is a link to {tmp_path}/disk/x.sqlite, whose folder is not there: mount its disk, or"
+    store = opened(tmp_path / "store", alarms, 0.05)
+    store.keep(scan(0))
+    until(lambda: "store-down" in alarms)
+    assert says in alarms["store-down"]
+    with pytest.raises(UserError, match=re.escape(says)):
+        open_for_reading(tmp_path / "store" / FILE_NAME)
+    (tmp_path / "disk").mkdir()
+    until(lambda: store.status.written == 1)
+    store.close()
+    assert alarms["store-down"] is None
+
+
 AS_NOBODY = """
 import os, sys
 from pathlib import Path
