@@ -6,14 +6,14 @@ from pathlib import Path
 
 # What SQLite keeps beside a database under its name: without them the latest records are lost.
 _COMPANIONS = ("-wal", "-shm", "-journal")
-# Why a store was moved aside, as its name says it and as a sentence goes on.
+# Why something was moved aside, as its name says it, and what it is, as a sentence begins.
 KINDS = {
-    "damaged": "is damaged",
-    "newer": "was written by a newer heliocube",
-    "foreign": "is not a store of heliocube",
-    "folder": "is a folder",
-    "device": "is a pipe or a device",
-    "locked": "may not be written by this user",
+    "damaged": "a damaged store",
+    "newer": "a store that was written by a newer heliocube",
+    "foreign": "a file that is no store of heliocube, or one with a damaged beginning,",
+    "folder": "a folder in the store's place",
+    "device": "a pipe or a device in the store's place",
+    "locked": "a store that may not be written by this user",
 }
 
 
@@ -68,6 +68,6 @@ def aside_text(path: Path) -> str | None:
     salvage = f"'heliocube store salvage {newest} --into {path.parent}' gets what can be read from it; "
     remedy = "" if kind in ("folder", "device") else salvage
     return (
-        f"a store that {KINDS[kind]} was moved aside as {newest}{more}, and a new one begun: {remedy}"
+        f"{KINDS[kind]} was moved aside as {newest}{more}, and a new one begun: {remedy}"
         "this alarm ends when it is moved to another folder"
     )

@@ -145,7 +145,11 @@ def test_a_service_that_finds_no_store_in_its_place_starts_and_shows_what_it_mov
     _, _, address = service
     # The store's thread moves it while the service starts.
     out = wait_until(lambda: "moved aside" in (out := heliocube("status", "--api", address)[1]) and out, 60, "alarm")
-    assert re.search(r"^alarm +a store that is not a store of heliocube was moved aside as ", out, re.MULTILINE), out
+    assert re.search(
+        r"^alarm +a file that is no store of heliocube, or one with a damaged beginning, was moved aside as ",
+        out,
+        re.MULTILINE,
+    ), out
     (aside,) = no_store.glob("heliocube.*.foreign.sqlite")
     assert aside.read_bytes() == b"SQLite format 3\0" + bytes(5000)
     wait_until(lambda: json.loads(heliocube("status", "--json", "--api", address)[1])["store"]["written"], 60, "rows")

@@ -105,16 +105,16 @@ def content(path):
 @pytest.mark.parametrize(
     ("spoil", "kind", "says"),
     [
-        (truncated, "damaged", "is damaged"),
-        (nearly_nothing, "damaged", "is damaged"),
-        (without_first_page, "foreign", "is not a store of heliocube"),
-        (with_rubbish_pages, "damaged", "is damaged"),
-        (without_a_table, "damaged", "is damaged"),
-        (newer, "newer", "was written by a newer heliocube"),
-        (notes, "foreign", "is not a store of heliocube"),
-        (of_another_program, "foreign", "is not a store of heliocube"),
-        (folder_in_its_place, "folder", "is a folder"),
-        (pipe_in_its_place, "device", "is a pipe or a device"),
+        (truncated, "damaged", "a damaged store"),
+        (nearly_nothing, "damaged", "a damaged store"),
+        (without_first_page, "foreign", "a file that is no store of heliocube, or one with a damaged beginning,"),
+        (with_rubbish_pages, "damaged", "a damaged store"),
+        (without_a_table, "damaged", "a damaged store"),
+        (newer, "newer", "a store that was written by a newer heliocube"),
+        (notes, "foreign", "a file that is no store of heliocube, or one with a damaged beginning,"),
+        (of_another_program, "foreign", "a file that is no store of heliocube, or one with a damaged beginning,"),
+        (folder_in_its_place, "folder", "a folder in the store's place"),
+        (pipe_in_its_place, "device", "a pipe or a device in the store's place"),
     ],
 )
 def test_what_cannot_be_used_is_moved_aside_as_it_is_and_said_once(keep, tmp_path, caplog, spoil, kind, says):
@@ -129,7 +129,7 @@ def test_what_cannot_be_used_is_moved_aside_as_it_is_and_said_once(keep, tmp_pat
     assert aside.name.split(".")[0::2] == ["heliocube", kind]
     # The two whose damage shows only when they are written to have got the beginning of a run.
     assert content(aside) == before or spoil in (with_rubbish_pages, without_a_table)
-    assert alarms["store-aside"].startswith(f"a store that {says} was moved aside as {aside}, and a new one begun: ")
+    assert alarms["store-aside"].startswith(f"{says} was moved aside as {aside}, and a new one begun: ")
     assert alarms.get("store-down") is None
     assert [record.levelname for record in caplog.records] == ["ERROR"]
     assert export(folder, tmp_path / "out", "csv", None, None, ())["events"] == 1
