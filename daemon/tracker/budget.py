@@ -29,6 +29,10 @@ class Used(BaseModel):
     travelled_deg: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
     moves: int = Field(default=0, ge=0)
 
+    def plus(self, travelled_deg: float, moves: int) -> "Used":
+        """Return the count with so much more."""
+        return Used(day=self.day, travelled_deg=self.travelled_deg + travelled_deg, moves=self.moves + moves)
+
 
 def is_early(moves: int, settings: MotionSettings, site: Site, utc_s: float) -> bool:
     """Whether so many moves are made by now that the next has to wait: they are to last until sunset.
@@ -70,6 +74,8 @@ class DayBudget:
         self._alarms = alarms
         # An older day's count ends with the first `turn`, which comes when the clock can be trusted.
         self.used = self._load() or Used(day=self._day_of(utc_s))
+        # What was used of a later day: a machine without a clock of its own begins in 1970, and is set then.
+        self._later: Used | None = None
 
     @property
     def moves_left(self) -> int:
@@ -93,12 +99,16 @@ class DayBudget:
         return f"waits, because the day's {self._settings.moves_per_day} moves are to last until sunset"
 
     def turn(self, utc_s: float) -> None:
-        """Begin a new day when the sun has passed its lowest point since the last call."""
-        today = self._day_of(utc_s)
-        if today != self.used.day:
-            self.used = Used(day=today)
-            self._file.save(self.used)
+        """Begin a new day when the sun has passed its lowest point since the last call, or go on with a later one."""
+        today, before, later = self._day_of(utc_s), self.used, self._later
+        if today == before.day:
+            return
+        if later is not None and today == later.day:
+            self.used, self._later = later.plus(before.travelled_deg, before.moves), None
+        else:
+            self.used, self._later = Used(day=today), before if today < before.day else None
             self._alarms.set(_ALARM, None)
+        self._save()
 
     def refusal(self, distance_deg: float) -> str | None:
         """Return why one more move of this length [deg] is too much, and tell it once a day; None if it is not."""
@@ -110,15 +120,18 @@ class DayBudget:
 
     def book(self, distance_deg: float) -> None:
         """Count a move that was ordered, and note that on disk."""
-        used = self.used
-        self.used = Used(day=used.day, travelled_deg=used.travelled_deg + distance_deg, moves=used.moves + 1)
-        self._file.save(self.used)
+        self.used = self.used.plus(distance_deg, 1)
+        self._save()
         if self.is_for_the_sun:
             self._alarms.set(
                 _ALARM,
                 f"three quarters of the day's budget of travel are used ({self._account}): the rest is kept for"
                 f" following the sun by the clock; {_SEE}",
             )
+
+    def _save(self) -> None:
+        used, later = self.used, self._later
+        self._file.save(used if later is None else later.plus(used.travelled_deg, used.moves))
 
     @property
     def _account(self) -> str:

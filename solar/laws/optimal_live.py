@@ -97,13 +97,19 @@ class LiveOptimal(ThreeFacesLaw):
         self._day = self._day_of(tracker.utc_s)
         if kept is not None and kept.day == self._day:
             self._law.resume(kept.travelled_deg, kept.moves)
+        # What was used of a later day: a machine without a clock of its own begins in 1970, and is set then.
+        self._later = kept if kept is not None and kept.day > self._day else None
         first = Heard(self.site, tracker.scan_every_s, self._day, self._law.memory)
         alike = (type(self), self.site, tracker.scan_every_s, self._day, *self._law.site.learned.to_dict().values())
         self._heard: Heard = tracker.common.setdefault(alike, first)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what was learned, and what the day has used of its budget."""
-        return self._kept().model_dump()
+        kept, later = self._kept(), self._later
+        if later is not None:
+            more = {"travelled_deg": later.travelled_deg + kept.travelled_deg, "moves": later.moves + kept.moves}
+            kept = kept.model_copy(update={"day": later.day, **more})
+        return kept.model_dump()
 
     def shown(self) -> dict[str, dict[str, float]]:
         """Return both apart."""
@@ -120,13 +126,16 @@ class LiveOptimal(ThreeFacesLaw):
         self._heard = self._heard.relearned(self._fresh)
 
     def turn(self, utc_s: float) -> bool:
-        """Begin a new day when the sun has passed its lowest point since the last call."""
-        day = self._day_of(utc_s)
+        """Begin a new day when the sun has passed its lowest point since the last call, or go on with a later one."""
+        day, before, later = self._day_of(utc_s), self._kept(), self._later
         if day == self._day:
             return False
+        self._later = before if day < self._day else None
         self._day = day
         self._heard = self._heard.on(day)
         self._law.open_budget()
+        if later is not None and later.day == day:
+            self._law.resume(later.travelled_deg + before.travelled_deg, later.moves + before.moves)
         return True
 
     def observe(self, reading: Reading) -> None:

@@ -106,6 +106,29 @@ def test_what_was_used_is_kept_over_a_restart_and_so_is_that_a_day_has_begun(tmp
     assert left(Budget(tmp_path)) == (100, 400.0)
 
 
+def test_a_clock_of_1970_forgets_no_day_that_it_is_set_to_later(tmp_path):
+    noon_utc_s = MIDNIGHT_UTC_S + 12 * HOUR_S
+    Budget(tmp_path).spend(30, 2.0)
+    for _ in range(2):
+        unset = Budget(tmp_path, 5.0)
+        unset.turn(5.0)
+        assert left(unset) == (100, 400.0)
+        unset.spend(5, 2.0)
+    unset.turn(noon_utc_s)
+    assert left(unset) == left(Budget(tmp_path)) == (60, 320.0)
+    unset.turn(noon_utc_s + DAY_S)
+    assert left(unset) == left(Budget(tmp_path)) == (100, 400.0)
+
+
+def test_a_count_of_a_day_to_come_holds_nobody_up(tmp_path):
+    Budget(tmp_path, MIDNIGHT_UTC_S + 9000 * DAY_S).spend(100, 2.0)
+    budget = Budget(tmp_path)
+    budget.turn(MIDNIGHT_UTC_S)
+    assert left(budget) == (100, 400.0)
+    budget.turn(MIDNIGHT_UTC_S + DAY_S)
+    assert left(Budget(tmp_path)) == (100, 400.0)
+
+
 def test_what_cannot_be_read_is_counted_anew_and_said(tmp_path, caplog):
     (tmp_path / "day.json").write_text('{"day": 19000, "moves": -1}')
     assert left(Budget(tmp_path)) == (100, 400.0)

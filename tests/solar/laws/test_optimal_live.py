@@ -193,6 +193,26 @@ def test_without_a_place_it_asks_for_nothing():
     assert aim.why == "where the tracker stands is not known"
 
 
+def test_a_clock_of_1970_forgets_nothing_of_the_day_that_it_is_set_to_later():
+    law = live(moves_per_day=3)
+    law.book(20.0)
+    for _ in range(2):
+        kept = law.to_dict()
+        law = live(utc_s=60.0, kept=kept, moves_per_day=3)
+        assert law.shown()["today"] == {"travelled_deg": 0.0, "moves": 0}
+    law.book(10.0)
+    assert law.turn(NOON)
+    assert law.shown()["today"] == {"travelled_deg": 30.0, "moves": 2}
+    law.turn(60.0)
+    law.book(5.0)
+    assert law.affords(5.0)
+    law.turn(NOON)
+    assert law.to_dict() == kept | {"travelled_deg": 35.0, "moves": 3}
+    assert not law.affords(5.0)
+    assert law.turn(NOON + DAY_S)
+    assert law.affords(5.0)
+
+
 @pytest.mark.parametrize("longitude_deg", [0.0, 100.0, -150.0])
 def test_a_day_is_the_suns_from_midnight_to_midnight(longitude_deg):
     midnight_s = 19_277 * DAY_S - longitude_deg * 240.0
