@@ -111,7 +111,14 @@ def _trackers(state: dict[str, Any]) -> dict[str, dict[str, Any]]:
 def _title(state: dict[str, Any]) -> Text:
     simulated = ("SIMULATED ", "bold yellow") if state["simulated"] else ""
     pace = f", {state['speed']:g} x real time" if state["speed"] != 1 else ""
-    return Text.assemble(("heliocube ", "bold"), simulated, f"{state['role']} at {state['site']['name']}{pace}")
+    where = f"{state['role']} at {state['site']['name']}{pace}"
+    return Text.assemble(("heliocube ", "bold"), simulated, _own_name(state), where)
+
+
+def _own_name(state: dict[str, Any]) -> str:
+    """Return what the configuration calls a single tracker, which tells its screen from the next one, or nothing."""
+    names = [*(state.get("trackers") or {})]
+    return f"{names[0]}, " if len(names) == 1 and names != ["tracker"] else ""
 
 
 def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:

@@ -104,6 +104,19 @@ def test_what_a_make_tells_is_shown_and_cannot_steer_the_terminal(run_rig):
     run_rig(scenario)
 
 
+@pytest.mark.parametrize(("mqtt", "heading"), [
+    ({}, "heliocube SIMULATED both at SIRTA"),
+    ({"name": "north"}, "heliocube SIMULATED north, both at SIRTA"),
+])  # fmt: skip
+def test_the_heading_names_the_tracker_that_has_a_name(run_rig, mqtt, heading):
+    async def scenario(rig):
+        console = Console(file=io.StringIO(), width=160)
+        console.print(render(state_json(rig.see())))
+        assert console.file.getvalue().splitlines()[0] == heading
+
+    run_rig(scenario, mqtt=mqtt)
+
+
 def test_of_several_sources_of_stow_each_says_which_it_is(run_rig):
     async def scenario(rig):
         rig.wind_m_s = 5.2
