@@ -28,9 +28,13 @@ def salvage(
     as_json: JsonOption = False,
 ) -> None:
     """Write what can be read from a store into another one, even while the service runs."""
+    from rich.console import Console
+
+    from daemon.commands.studies.simulate import progress_bar
     from daemon.store.salvage import salvage as write_records
 
-    found = write_records(file, into)
+    with progress_bar(Console(stderr=True), "salvaging") as progress:
+        found = write_records(file, into, progress)
     if as_json:
         print_json({"file": file, "into": into, **asdict(found)})
         return

@@ -1,12 +1,13 @@
 """What can be read from a damaged store, or one of another version, written into a store that is whole."""
 
+import contextlib
 import math
 import os
 import shutil
 import sqlite3
 import struct
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -55,7 +56,7 @@ class Salvaged:
     missing: int = 0
 
 
-def salvage(file: Path, into: Path) -> Salvaged:
+def salvage(file: Path, into: Path, progress: Callable[[float], None] = lambda _share: None) -> Salvaged:
     """Write what can be read from a store's file into the store of a folder, made if it is missing.
 
     The file is never opened: a copy is, in `into`, which is removed again. Whoever does it twice adds nothing.
@@ -66,6 +67,8 @@ def salvage(file: Path, into: Path) -> Salvaged:
         The store, with what SQLite left beside it.
     into
         Folder of the other store; a service may be writing to it.
+    progress
+        Told which share of the records has been read, 0..1, as far as the runs' numbers can be known.
 
     Raises
     ------
@@ -82,7 +85,7 @@ def salvage(file: Path, into: Path) -> Salvaged:
         with tempfile.TemporaryDirectory(prefix=".salvage-", dir=into) as scratch:
             copy = _copy(file, Path(scratch))
             with closing(_open(copy, file)) as source, closing(_for_owner(target)) as store:
-                return _Merge(source, store).run()
+                return _Merge(source, store, progress).run()
     except sqlite3.Error as error:
         raise UserError(f"{target} cannot take the records: {error}") from None
     except OSError as error:
@@ -172,11 +175,15 @@ def _graft(copy: Path, file: Path) -> None:
 class _Merge:
     """One pass from a store that may be damaged to one that is not."""
 
-    def __init__(self, source: sqlite3.Connection, store: sqlite3.Connection) -> None:
+    def __init__(
+        self, source: sqlite3.Connection, store: sqlite3.Connection, progress: Callable[[float], None]
+    ) -> None:
         self._source = source
         self._store = store
+        self._progress = progress
         self._runs: dict[int, int] = {}
         self._known = self._read_runs()
+        self._expected = max(sum(self._last_number(run) + 1 for run in self._known), 1)
         self._numbers: dict[int, list[int]] = {}
 
     def run(self) -> Salvaged:
@@ -208,6 +215,15 @@ class _Merge:
             pass
         return known
 
+    def _last_number(self, run: int) -> int:
+        """Return the highest number of a run, which counts over all kinds; -1 where none can be read."""
+        last = -1
+        for name, _ in COLUMNS.values():
+            with contextlib.suppress(sqlite3.Error):
+                found = self._source.execute(f"SELECT max(number) FROM {name} WHERE run = ?", (run,)).fetchone()[0]  # noqa: S608 - our own names
+                last = max(last, found) if isinstance(found, int) else last
+        return last
+
     def _merge(self, name: str, columns: list[Column]) -> tuple[int, int]:
         there = columns_of(self._source, name)
         if not there:
@@ -223,6 +239,7 @@ class _Merge:
             batch.append(row)
             if len(batch) == _ROWS_AT_ONCE:
                 read, added, batch = read + len(batch), added + self._write(insert, batch), []
+                self._progress(min(sum(count for _, _, count in self._numbers.values()) / self._expected, 1.0))
         return read + len(batch), added + self._write(insert, batch)
 
     def _count(self, run: int, number: int) -> None:

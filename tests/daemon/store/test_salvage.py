@@ -133,6 +133,12 @@ def test_a_whole_store_comes_over_whole_and_is_merged_with_the_later_records(kee
     assert table(later, "days") == table(first, "days")
 
 
+def test_how_much_has_been_read_is_told_while_it_works(keep, tmp_path):
+    folder, shares = keep(*[scan(number) for number in range(3500)]), []
+    salvage(folder / FILE_NAME, tmp_path / "new", shares.append)
+    assert shares == pytest.approx([1 / 3.5, 2 / 3.5, 3 / 3.5])
+
+
 def test_records_in_the_log_beside_it_are_salvaged(keep, tmp_path):
     folder = keep(scan(0))
     path = folder / FILE_NAME
