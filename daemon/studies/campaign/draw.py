@@ -96,6 +96,7 @@ _VALUES: dict[str, tuple[tuple[float, ...], ...]] = {
     "bridge_forged": ((1, 30, 300),),
 }
 """What goes with a fault, each drawn from its choices."""
+_WIND_M_S = (15.1, 30.0)
 _BAD = ((math.nan, 60.0), (0.0, math.nan), (51.0, 60.0), (-50.0001, 60.0), (0.0, 14.99), (math.inf, 90.0))
 _PAUSES_S = (150.0, 150.0, 600.0, 2400.0)
 """From hands that never rest to a rig that is left alone for most of a day."""
@@ -134,6 +135,18 @@ def draw(seed: int, hours: float, without: Collection[str] = (), only: Collectio
         sky=random.choice(((700.0, 90.0), (700.0, 90.0), (0.0, 150.0), (300.0, 200.0))),
         events=tuple(sorted((event for event in events if event.at_s < hours * 3600), key=_at_s)),
     )
+
+
+def value_ranges(name: str) -> tuple[tuple[float, float], ...]:
+    """Return the lowest and highest of each number that goes with a fault or a command.
+
+    A command may have others: the service is to refuse them.
+    """
+    if name in ("goto", "bad"):
+        return (-50.0, 50.0), (15.0, 90.0)
+    if name == "wind":
+        return (_WIND_M_S,)
+    return tuple((min(choices), max(choices)) for choices in _VALUES.get(name, ()))
 
 
 def _at_s(event: Happening) -> float:
@@ -187,5 +200,5 @@ def _fault(random: Random, at_s: float, name: str, spans: Mapping[str, Span]) ->
     choices = _VALUES.get(name)
     value = () if choices is None else tuple(random.choice(one) for one in choices)
     if name == "wind":
-        value = (round(random.uniform(15.1, 30), 1),)
+        value = (round(random.uniform(*_WIND_M_S), 1),)
     return Happening(at_s=at_s, what="fault", name=name, value=value, lasts_s=lasts_s)

@@ -3,8 +3,9 @@
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
+from daemon.base import plugins
 from daemon.base.errors import UserError
-from daemon.studies.campaign.draw import COMMANDS, SPANS, draw
+from daemon.studies.campaign.draw import COMMANDS, SPANS, draw, value_ranges
 from daemon.studies.campaign.schedule import Happening, Schedule
 
 COMPONENTS = (
@@ -182,11 +183,17 @@ def chosen_schedules(
         except OSError as error:
             raise UserError(f"--schedule: {file} cannot be read: {error.strerror}") from None
         except ValueError as error:
-            raise UserError(f"--schedule: {file} is not a schedule that the campaign has written: {error}") from None
+            raise UserError(
+                f"--schedule: {file} is no schedule of the campaign: {error}; name a seed-N.json as --keep writes it"
+            ) from None
+        if schedule.law not in plugins.names(plugins.LAWS):
+            laws = ", ".join(plugins.names(plugins.LAWS))
+            raise UserError(f"--schedule: {file} has a law '{schedule.law}'; choose from {laws}")
         from daemon.studies.campaign.door import DirectDoor  # noqa: PLC0415 - the whole service
         from daemon.studies.campaign.person import known  # noqa: PLC0415 - as above
 
         refuse_unknown(schedule.events, known(DirectDoor()))
+        _refuse_values(file, schedule.events)
         return [schedule]
     unknown = sorted(set(without) - {*SPANS, *COMMANDS})
     if unknown:
@@ -204,3 +211,15 @@ def refuse_unknown(events: Iterable[Happening], commands: Collection[str]) -> No
             raise UserError(f"the service has no command '{event.name}'; leave it out with --without {event.name}")
         if event.what == "fault" and event.name not in FAULTS:
             raise UserError(f"the campaign has no fault '{event.name}'; it has {', '.join(FAULTS)}")
+
+
+def _refuse_values(file: Path, events: Iterable[Happening]) -> None:
+    """Raise `UserError` for the first event whose numbers its command or fault does not take."""
+    for event in events:
+        ranges = value_ranges(event.name)
+        takes = ", ".join(f"{low:g}..{high:g}" for low, high in ranges) or "nothing"
+        good = len(event.value) == len(ranges)
+        if good and event.what == "fault":
+            good = all(low <= number <= high for number, (low, high) in zip(event.value, ranges, strict=True))
+        if not good:
+            raise UserError(f"--schedule: {file}: the value of {event.name} at {event.at_s:g} s must be {takes}")

@@ -3,7 +3,19 @@
 import json
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
+
+_AS_WRITTEN = ConfigDict(extra="forbid", strict=True)
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+_NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+def _instant(text: str) -> str:
+    if datetime.fromisoformat(text).tzinfo is not None:
+        raise ValueError(text)
+    return text
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,16 +31,19 @@ class Happening:
     name
         Of the fault, as in `daemon.rigs.campaign.faults.FAULTS`, or of the command.
     value
-        What goes with it: degrees of a goto, m/s of wind, volts of a sensor; empty for most.
+        What goes with it: degrees of a goto, m/s of wind, volts of a sensor; empty for most. A wrong command's may be
+        NaN.
     lasts_s
         How long a fault lasts; 0 for one that is over at once.
     """
 
-    at_s: float
+    __pydantic_config__: ClassVar = _AS_WRITTEN
+
+    at_s: _Finite
     what: Literal["fault", "command"]
     name: str
     value: tuple[float, ...] = ()
-    lasts_s: float = 0.0
+    lasts_s: _NotNegative = 0.0
 
     def __str__(self) -> str:
         value = " ".join(f"{number:g}" for number in self.value)
@@ -58,13 +73,15 @@ class Schedule:
         In the order of their time.
     """
 
+    __pydantic_config__: ClassVar = _AS_WRITTEN
+
     seed: int
-    hours: float
-    start: str
+    hours: Annotated[float, Field(gt=0, le=8760)]
+    start: Annotated[str, AfterValidator(_instant)]
     law: str
-    rehome: str
+    rehome: Literal["operator", "automatic"]
     synchronous: bool
-    sky: tuple[float, float]
+    sky: tuple[_NotNegative, _NotNegative]
     events: tuple[Happening, ...]
 
     @property
@@ -86,10 +103,19 @@ class Schedule:
 
     @classmethod
     def from_json(cls, text: str) -> "Schedule":
-        """Read what `json` has written; `ValueError` for anything else."""
+        """Read what `json` has written; `ValueError`, with the place, for anything else."""
         try:
-            found = json.loads(text)
-            events = [Happening(**{**event, "value": tuple(event["value"])}) for event in found.pop("events")]
-            return cls(**{**found, "sky": tuple(found["sky"]), "events": tuple(events)})
-        except (TypeError, KeyError, AttributeError) as error:
-            raise ValueError(f"this is not a schedule of the campaign: {error}") from error
+            return _SCHEDULE.validate_json(text)
+        except ValidationError as error:
+            wrong = error.errors(include_url=False)[0]
+        if not wrong["loc"]:
+            raise ValueError("it is not one object in JSON")
+        place = ".".join(str(part) for part in wrong["loc"])
+        if wrong["type"] == "missing":
+            raise ValueError(f"it has no {place}")
+        if wrong["type"] == "unexpected_keyword_argument":
+            raise ValueError(f"it may not have {place}"[:200])
+        raise ValueError(f"its {place} cannot be {wrong['input']!r}"[:200])
+
+
+_SCHEDULE = TypeAdapter(Schedule)

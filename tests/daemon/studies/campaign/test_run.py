@@ -73,10 +73,45 @@ def test_what_cannot_be_done_is_refused_and_not_skipped(event, sentence):
         run_schedule(schedule)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", json.dumps({"events": [1]}), '{"events": []}'])
+WIND = {"at_s": 60, "what": "fault", "name": "wind", "value": [20]}
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"hours": "x"}, "its hours cannot be 'x'; name a seed-N.json"),
+        ({"hours": float("nan")}, "its hours cannot be nan"),
+        ({"start": "noon"}, "its start cannot be 'noon'"),
+        ({"rehome": "never"}, "its rehome cannot be 'never'"),
+        ({"sky": [800]}, "it has no sky.1"),
+        ({"more": 1}, "it may not have more"),
+        ({"law": "nonsense"}, "has a law 'nonsense'; choose from chronometric"),
+        ({"events": [1]}, "its events.0 cannot be 1"),
+        ({"events": [WIND | {"at_s": float("nan")}]}, "its events.0.at_s cannot be nan"),
+        ({"events": [WIND | {"value": []}]}, "the value of wind at 60 s must be 15.1..30"),
+        ({"events": [WIND | {"name": "face_stuck", "value": [7, 1]}]}, "face_stuck at 60 s must be 0..3, 0..9.9"),
+    ],
+)
+def test_a_schedule_that_cannot_be_run_is_refused_with_the_place(tmp_path, change, sentence):
+    file = tmp_path / "mine.json"
+    file.write_text(json.dumps(json.loads(draw(1, 0.2).json()) | change))
+    with pytest.raises(UserError, match=sentence) as refused:
+        chosen_schedules(1, 1, 1.0, (), (), file)
+    assert str(file) in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"hours": 1'])
 def test_what_is_no_schedule_is_refused(text):
-    with pytest.raises(ValueError, match=r"is not a schedule|Expecting"):
+    with pytest.raises(ValueError, match="it is not one object in JSON"):
         Schedule.from_json(text)
+
+
+def test_a_wrong_command_of_a_schedule_may_go_to_no_number(tmp_path):
+    file = tmp_path / "mine.json"
+    event = {"at_s": 60, "what": "command", "name": "bad", "value": [float("nan"), 60]}
+    file.write_text(json.dumps(json.loads(draw(1, 0.2).json()) | {"events": [event]}))
+    (schedule,) = chosen_schedules(1, 1, 1.0, (), (), file)
+    assert str(schedule.events[0]).endswith("nan 60")
 
 
 class Pretended:
