@@ -6,11 +6,16 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json, teller
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, chosen_workers
 
+_DRAWN = ("--seeds", "--from", "--hours", "--only", "--without")
+"""The options of schedules that are drawn."""
+
 
 def campaign(
+    context: typer.Context,
     seeds: Annotated[int, typer.Option(min=1, metavar="N", help="How many seeds.")] = 10,
     first: Annotated[int, typer.Option("--from", min=0, metavar="SEED", help="The first seed.")] = 1,
     hours: Annotated[float, typer.Option(min=0.1, max=8760, help="Hours of virtual time for each seed.")] = 3.0,
@@ -48,6 +53,12 @@ def campaign(
 
     workers = chosen_workers(jobs, cluster)
     if reliability is not None:
+        _refuse_given(
+            context, "--reliability tries every fault in its own way", (*_DRAWN, "--schedule", "--show", "--keep")
+        )
+    elif schedule is not None:
+        _refuse_given(context, "--schedule has its own faults and hours", _DRAWN)
+    if reliability is not None:
         check_outputs([reliability], "--reliability", force=force)
     elif schedule is None:
         check_outputs([keep / f"seed-{seed}.json" for seed in range(first, first + seeds)], "--keep", force=force)
@@ -75,6 +86,14 @@ def campaign(
     if as_json:
         print_json(attack.summary.page())
     raise typer.Exit(code)
+
+
+def _refuse_given(context: typer.Context, why: str, names: tuple[str, ...]) -> None:
+    """Raise `UserError` for options that a person has given and that would be without effect."""
+    sources = {option.opts[0]: context.get_parameter_source(option.name or "") for option in context.command.params}
+    given = [name for name, source in sources.items() if name in names and source and source.name != "DEFAULT"]
+    if given:
+        raise UserError(f"{why}, so {' and '.join(given)} would do nothing: leave out the one or the other")
 
 
 def _words(text: str | None) -> tuple[str, ...]:
