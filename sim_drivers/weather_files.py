@@ -201,6 +201,11 @@ def site_mismatch(weather: MeasuredWeather, site: Site) -> str | None:
 
 
 def _read(path: Path, typical_year: int | None) -> MeasuredWeather:
+    if path.is_dir():
+        raise WeatherFileError(f"{path} is a folder: name a file of measured weather in it")
+    if path.exists() and not path.is_file():
+        # To open a pipe would wait for whoever writes into it.
+        raise WeatherFileError(f"{path} is no ordinary file: write its records into one and name that")
     first, second, third = _head(path)
     if not (first + second + third).strip():
         raise WeatherFileError(f"weather file {path} is empty")

@@ -76,8 +76,13 @@ def check_file(
         except UserError as error:
             problems.append(str(error))
     weather = settings.simulation.weather
-    if isinstance(weather, Path) and not weather.is_file():
-        problems.append(f"simulation.weather: there is no file {weather}")
+    if isinstance(weather, Path) and not settings.real:
+        from daemon.rigs.measured import measured_weather
+
+        try:
+            measured_weather(weather)
+        except UserError as error:
+            problems.append(f"simulation.weather: {error}")
     if settings.store.directory is not None:
         problems += _unwritable(settings.store.directory)
     # On the simulated rig every file runs in the role of both; to ask takes longer than all else together.

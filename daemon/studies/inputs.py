@@ -62,6 +62,8 @@ def check_weather_file(path: Path, built_in: Sequence[str] = _SKIES) -> None:
     """
     if path.is_dir():
         raise UserError(f"{path} is a folder: name a file of measured weather in it")
+    if path.exists() and not path.is_file():
+        raise UserError(f"{path} is no ordinary file: write its records into one and name that")
     if not path.is_file():
         if built_in == _SKIES:
             raise UserError(

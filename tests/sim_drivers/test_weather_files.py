@@ -125,7 +125,7 @@ def test_an_impossible_value_is_a_missing_one_and_is_counted(tmp_path):
 
 def test_a_missing_file_a_folder_and_a_broken_archive_are_refused(tmp_path):
     assert reason(tmp_path / "no.csv") == f"there is no weather file at {tmp_path / 'no.csv'}"
-    assert "cannot be read" in reason(tmp_path)
+    assert reason(tmp_path) == f"{tmp_path} is a folder: name a file of measured weather in it"
     broken = tmp_path / "weather.csv.gz"
     broken.write_bytes(gzip.compress(CSV.encode())[:40])
     assert "cannot be read" in reason(broken)

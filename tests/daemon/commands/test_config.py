@@ -1,4 +1,5 @@
 import json
+import os
 import stat
 import sys
 
@@ -52,6 +53,21 @@ def test_init_differs_from_the_defaults_by_secrets_records_and_for_a_tracker_by_
         api = Settings().api.model_copy(update={"token_file": tmp_path / role / "api.token"})
         store = Settings().store.model_copy(update={"directory": tmp_path / role / "records"})
         assert found == Settings().model_copy(update={"bridge": bridge, "api": api, "store": store})
+
+
+def test_check_reads_the_weather_file_as_a_run_does(heliocube, tmp_path):
+    path, weather = tmp_path / "heliocube.toml", tmp_path / "day.csv"
+    path.write_text("[simulation]\nweather = 'day.csv'")
+    weather.write_text("")
+    code, _, err = heliocube("config", "check", path)
+    assert (code, err.count("\n")) == (2, 2)
+    assert f"simulation.weather: weather file {weather} is empty" in err
+    weather.unlink()
+    # To open it would wait for a writer for ever.
+    os.mkfifo(weather)
+    code, _, err = heliocube("config", "check", path)
+    assert (code, err.count("\n")) == (2, 2)
+    assert f"{weather} is no ordinary file: write its records into one" in err
 
 
 def test_two_rigs_get_two_keys_and_two_tokens(heliocube, tmp_path):
