@@ -47,14 +47,16 @@ def warn(text: str) -> None:
 def wrapped(text: str, stream: TextIO, *, hang: int = 2) -> str:
     """Return text whose lines fit the terminal behind a stream, broken between words; as it is for a file or a pipe.
 
-    What is broken goes on `hang` columns further to the right than its line begins.
+    What is broken goes on `hang` columns further to the right than its line begins, or less for a long word.
     """
     if not stream.isatty():
         return text
     columns = _columns(stream)
     lines: list[str] = []
     for line in text.split("\n"):
-        indent = " " * (len(line) - len(line.lstrip()) + hang)
+        begins = len(line) - len(line.lstrip())
+        room = columns - begins - max(map(len, line.split()), default=0)
+        indent = " " * (begins + min(hang, max(room, 2)))
         parts = wrap(line, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
         lines += parts or [""]
     return "\n".join(lines)

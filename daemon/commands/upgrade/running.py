@@ -83,7 +83,7 @@ def _positioner(own: dict[str, Any], subject: str) -> Finding:
     identity, pose = seen["identity"], seen["pose"]
     text = "connected" if identity is None else f"{identity['board']} {identity['firmware']}"
     if pose is not None:
-        text = f"{text} at A {pose['a_deg']}, B {pose['b_deg']} deg"
+        text = f"{text} at A {pose['a_deg']:+z.1f}, B {pose['b_deg']:.1f} deg"
     wrong = seen["blocked_why"] or seen["doubt_why"] or seen["unexplained_why"]
     return Finding(subject, f"{text}; {wrong}" if wrong else text, "see 'heliocube status'" if wrong else "")
 

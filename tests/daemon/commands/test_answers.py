@@ -124,8 +124,13 @@ def test_a_terminal_breaks_lines_between_words_and_a_file_gets_them_whole(tmp_pa
             "  store   the disk is full:",
             "          free it",
             "/a/path/that/is/longer/than/thirty/columns",
-            "        of 2",
+            "  of 2",
             "short",
+        ]
+        assert wrapped("  store  /a/path/that/needs/its/25 is full", terminal, hang=9).split("\n") == [
+            "  store",
+            "     /a/path/that/needs/its/25",
+            "     is full",
         ]
         monkeypatch.setenv("COLUMNS", "40")
         assert wrapped("  store   the disk is full: free it", terminal) == "  store   the disk is full: free it"

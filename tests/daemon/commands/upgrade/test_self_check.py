@@ -145,6 +145,10 @@ def test_a_running_service_is_asked_and_not_its_instruments(serve):
         assert not amiss(found)
         assert texts(found)["service"] == "runs as both: SIMULATED, tracking"
         assert texts(found)["positioner"].startswith("36A1 ")
+        state = (await call.get("/api/state")).json
+        for own in state["trackers"].values():
+            own["tracker"]["pose"] = {"a_deg": -0.04, "b_deg": 90.0}
+        assert texts(service(state, {"troubles": []}))["positioner"].endswith(" at A +0.0, B 90.0 deg")
         assert texts(found)["wind source"].startswith("wind: 3.0 m/s, ")
 
         rig.wind_m_s = None
