@@ -77,7 +77,10 @@ def check(
 
 def _line(subject: str, style: str, text: str) -> Text:
     head = f"  {subject:<12} "
-    return Text.assemble((head, style), wrapped(head + text, sys.stdout, hang=len(head) - 2)[len(head) :])
+    whole = wrapped(head + text, sys.stdout, hang=len(head) - 2)
+    # A first word that does not fit beside it stands in the next line, and no blanks before that.
+    ends = len(head if whole.startswith(head) else head.rstrip())
+    return Text.assemble((whole[:ends], style), whole[ends:])
 
 
 @app.command()

@@ -136,6 +136,20 @@ def test_a_terminal_breaks_lines_between_words_and_a_file_gets_them_whole(tmp_pa
         assert wrapped("  store   the disk is full: free it", terminal) == "  store   the disk is full: free it"
 
 
+def test_a_path_that_is_too_long_for_its_line_is_shown_whole_by_a_check(tmp_path):
+    records = tmp_path / "a-long-name-of-a-folder" / "of-somebody-who-likes-long-names"
+    file = tmp_path / "heliocube.toml"
+    file.write_text(f"[store]\ndirectory = '{records}'\n")
+    ours, theirs = os.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 60, 0, 0))
+    environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
+    with os.fdopen(ours, "rb"), os.fdopen(theirs, "wb") as terminal:
+        code = forks.start(["config", "check", file], terminal, env=environment).wait(90)
+        said = os.read(ours, 100_000).decode()
+    assert code == 0
+    assert str(records) in said
+
+
 # The last is longer than what Python gathers before it writes.
 @pytest.mark.parametrize(
     "words",
