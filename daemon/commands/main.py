@@ -61,7 +61,7 @@ if TYPE_CHECKING:
 
 
 class _Commands(TyperGroup):
-    """All commands; what Ctrl-C ends with nothing to keep says so."""
+    """All commands; what Ctrl-C ends with nothing to keep says so, and a wrong value is told in plain words."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; raises `InterruptedEarlyError` for Ctrl-C that it does not take itself."""
@@ -69,6 +69,14 @@ class _Commands(TyperGroup):
             return super().invoke(ctx)
         except KeyboardInterrupt:
             raise InterruptedEarlyError("interrupted before its end; no result was written") from None
+        except typer.BadParameter as error:
+            from pydantic import ValidationError
+
+            from daemon.config.section import in_words
+
+            if isinstance(error.__cause__, ValidationError):
+                error.message = in_words(error.__cause__.errors()[0])
+            raise
 
 
 show_values_in_words()

@@ -1,9 +1,12 @@
 """What the tables of the configuration file have in common."""
 
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 from daemon.base.errors import UserError
 from daemon.base.files import parse_toml, toml_text
@@ -47,6 +50,29 @@ def one_section(path: Path | None, raw: dict[str, Any], name: str, kind: type[Ki
         return kind.model_validate(raw.get(name, {}))
     except ValidationError:
         raise UserError(f"the [{name}] of {path} is wrong; see 'heliocube config check {path}'") from None
+
+
+_CLAUSES = {
+    "missing": "is missing",
+    "extra_forbidden": "is not known here",
+    "float_parsing": "{input!r} is not a number",
+    "float_type": "{input!r} is not a number",
+    "finite_number": "{input!r} is not a finite number",
+    "int_parsing": "{input!r} is not a whole number",
+    "int_from_float": "{input!r} is not a whole number",
+    "greater_than_equal": "{input!r} is not a number from {ge:.10g} up",
+    "greater_than": "{input!r} is not a number above {gt:.10g}",
+    "less_than_equal": "{input!r} is not a number up to {le:.10g}",
+    "less_than": "{input!r} is not a number below {lt:.10g}",
+}
+
+
+def in_words(wrong: "ErrorDetails") -> str:
+    """Return in a clause, for people, what is wrong with a value that a model has refused."""
+    clause = _CLAUSES.get(wrong["type"])
+    if clause is None:
+        return wrong["msg"].removeprefix("Value error, ")
+    return clause.format(input=wrong["input"], **wrong.get("ctx", {}))
 
 
 def beside(path: Path | None, section: Kind) -> Kind:

@@ -14,7 +14,7 @@ from pydantic import AwareDatetime, Field, ValidationError
 from daemon.base.errors import UserError
 from daemon.base.files import parse_toml, toml_text, write_new
 from daemon.base.records import FACES, Event
-from daemon.config.section import NotNegative, Section
+from daemon.config.section import NotNegative, Section, in_words
 from daemon.config.sections import CubeSettings, FaceSettings
 from drivers.settings import Positive
 
@@ -104,7 +104,7 @@ def read_calibration(path: Path) -> CubeCalibration:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise UserError(f"calibration file {path}: {where}: {first['msg']}; calibrate again") from None
+        raise UserError(f"calibration file {path}: {where}: {in_words(first)}; calibrate again") from None
     except (OSError, ValueError) as error:
         raise UserError(f"calibration file {path} cannot be read: {error}") from None
     if calibration.identifier != _identifier(calibration):

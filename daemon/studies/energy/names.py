@@ -9,6 +9,7 @@ from pydantic import ValidationError
 
 from daemon.base import plugins
 from daemon.base.errors import UserError
+from daemon.config.section import in_words
 from solar.energy import SKIES
 from solar.laws.law import LawSettings
 
@@ -68,7 +69,7 @@ def choice(name: str) -> AskedLaw:
             if module.SETTINGS.knob is not None:
                 return AskedLaw(module, module.SETTINGS(**{module.SETTINGS.knob: float(text)}))
     except ValidationError as error:
-        raise UserError(f"--laws: {name}: {error.errors()[0]['msg'].lower()}") from None
+        raise UserError(f"--laws: {name}: {in_words(error.errors()[0])}") from None
     except ValueError:
         pass
     known = ", ".join((f"{FIXED}:DEG", *plugins.names(plugins.LAWS), BOUND))

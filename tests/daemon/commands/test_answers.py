@@ -87,6 +87,23 @@ def test_what_cannot_be_done_leaves_standard_output_empty(heliocube):
     assert "leave out --format" in err
 
 
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("run --seed x", "Invalid value for '--seed': 'x' is not a whole number"),
+        ("run --for nan", "Invalid value for '--for': 'nan' is not a number from 0 up"),
+        ("run --role x", "Invalid value for '--role': 'x' is not one of 'both', 'cube', 'tracker'"),
+        ("gain --lat 48,7", "Invalid value for '--lat': '48,7' is not a number"),
+        ("goto west 60", "Invalid value for 'A': 'west' is not a number"),
+        ("campaign --hours 1e9", "Invalid value for '--hours': '1e9' is not a number up to 8760"),
+    ],
+)
+def test_a_mistyped_value_is_told_in_plain_words(heliocube, words, sentence):
+    code, out, err = heliocube(*words.split())
+    assert (code, out) == (2, "")
+    assert sentence in err
+
+
 def test_figures_are_those_of_the_table(heliocube):
     arguments = ("gain", "--lat", "48.7", "--day", "10:12:1")
     table = heliocube(*arguments, "--format", "csv")[1].splitlines()

@@ -146,8 +146,8 @@ def test_a_calibration_is_not_overwritten(tmp_path):
     ("change", "message"),
     [
         (("10.4", "10.5"), "has been edited"),
-        (("10.4", "nan"), r"zenith.gain_w_m2_per_mv: Input should be a finite number; calibrate again"),
-        (("[zenith]", "[zenit]"), "zenith: Field required"),
+        (("10.4", "nan"), r"zenith.gain_w_m2_per_mv: nan is not a finite number; calibrate again"),
+        (("[zenith]", "[zenit]"), "zenith: is missing"),
         (("[zenith]", "[zenith"), "cannot be read"),
     ],
 )
