@@ -134,7 +134,7 @@ def plot(
     if place:
         check_readable(place)
     # Slow to import, and what is above refuses most mistakes without them.
-    from daemon.studies.report.plot import draw, material_of_tables
+    from daemon.studies.report.plot import draw, material_of_tables, nothing_to_show
     from daemon.studies.report.write import check_output, with_settings
 
     settings = _settings(config)
@@ -150,8 +150,13 @@ def plot(
             if len(found) > 1:
                 raise UserError(f"that store has several trackers, {names}: choose one with --tracker NAME")
             material = found[0]
-    draw(with_settings(material, settings), what, paths, local)
-    tell_pages(paths, as_json=as_json)
+    without = nothing_to_show(material, what)
+    drawn = {name: path for name, path in zip(what, paths, strict=True) if name not in without}
+    if drawn:
+        draw(with_settings(material, settings), list(drawn), list(drawn.values()), local)
+        tell_pages(list(drawn.values()), as_json=as_json)
+    if without:
+        raise UserError("; ".join(without.values()))
 
 
 def _settings(config: Path | None) -> "Settings | None":

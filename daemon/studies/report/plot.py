@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from datetime import tzinfo
 from pathlib import Path
 
+import numpy as np
 from matplotlib import rc_context
 
 from daemon.base.errors import UserError
@@ -55,12 +56,23 @@ def material_of_tables(
     return found[names.index(tracker)]
 
 
+def nothing_to_show(material: Material, names: Sequence[str]) -> dict[str, str]:
+    """Return for each of the pictures without data a sentence that says so."""
+    recorded = {
+        "power": ("I-V curve", len(material.tables["curves"]) > 0),
+        "wind": ("reading of the wind", bool(np.isfinite(material.column("poses", "wind_m_s")).any())),
+    }
+    span, found = material.span, {}
+    for name in names:
+        record, there = recorded.get(name, ("", True))
+        if not there:
+            nothing = nothing_in(span.start_utc_s, span.end_utc_s, material.source, None, record)
+            found[name] = f"{name}: {nothing}"
+    return found
+
+
 def draw(material: Material, names: Sequence[str], paths: Sequence[Path], zone: tzinfo | None) -> None:
-    """Draw pictures to files, their folders too; raises `UserError` for one that has nothing to show, or a file."""
-    if "power" in names and not len(material.tables["curves"]):
-        span = material.span
-        nothing = nothing_in(span.start_utc_s, span.end_utc_s, material.source, None, "I-V curve")
-        raise UserError(f"power: {nothing}")
+    """Draw pictures to files, their folders too; raises `UserError` for a file that cannot be written."""
     drawing = Drawing(material, light_of(material), motion_of(material), zone)
     for name, path in zip(names, paths, strict=True):
         figure = PICTURES[name].draw(drawing)

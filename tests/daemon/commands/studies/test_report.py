@@ -285,6 +285,27 @@ def test_a_picture_that_cannot_be_drawn_is_one_sentence(heliocube, store, tmp_pa
     assert not list(tmp_path.iterdir())
 
 
+def test_a_picture_without_data_keeps_none_of_the_others_back(heliocube, store, tmp_path):
+    asked = ("--store", store, "--day", "2022-10-14", "--out", tmp_path / "day.png", "--json")
+    code, out, said = heliocube("plot", "power", "motion", *asked)
+    assert (code, said.count("\n"), json.loads(out)["written"]) == (2, 1, [str(tmp_path / "day-motion.png")])
+    assert "power: no I-V curve from 2022-10-14 00:00 UTC" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["day-motion.png"]
+
+
+def test_a_picture_of_a_wind_that_nobody_measured_is_not_drawn_empty(heliocube, tmp_path):
+    out = tmp_path / "tables"
+    assert heliocube("simulate", "--start", "2022-06-21T11:00Z", "--days", "0.01", "--out", out)[0] == 0
+    poses = (out / "poses.csv").read_text().splitlines()
+    at = poses[0].split(",").index("wind_m_s")
+    rows = [line.split(",") for line in poses[1:]]
+    calm = [poses[0], *(",".join([*row[:at], "", *row[at + 1 :]]) for row in rows)]
+    (out / "poses.csv").write_text("\n".join(calm))
+    code, _, said = heliocube("plot", "wind", "--tables", out, "--site", "48.7,2.2", "--out", tmp_path / "wind.png")
+    assert (code, said.count("\n")) == (2, 1)
+    assert "wind: no reading of the wind from 2022-06-21 11:00 UTC" in said
+
+
 def test_simulate_and_replay_write_the_same_page(heliocube, tmp_path):
     start = ("--start", "2022-06-21T11:00Z", "--days", "0.01")
     out = tmp_path / "tables"
