@@ -64,11 +64,11 @@ def export(
     kinds = [one.value for one in kind or []]
     ends_s = -math.inf if first is None else first.timestamp(), math.inf if last is None else last.timestamp()
     with readable(store_directory("export", store, config), lambda _: ends_s) as (directory, _):
-        rows = write_tables(directory, out, table_format.value, first, last, kinds, force=force, needs_records=True)
+        found = write_tables(directory, out, table_format.value, first, last, kinds, force=force, needs_records=True)
     if as_json:
-        print_json({"tables": out, "format": table_format, "rows": rows})
+        print_json({"simulated": found.simulated, "tables": out, "format": table_format, "rows": found.rows})
         return
-    counts = ", ".join(f"{count} {name}" for name, count in rows.items())
+    counts = ", ".join(f"{count} {name}" for name, count in found.rows.items())
     say(f"written to {out}: {counts}")
 
 

@@ -5,6 +5,7 @@ import sqlite3
 from collections import namedtuple
 from collections.abc import Collection
 from contextlib import closing
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,14 @@ _SIMULATED = [Column("simulated", "simulated", "bool")]
 _TRACKER = [Column("tracker", "tracker", "text")]
 
 
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What was written: the rows of each kind, and whether simulated instruments are behind any of them."""
+
+    rows: dict[str, int]
+    simulated: bool
+
+
 def export(
     directory: Path,
     out: Path,
@@ -49,8 +58,8 @@ def export(
     *,
     force: bool = False,
     needs_records: bool = False,
-) -> dict[str, int]:
-    """Write what the store in `directory` holds from `start` up to, not including, `end`; return the rows of each kind.
+) -> Exported:
+    """Write what the store in `directory` holds from `start` up to, not including, `end`, and return what that was.
 
     Rows are in the order of their time, then of their making. The service may go on writing meanwhile.
 
@@ -90,7 +99,8 @@ def export(
             columns: dict[type[Row], tuple[str, list[Column]]]
             columns = {table.row: (table.name, table.columns) for table in tables.values()}
             with TableWriter(out, table_format, columns, force=force) as writer:
-                return {name: table.copy(connection, writer, span) for name, table in tables.items()}
+                rows = {name: table.copy(connection, writer, span) for name, table in tables.items()}
+                return Exported(rows, any(table.simulated for table in tables.values()))
         except sqlite3.Error as error:
             raise unreadable(directory / FILE_NAME, error) from None
 
@@ -101,6 +111,7 @@ class _Table:
     def __init__(self, name: str) -> None:
         own = [column for column in dict(COLUMNS.values())[name] if column not in _TRACKER]
         self.name = name
+        self.simulated = False
         self._stored = [column.name for column in own]
         simulated = [] if "simulated" in self._stored else _SIMULATED
         columns = [*own, *_PVLIB.get(name, []), *_RUN, *simulated, *_TRACKER]
@@ -121,6 +132,7 @@ class _Table:
             "JOIN runs USING (run) WHERE kept.time >= ? AND kept.time < ? ORDER BY kept.time, kept.run, kept.number"
         )
         cursor = connection.execute(query, span_utc_s)
+        own = self._stored.index("simulated") if "simulated" in self._stored else None
         count = 0
         while rows := cursor.fetchmany(_ROWS_AT_ONCE):
             derived = _derived(self.name, self._stored, rows)
@@ -132,7 +144,8 @@ class _Table:
                     values[place] = values[place] or ""
                 for place in self._truths:
                     values[place] = bool(values[place])
-                tail = [run, name] if "simulated" in self._stored else [run, bool(simulated), name]
+                tail = [run, name] if own is not None else [run, bool(simulated), name]
+                self.simulated |= bool(simulated if own is None else values[own])
                 writer.write(self.row(*values, *more, *tail))
             count += len(rows)
         return count

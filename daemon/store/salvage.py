@@ -48,12 +48,15 @@ class Salvaged:
         Whether SQLite says that the file is.
     missing
         Numbers between those that were read, per run: records that cannot be read, or were lost before.
+    simulated
+        Whether simulated instruments are behind any of them.
     """
 
     damaged: bool
     read: dict[str, int] = field(default_factory=dict)
     added: dict[str, int] = field(default_factory=dict)
     missing: int = 0
+    simulated: bool = False
 
 
 def salvage(file: Path, into: Path, progress: Callable[[float], None] = lambda _share: None) -> Salvaged:
@@ -185,6 +188,7 @@ class _Merge:
         self._known = self._read_runs()
         self._expected = max(sum(self._last_number(run) + 1 for run in self._known), 1)
         self._numbers: dict[int, list[int]] = {}
+        self._simulated = False
 
     def run(self) -> Salvaged:
         found = Salvaged(damaged=self._is_damaged())
@@ -192,6 +196,7 @@ class _Merge:
             found.read[name], found.added[name] = self._merge(name, columns)
         for first, last, count in self._numbers.values():
             found.missing += last - first + 1 - count
+        found.simulated = self._simulated
         if not sum(found.read.values()):
             raise UserError("nothing can be read from it: no record of any kind is whole")
         return found
@@ -267,6 +272,7 @@ class _Merge:
         """Return the number that a row's run has in the store: that of the same run if it is there, else a new one."""
         if row[0] not in self._runs:
             own = self._known.get(row[0]) or self._guess(row)
+            self._simulated |= bool(own[RUN_COLUMNS.index("simulated")])
             same = " AND ".join(f"{name} = ?" for name in RUN_COLUMNS)
             found = self._store.execute(f"SELECT run FROM runs WHERE {same}", own).fetchone()  # noqa: S608 - our own names
             if found is None:

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
-from daemon.commands.answers import JsonOption
+from daemon.commands.answers import JsonOption, print_json
 from daemon.commands.archive.readable import check_readable
 from daemon.commands.export import store_directory
 from daemon.commands.options import FILES, ForceOption, TrackerOption, ZoneOption
@@ -17,7 +17,7 @@ from daemon.commands.studies.simulate import progress_bar, tell_pages
 from daemon.studies.report.asked import check_pictures, format_of_tables, picture_paths, zone_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from contextlib import AbstractContextManager
 
     # The command line imports this module to show its help, which must not wait for the science.
@@ -87,7 +87,7 @@ def report(
         materials = _materials(directory, called, wanted, tracker, lambda share: progress(0.8 * share))
         known = [with_settings(material, settings) for material in materials]
         paths = write_reports(known, out, local, lambda share: progress(0.8 + 0.2 * share), force=force)
-    tell_pages(paths, as_json=as_json)
+    _tell(paths, as_json=as_json, simulated=any(each.simulated for each in materials))
 
 
 @app.command(rich_help_panel=FILES)
@@ -154,9 +154,16 @@ def plot(
     drawn = {name: path for name, path in zip(what, paths, strict=True) if name not in without}
     if drawn:
         draw(with_settings(material, settings), list(drawn), list(drawn.values()), local)
-        tell_pages(list(drawn.values()), as_json=as_json)
+        _tell(list(drawn.values()), as_json=as_json, simulated=material.simulated)
     if without:
         raise UserError("; ".join(without.values()))
+
+
+def _tell(paths: "Sequence[Path]", *, as_json: bool, simulated: bool) -> None:
+    if as_json:
+        print_json({"simulated": simulated, "written": paths})
+    else:
+        tell_pages(paths)
 
 
 def _settings(config: Path | None) -> "Settings | None":

@@ -146,11 +146,8 @@ def without_page(report_to: Path | None) -> str:
     return "" if report_to is None else ", and no page was written"
 
 
-def tell_pages(paths: "Sequence[Path]", *, as_json: bool = False) -> None:
+def tell_pages(paths: "Sequence[Path]") -> None:
     """Say where pages or pictures are."""
-    if as_json:
-        print_json({"written": paths})
-        return
     for path in paths:
         say(f"written: {path}")
 

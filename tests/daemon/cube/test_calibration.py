@@ -245,7 +245,7 @@ def test_a_store_of_a_version_before_is_read_and_brought_forward(tmp_path, versi
             for name in ("dni_est", "dhi_est", "albedo_est"):
                 store.execute(f"ALTER TABLE decisions DROP COLUMN {name}")
         store.execute(f"PRAGMA user_version = {version}")
-    assert export(tmp_path, tmp_path / "old", "csv", None, None, ["scans"]) == {"scans": 1}
+    assert export(tmp_path, tmp_path / "old", "csv", None, None, ["scans"]).rows == {"scans": 1}
     with closing(open_for_writing(path)) as store:
         assert store.execute("PRAGMA user_version").fetchone()[0] == VERSION
         identifier = calibration().identifier

@@ -132,7 +132,7 @@ def test_what_cannot_be_used_is_moved_aside_as_it_is_and_said_once(keep, tmp_pat
     assert alarms["store-aside"].startswith(f"{says} was moved aside as {aside}, and a new one begun: ")
     assert alarms.get("store-down") is None
     assert [record.levelname for record in caplog.records] == ["ERROR"]
-    assert export(folder, tmp_path / "out", "csv", None, None, ())["events"] == 1
+    assert export(folder, tmp_path / "out", "csv", None, None, ()).rows["events"] == 1
 
     # The alarm outlives a restart, and ends when a person has taken the file away.
     again = {}

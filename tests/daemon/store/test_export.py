@@ -1,6 +1,7 @@
 """What an export writes: the tables, in CSV and for pandas and pvlib, of which time, and from which store."""
 
 import csv
+import json
 import math
 import re
 import sqlite3
@@ -23,6 +24,7 @@ from solar.frames import angles_from_direction, direction_from_azimuth
 from tests.daemon.store.test_store import ORIGIN, keep
 from tests.daemon.store.test_tables import ALL, T0, decision, scan
 from tests.support import DOCS
+from tests.support.stored_day import stored_days
 
 __all__ = ["keep"]
 
@@ -36,7 +38,7 @@ def test_an_export_is_what_the_tables_of_the_same_records_are_and_more(keep, tmp
     with TableWriter(tmp_path / "tables") as tables:
         for record in ALL:
             tables.write(record)
-    written = export(keep(*ALL), tmp_path / "out", "csv", None, None, ())
+    written = export(keep(*ALL), tmp_path / "out", "csv", None, None, ()).rows
     assert written == {"scans": 2, "decisions": 2, "moves": 1, "poses": 1, "modes": 1, "events": 1, "curves": 1}
     for name in written:
         exported, direct = rows(tmp_path / "out" / f"{name}.csv"), rows(tmp_path / "tables" / f"{name}.csv")
@@ -101,7 +103,7 @@ def test_a_bad_zenith_reading_is_no_ghi(keep, tmp_path):
 def test_from_is_included_and_to_is_not(keep, tmp_path):
     folder = keep(*[Event(T0 + n, n, "test", str(n)) for n in range(10)])
     start, end = (datetime.fromtimestamp(T0 + n, UTC) for n in (3, 6))
-    assert export(folder, tmp_path / "out", "csv", start, end, ["events"]) == {"events": 3}
+    assert export(folder, tmp_path / "out", "csv", start, end, ["events"]).rows == {"events": 3}
     assert [row["text"] for row in rows(tmp_path / "out" / "events.csv")] == ["3", "4", "5"]
 
 
@@ -139,6 +141,15 @@ def test_an_export_that_cannot_be_meant_is_one_sentence_and_code_2(heliocube, tm
     assert (code, out) == (2, "")
     assert err == f"heliocube: {sentence.format(store=tmp_path)}\n"
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_the_answer_in_json_says_whether_simulated_instruments_are_behind_what_was_written(
+    heliocube, tmp_path, simulated
+):
+    store, out = stored_days(tmp_path / "store", simulated=simulated), tmp_path / "out"
+    told = heliocube("export", "--store", store, "--out", out, "--kind", "moves", "--json")[1]
+    assert json.loads(told)["simulated"] is simulated
 
 
 def test_an_export_of_a_span_without_any_record_is_refused_and_nothing_is_written(heliocube, keep, tmp_path):

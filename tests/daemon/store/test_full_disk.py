@@ -79,7 +79,7 @@ def test_a_full_disk_is_told_once_costs_nothing_and_is_over_by_itself(small_disk
         f"the store is down: {full}",
         "the store is back",
     ]
-    assert export(small_disk, tmp_path / "out", "csv", None, None, ["scans"]) == {"scans": 3000}
+    assert export(small_disk, tmp_path / "out", "csv", None, None, ["scans"]).rows == {"scans": 3000}
 
 
 def test_a_service_starts_on_a_full_disk_and_writes_when_there_is_room(small_disk, tmp_path):

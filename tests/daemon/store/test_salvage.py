@@ -200,7 +200,7 @@ def test_the_command_says_what_it_read_and_what_cannot_be_meant(whole, tmp_path,
         rf"{re.escape(str(path))} is damaged: \d+ scans, 2 decisions, .* of them are new in .*new\n\d+ records", out
     )
     page = json.loads(heliocube(path, "--into", tmp_path / "new", "--json")[1])
-    assert page["damaged"]
+    assert (page["damaged"], page["simulated"]) == (True, True)
     assert not any(page["added"].values()), "all of it is there already"
     notes = tmp_path / "notes"
     notes.write_text("my notes")

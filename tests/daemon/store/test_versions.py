@@ -74,10 +74,10 @@ def test_a_store_that_has_no_curves_yet_is_read_as_it_is_and_given_their_table_b
     with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
         connection.execute("DROP TABLE curves")
         connection.execute("PRAGMA user_version = 3")
-    assert export(folder, tmp_path / "old", "csv", None, None, ())["curves"] == 0
+    assert export(folder, tmp_path / "old", "csv", None, None, ()).rows["curves"] == 0
     assert rows(tmp_path / "old" / "curves.csv") == []
     keep(CURVE)
-    assert export(folder, tmp_path / "new", "csv", None, None, ["curves"]) == {"curves": 1}
+    assert export(folder, tmp_path / "new", "csv", None, None, ["curves"]).rows == {"curves": 1}
     assert rows(tmp_path / "new" / "curves.csv")[0]["pmpp_w"] == "274.25"
     with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
         assert "curves_time" in {row[1] for row in connection.execute("PRAGMA index_list(curves)")}

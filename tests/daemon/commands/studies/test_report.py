@@ -156,7 +156,8 @@ def test_simulated_stands_on_the_page_and_on_every_picture(the_page, heliocube, 
     assert len(pictures) == 5
     assert all("SIMULATED" in picture for picture in pictures)
     real = stored_days(tmp_path / "store", simulated=False)
-    assert heliocube("report", "--store", real, "--day", "2022-10-14", "--out", tmp_path)[0] == 0
+    told = heliocube("report", "--store", real, "--day", "2022-10-14", "--out", tmp_path, "--json")[1]
+    assert json.loads(told)["simulated"] is False
     assert "SIMULATED" not in (tmp_path / "2022-10-14-roof.html").read_text(encoding="utf-8")
 
 
@@ -167,7 +168,7 @@ def test_nothing_is_overwritten_unasked(heliocube, store, tmp_path):
     assert (code, page.read_text()) == (2, "mine")
     assert said == f"heliocube: {page} is there already: --force overwrites it, or name another --out\n"
     _, told, _ = heliocube("report", "--store", store, "--day", "2022-10-14", "--out", tmp_path, "--force", "--json")
-    assert json.loads(told)["written"] == [str(page)]
+    assert json.loads(told) == {"simulated": True, "written": [str(page)]}
     assert page.read_text(encoding="utf-8").startswith("<!doctype html>")
     assert [path.name for path in tmp_path.iterdir()] == [page.name]
 
@@ -288,7 +289,11 @@ def test_a_picture_that_cannot_be_drawn_is_one_sentence(heliocube, store, tmp_pa
 def test_a_picture_without_data_keeps_none_of_the_others_back(heliocube, store, tmp_path):
     asked = ("--store", store, "--day", "2022-10-14", "--out", tmp_path / "day.png", "--json")
     code, out, said = heliocube("plot", "power", "motion", *asked)
-    assert (code, said.count("\n"), json.loads(out)["written"]) == (2, 1, [str(tmp_path / "day-motion.png")])
+    assert (code, said.count("\n"), json.loads(out)) == (
+        2,
+        1,
+        {"simulated": True, "written": [str(tmp_path / "day-motion.png")]},
+    )
     assert "power: no I-V curve from 2022-10-14 00:00 UTC" in said
     assert [path.name for path in tmp_path.iterdir()] == ["day-motion.png"]
 
