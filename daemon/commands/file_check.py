@@ -39,7 +39,7 @@ def check_file(
     from daemon.commands.kept import with_records
     from daemon.config.file import ConfigError, load_settings_with_topics
     from daemon.config.section import beside
-    from daemon.cube.calibration import calibration_in_force
+    from daemon.cube.calibration import calibration_to_run
     from daemon.mqtt.credentials import CredentialsError, load_user, tls_context
     from daemon.mqtt.topics import unusable
     from daemon.notify.recipients import recipients_of
@@ -48,7 +48,7 @@ def check_file(
     settings = with_records(load_settings_with_topics(path, unusable), path, os.environ)
     problems = []
     try:
-        calibration_in_force(settings.cube)
+        calibration_to_run(settings)
     except UserError as error:
         problems.append(f"cube.calibration_file: {error}")
     if settings.bridge.key_file is not None:

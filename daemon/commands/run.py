@@ -32,7 +32,7 @@ from daemon.bridge.signing import generate_key, load_keys
 from daemon.commands.status.live import LiveView
 from daemon.commands.status.log_above import LogAbove
 from daemon.config.settings import Settings
-from daemon.cube.calibration import calibration_in_force
+from daemon.cube.calibration import calibration_to_run
 from daemon.mqtt.companion import Mqtt, links
 from daemon.rigs.simulated import DEFAULT_START, build_real_rig, build_simulated_rig, build_weather
 from daemon.service.health import LoopWatch
@@ -70,7 +70,7 @@ def run_service(
         Something in the settings cannot work here: a weather file, a key, an address.
     """
     keys = bridge_keys(settings, role)
-    calibration = None if role is Role.TRACKER else calibration_in_force(settings.cube)
+    calibration = None if role is Role.TRACKER else calibration_to_run(settings)
     journal = "JOURNAL_STREAM" in os.environ
     process.configure(
         LogAbove(console) if console.is_terminal and sys.stderr.isatty() else sys.stderr,

@@ -16,6 +16,7 @@ from daemon.base.files import parse_toml, toml_text, write_new
 from daemon.base.records import FACES, Event
 from daemon.config.section import NotNegative, Section, in_words
 from daemon.config.sections import CubeSettings, FaceSettings
+from daemon.config.settings import Settings
 from drivers.settings import Positive
 
 log = logging.getLogger("heliocube.calibration")
@@ -48,7 +49,7 @@ class Standing(Section):
 
 
 class CubeCalibration(Section):
-    """A calibration of all four sensors of a cube."""
+    """A calibration of all four sensors of a cube; `simulated` where the readings came from a model or a bench."""
 
     identifier: str = Field(pattern=r"^[0-9]{8}-[0-9a-f]{8}$")
     method: Literal["beside a reference", "in place"]
@@ -56,6 +57,7 @@ class CubeCalibration(Section):
     expires_utc: AwareDatetime
     cube: str = Serial
     reference: str = Field("unknown", max_length=400)
+    simulated: bool = False
     east: FaceCalibration
     south: FaceCalibration
     west: FaceCalibration
@@ -79,7 +81,7 @@ def new_calibration(values: dict[str, Any]) -> CubeCalibration:
 def write_calibration(calibration: CubeCalibration, path: Path, notes: list[str]) -> None:
     """Write a calibration to a file that must not be there yet, `notes` as comments above; raises `UserError`."""
     comments = "".join(f"# {line}".rstrip() + "\n" for note in notes for line in note.split("\n"))
-    contents = tomli_w.dumps(calibration.model_dump(exclude_none=True))
+    contents = tomli_w.dumps(calibration.model_dump(exclude_none=True, exclude=_unsaid(calibration)))
     try:
         write_new(path, f"{comments}\n{contents}")
     except FileExistsError:
@@ -118,6 +120,20 @@ def read_calibration(path: Path) -> CubeCalibration:
 def calibration_in_force(cube: CubeSettings) -> CubeCalibration | None:
     """Return the calibration that the settings name, or None; raises `UserError` as `read_calibration` does."""
     return None if cube.calibration_file is None else read_calibration(cube.calibration_file)
+
+
+def calibration_to_run(settings: Settings) -> CubeCalibration | None:
+    """Return the calibration that a service is to run with, or None.
+
+    Raises `UserError` as `read_calibration` does, and for real instruments with a calibration by simulated readings.
+    """
+    found = calibration_in_force(settings.cube)
+    if found is not None and found.simulated and settings.real and not settings.instruments.bench:
+        raise UserError(
+            f"calibration file {settings.cube.calibration_file} is SIMULATED, made from readings of a model or a bench,"
+            " and these instruments are real: calibrate the cube itself, or leave cube.calibration_file out"
+        )
+    return found
 
 
 def calibrated_cube(cube: CubeSettings, calibration: CubeCalibration) -> CubeSettings:
@@ -168,9 +184,15 @@ class ExpiryWatch:
 
 
 def _identifier(calibration: CubeCalibration) -> str:
-    contents = json.dumps(calibration.model_dump(mode="json", exclude={"identifier"}), sort_keys=True)
+    shown = calibration.model_dump(mode="json", exclude={"identifier"} | _unsaid(calibration))
+    contents = json.dumps(shown, sort_keys=True)
     day = f"{calibration.calibrated_utc.astimezone(UTC):%Y%m%d}"
     return f"{day}-{hashlib.sha256(contents.encode()).hexdigest()[:8]}"
+
+
+def _unsaid(calibration: CubeCalibration) -> set[str]:
+    """Return what the file of a real cube leaves out, as do those that were written before there was a mark."""
+    return set() if calibration.simulated else {"simulated"}
 
 
 # The whole night of civil twilight and darker is dark to a sensor of 0.1 mV per W/m2.

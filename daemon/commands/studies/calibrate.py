@@ -104,7 +104,7 @@ def cube(
     )
     simulated = readings.simulated or beside.simulated
     lines = report.marked(report.comparison_lines(found), simulated=simulated)
-    calibration = report.comparison_calibration(found, made_on.cube.name, serials, valid_days)
+    calibration = report.comparison_calibration(found, made_on.cube.name, serials, valid_days, simulated=simulated)
     if plot is not None:
         from daemon.studies.calibrate.plots import draw_comparison
 
@@ -185,7 +185,7 @@ def field(
     found = calibrate_field(readings, made_on, level, model=sky.value, water_cm=water, cosine_error=cosine_error)
     simulated = readings.simulated or (nearby is not None and nearby.simulated)
     lines = report.marked(report.field_lines(found, made_on, sky.value), simulated=simulated)
-    calibration = report.field_calibration(found, made_on, sky.value, serials, valid_days)
+    calibration = report.field_calibration(found, made_on, sky.value, serials, valid_days, simulated=simulated)
     write_calibration(calibration, out, lines)
     if as_json:
         page = {"simulated": simulated} | report.field_page(found, made_on)

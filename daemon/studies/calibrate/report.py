@@ -158,7 +158,9 @@ def _level_line(found: FieldResult) -> str:
     return f"{told} From that the model alone gives {'the zenith face' if vertical else 'the vertical faces'}."
 
 
-def comparison_calibration(found: Comparison, cube: str, serials: dict[str, str], valid_days: float) -> CubeCalibration:
+def comparison_calibration(
+    found: Comparison, cube: str, serials: dict[str, str], valid_days: float, *, simulated: bool
+) -> CubeCalibration:
     """Return the calibration for the file; its day is that of the last reading."""
     faces = {
         name: {
@@ -172,13 +174,24 @@ def comparison_calibration(found: Comparison, cube: str, serials: dict[str, str]
     }
     return _made(
         _dates(float(found.utc_s[-1]), valid_days)
-        | {"method": "beside a reference", "cube": cube, "reference": serials.get("reference", "unknown")}
+        | {
+            "method": "beside a reference",
+            "cube": cube,
+            "reference": serials.get("reference", "unknown"),
+            "simulated": simulated,
+        }
         | faces
     )
 
 
 def field_calibration(
-    found: FieldResult, made_on: CubeSetup, sky: str, serials: dict[str, str], valid_days: float
+    found: FieldResult,
+    made_on: CubeSetup,
+    sky: str,
+    serials: dict[str, str],
+    valid_days: float,
+    *,
+    simulated: bool,
 ) -> CubeCalibration:
     """Return the calibration for the file; its day is that of the last clear sky."""
     fit = found.fit
@@ -198,6 +211,7 @@ def field_calibration(
             "method": "in place",
             "cube": made_on.cube.name,
             "reference": ", ".join([f"clear sky, {sky}", *found.level.names]),
+            "simulated": simulated,
         }
         | faces
         | {"standing": _standing(found, made_on.site.latitude_deg)}

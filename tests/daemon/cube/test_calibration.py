@@ -40,6 +40,16 @@ def face(gain=10.2, offset_mv=0.05):
     }
 
 
+ADDRESSES = """
+[instruments.multiplexer]
+digital_port = "Dev1/port0"
+[instruments.voltmeter]
+resource = "GPIB0::16::INSTR"
+[bridge]
+insecure = true
+"""
+
+
 def calibration(**changes):
     values = {
         "method": "beside a reference",
@@ -66,6 +76,34 @@ def written(tmp_path, made=None):
     return path
 
 
+def test_the_file_of_a_real_cube_has_no_word_of_simulation_and_the_name_that_it_always_had(tmp_path):
+    assert "simulated" not in written(tmp_path).read_text()
+    marked = calibration(simulated=True)
+    assert marked.identifier != calibration().identifier
+    file = tmp_path / "simulated.toml"
+    write_calibration(marked, file, [])
+    file.write_text(file.read_text().replace("simulated = true\n", ""))
+    with pytest.raises(UserError, match="has been edited"):
+        read_calibration(file)
+
+
+@pytest.mark.parametrize(
+    ("instruments", "good"), [("kind = 'real'", False), ("kind = 'real'\nbench = true", True), ("", True)]
+)
+def test_only_a_bench_or_a_simulated_rig_takes_a_calibration_by_simulated_readings(
+    heliocube, tmp_path, instruments, good
+):
+    written(tmp_path, calibration(simulated=True))
+    file = tmp_path / "rig.toml"
+    file.write_text(f"[cube]\ncalibration_file = 'calibration.toml'\n[instruments]\n{instruments}\n{ADDRESSES}")
+    code, _, err = heliocube("config", "check", file, "--role", "cube")
+    sentence = f"calibration file {tmp_path / 'calibration.toml'} is SIMULATED, made from readings of a model"
+    assert (code, sentence in err) == ((0, False) if good else (2, True))
+    if not good:
+        code, _, err = heliocube("run", "--config", file, "--role", "cube", "--for", "0")
+        assert (code, err.startswith(f"heliocube: {sentence}"), err.count("\n")) == (2, True, 1)
+
+
 def test_what_is_written_is_read_again(tmp_path):
     assert read_calibration(written(tmp_path)) == calibration()
 
@@ -80,7 +118,7 @@ def test_the_identifier_is_made_of_the_day_and_the_contents(gain, offset_mv):
 
 def test_the_identifier_does_not_hang_on_the_order_of_the_contents():
     made = calibration()
-    contents = json.dumps(made.model_dump(mode="json", exclude={"identifier"}), sort_keys=True)
+    contents = json.dumps(made.model_dump(mode="json", exclude={"identifier", "simulated"}), sort_keys=True)
     assert made.identifier == "20220320-" + hashlib.sha256(contents.encode()).hexdigest()[:8]
 
 

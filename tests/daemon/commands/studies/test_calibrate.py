@@ -217,12 +217,14 @@ def test_a_calibration_by_simulated_readings_is_called_so(heliocube, tmp_path):
     fill_store(tmp_path, *in_place(), simulated=1)
     code, told, _ = heliocube("calibrate", "field", "--store", tmp_path, *SITE, "--out", out)
     assert (code, told.splitlines()[0], out.read_text().splitlines()[0]) == (0, mark, f"# {mark}")
+    assert read_calibration(out).simulated
     reference, sensors = beside(tmp_path)
     first, *lines = sensors.read_text().splitlines()
     sensors.write_text("\n".join([f"{first},simulated", *(f"{line},true" for line in lines)]))
     asked = ("calibrate", "cube", reference, sensors, *SITE, "--out", tmp_path / "beside.toml")
     code, told, _ = heliocube(*asked, "--plot", figure, "--json")
     assert (code, json.loads(told)["simulated"]) == (0, True)
+    assert read_calibration(tmp_path / "beside.toml").simulated
     assert "<!-- SIMULATED -->" in figure.read_text()
 
 
