@@ -34,8 +34,8 @@ def setup(
 ) -> None:
     """Set up a new rig: ask for its site, query its instruments, make the first move, write its configuration.
 
-    You can leave at any time with Ctrl-C (exit code 130), and continue with the same command. Only the first move
-    moves anything: you confirm it, any key stops it, and telemetry must show that it went right.
+    You can leave at any time with Ctrl-C (exit code 130), and continue with the same command.
+    Only the first move moves anything: you confirm it, any key stops it, and telemetry must show that it went right.
     """
     from rich.console import Console
 

@@ -24,8 +24,8 @@ def status(
 ) -> None:
     """Show what the service does, where the tracker stands and what the cube reads.
 
-    Exit code: 0; 5 if the service cannot be reached; 2 for a wrong command line or file; with --check, 4 if the service
-    works and something needs attention.
+    Exit code: 0; 5 if the service cannot be reached; 2 for a wrong command line or file.
+    With --check also 4, if the service works and something needs attention.
     """
     import contextlib
 

@@ -34,8 +34,8 @@ def self_check(
 ) -> None:
     """Check program, configuration, store, instruments, wind source, clock and disk, and print a line for each.
 
-    Nothing is written and nothing moves. If the service runs, it is asked; otherwise the instruments are. Exit code: 0
-    if all is well, 4 if something needs attention, 2 if the configuration cannot be used.
+    Nothing is written and nothing moves. If the service runs, it is asked; otherwise the instruments are.
+    Exit code: 0 if all is well, 4 if something needs attention, 2 if the configuration cannot be used.
     """
     from daemon.commands.upgrade.finding import exit_code, hang, lines, page
 

@@ -1,4 +1,5 @@
 import re
+from itertools import pairwise
 
 import pytest
 from typer.main import get_command
@@ -29,6 +30,10 @@ def test_every_help_fits_its_width_and_shows_every_word(path, columns):
     assert shown.exit_code == 0
     assert max(len(line) for line in shown.output.splitlines()) <= columns
     assert not re.search(r"<[a-z]|list\[", shown.output), "a type of Python where a person looks for a word"
+    lines = [line.strip() for line in shown.output.splitlines()]
+    for line, following in pairwise(lines):
+        if line[-1:].isalnum() and following[:1].isalpha():
+            assert len(f"{line} {following.split()[0]}") > columns - 2, f"broken before its end: {line}"
     told = words(shown.output)
     for parameter in command.params:
         about = getattr(parameter, "help", None)
