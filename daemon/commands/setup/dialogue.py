@@ -101,6 +101,11 @@ class SetupDialogue:
         if step is None:
             return
         said = text.strip()
+        if not said.isprintable():
+            raise UserError(
+                f"{ascii(said)[:60]} has a key that is no letter, such as an arrow, or a letter that is not UTF-8: type"
+                " it again without"
+            )
         value = self.offered() if not said else _meant(step, said, self._key(step))
         if value is None and not step.optional:
             raise UserError(f"this has no default: {self.expected()}")

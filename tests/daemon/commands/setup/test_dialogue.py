@@ -150,6 +150,8 @@ def test_each_driver_is_asked_where_its_instrument_is(file, driver, key, answer)
         (["tracker", "bench"], "/nowhere", "is the bench running"),
         (["tracker", "bench"], "~nosuch/b", '"~nosuch/b": there is no such user; write the whole path'),
         (["tracker", "real"], "", "this has no default: it takes text"),
+        (["tracker", "real"], "Ro\x1b[Df", "has a key that is no letter, such as an arrow"),
+        (["tracker", "real"], "Caf\udce9", "or a letter that is not UTF-8: type it again without"),
         (["tracker", "real", "Roof"], "", "this has no default: it takes a number from -90 to 90 deg"),
         (["tracker", "real", "Roof"], "91", "must be a number from -90 to 90 deg"),
         (["tracker", "real", "Roof"], "nan", "is not a number from -90 to 90 deg"),
