@@ -23,10 +23,13 @@ def print_json(page: Mapping[str, Any] | list[Any]) -> None:
     Dataclasses become objects, arrays lists, times and paths text; a number that is none becomes null. ASCII, because
     standard output may have any encoding.
     """
-    from pydantic_core import to_json
+    import json
 
-    text = to_json(page, indent=2, ensure_ascii=True, inf_nan_mode="null", fallback=lambda value: value.tolist())
-    typer.echo(text.decode("ascii"))
+    from pydantic_core import to_jsonable_python
+
+    # By way of Python, since a path may hold bytes that are no UTF-8.
+    plain = to_jsonable_python(page, inf_nan_mode="null", fallback=lambda value: value.tolist())
+    typer.echo(json.dumps(plain, indent=2))
 
 
 def teller(*, as_json: bool) -> Callable[[str], None]:

@@ -51,6 +51,7 @@ def test_a_page_is_strict_json_whatever_it_is_made_of(capsys):
         "one": Answer(1.5, Path("a")),
         "when": datetime(2022, 10, 14, tzinfo=UTC),
         "degrees": "°",
+        "path": Path(os.fsdecode(b"caf\xe9")),
     })  # fmt: skip
     out = capsys.readouterr().out
     assert out.isascii()
@@ -61,6 +62,7 @@ def test_a_page_is_strict_json_whatever_it_is_made_of(capsys):
         "one": {"value": 1.5, "where": "a"},
         "when": "2022-10-14T00:00:00Z",
         "degrees": "°",
+        "path": "caf\udce9",
     }
 
 

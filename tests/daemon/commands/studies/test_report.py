@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import re
 import signal
 import sys
@@ -257,6 +258,15 @@ def test_pictures_of_a_store_and_of_exported_tables(heliocube, store, tmp_path):
         code, _, said = heliocube("plot", "angles", *tables, "--day", day, "--out", tmp_path / f"{day}.svg")
         assert (code, said.count("\n")) == (2, 1)
         assert "no record from " in said
+
+
+def test_a_store_in_a_folder_whose_name_is_no_utf_8_has_its_page(heliocube, store, tmp_path):
+    folder = tmp_path / os.fsdecode(b"caf\xe9")
+    folder.symlink_to(store)
+    asked = ("--store", folder, "--day", "2022-10-14", "--out", tmp_path, "--json")
+    code, told, _ = heliocube("report", *asked)
+    assert (code, json.loads(told)["written"]) == (0, [str(tmp_path / "2022-10-14-roof.html")])
+    assert "caf\\udce9" in (tmp_path / "2022-10-14-roof.html").read_text(encoding="utf-8")
 
 
 def test_a_damaged_table_is_one_sentence(heliocube, tmp_path):
