@@ -162,6 +162,17 @@ def test_the_page_takes_the_size_of_letters_that_is_set_in_the_browser(browser, 
         large.close()
 
 
+def test_the_faces_are_told_apart_in_grey_too(context, tmp_path):
+    site = MadeSite(tmp_path)
+    site.keep(*records(MIDNIGHT, MIDNIGHT + HOUR))
+    page = site.open(context, MIDNIGHT + HOUR)
+    shows(page, "2022-09-21 (today)")
+    # The first key is the time's, which has no line.
+    keys = page.page.locator(".plot").first.locator(".u-marker")
+    lines = keys.evaluate_all("keys => keys.slice(1).map(({ style }) => `${style.borderWidth} ${style.borderStyle}`)")
+    assert len(lines) == len(set(lines)) == 4
+
+
 def test_a_mode_that_lasts_is_known_without_a_change_that_day(context, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(*records(MIDNIGHT, MIDNIGHT + 2 * HOUR))

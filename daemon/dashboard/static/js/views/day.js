@@ -16,7 +16,8 @@ const EXPAND = 2;
 // What the report takes for a pause: of scans and curves a minute, of all else a quarter of an hour.
 const SHORT_PAUSE_S = 60;
 const LONG_PAUSE_S = 900;
-const FACES = [["east", "#0084c8"], ["south", "#d98200"], ["west", "#00926b"], ["zenith", "--ink"]];
+// Told apart without their colours too: whole, dashed, dotted and bold.
+const FACES = [["east", "#0084c8"], ["south", "#d98200", { dash: [7, 3] }], ["west", "#00926b", { dash: [2, 3] }], ["zenith", "--ink", { width: 2.5 }]];
 const SHADES = { ok: "--ok", calm: "--track", warn: "--sun", bad: "--bad" };
 const KINDS_OF_NUMBERS = ["scans", "poses", "decisions", "curves"];
 const KINDS_OF_LINES = ["modes", "moves", "events"];
@@ -173,11 +174,11 @@ export function day() {
     held.spans = spans();
     const [scans, curves] = [held.scans, held.curves].map((columns) => withPauses(columns, SHORT_PAUSE_S));
     const [poses, decisions] = [held.poses, held.decisions].map((columns) => withPauses(columns, LONG_PAUSE_S));
-    put("Irradiance", "W/m²", scans.time, FACES.map(([name, colour]) => ({ label: name, colour, values: scans[`${name}_w_m2`], digits: 0 })), { width, height: 240 });
+    put("Irradiance", "W/m²", scans.time, FACES.map(([name, colour, line]) => ({ label: name, colour, ...line, values: scans[`${name}_w_m2`], digits: 0 })), { width, height: 240 });
     const estimated = decisions.dni_est.some((value) => value !== null);
     if (estimated) {
       const share = decisions.dhi_est.map((value, i) => (value === null || !(decisions.zenith_w_m2[i] > 20) ? null : Math.min(value / decisions.zenith_w_m2[i], 1.2)));
-      put("Light as the law sees it", "W/m²", decisions.time, [{ label: "beam", colour: "#d98200", values: decisions.dni_est, steps: true, digits: 0 }, { label: "diffuse", colour: "#0084c8", values: decisions.dhi_est, steps: true, digits: 0 }], { width, height: 150 });
+      put("Light as the law sees it", "W/m²", decisions.time, [{ label: "beam", colour: "#d98200", values: decisions.dni_est, steps: true, digits: 0 }, { label: "diffuse", colour: "#0084c8", dash: [7, 3], values: decisions.dhi_est, steps: true, digits: 0 }], { width, height: 150 });
       put("Diffuse fraction", "of the horizontal irradiance", decisions.time, [{ label: "fraction", colour: "#0084c8", values: share, steps: true, digits: 2 }], { width, height: 120, range: [0, 1.2] });
     }
     const angles = held.sun.path.map((point) => sunAngles(point, held.latitude));

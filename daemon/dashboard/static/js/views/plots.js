@@ -36,7 +36,7 @@ export class Plots {
       width: Math.max(200, options.width),
       height: options.height ?? 210,
       cursor: { sync: { key: this.key.key }, drag: { x: true, y: false }, points: { size: 6 } },
-      legend: { live: true, show: !options.bare },
+      legend: { live: true, show: !options.bare, markers: { width: (_, i) => series[i - 1].width ?? 1.5, dash: (_, i) => lineStyle(series[i - 1]) } },
       scales: { x: { time: true }, y: options.range ? { range: options.range } : {} },
       axes: [
         { ...axis, values: (_, ticks) => ticks.map((tick) => localTime(tick * 1000, false)), space: 64 },
@@ -85,6 +85,12 @@ export class Plots {
     }
     this.all = [];
   }
+}
+
+// What CSS calls the line of a series.
+function lineStyle({ dash }) {
+  if (!dash) return "solid";
+  return dash[0] > dash[1] ? "dashed" : "dotted";
 }
 
 function words(title, unit, series) {
