@@ -138,6 +138,24 @@ def test_alarms_push_no_stop_off_the_screen_of_a_phone(context, site):
     assert stop["y"] + stop["height"] < browsers.PHONE["height"] - 75
 
 
+def test_with_letters_twice_as_large_nothing_leaves_the_screen_of_a_phone(browser, site):
+    large = browsers.launch(browser.browser_type, "--blink-settings=defaultFontSize=32")
+    try:
+        page = browsers.Page(large.new_context(viewport={"width": 320, "height": 640}), site.url)
+        for view, shown in [
+            ("now", ".equipment td"),
+            ("control", ".order"),
+            ("fleet", ".fleet td"),
+            ("day", ".day select"),
+        ]:
+            page.show(view)
+            page.page.wait_for_selector(shown)
+            assert page.page.evaluate("document.documentElement.scrollWidth") == 320, view
+        assert page.complaints == []
+    finally:
+        large.close()
+
+
 def test_stow_for_all_asks_for_the_token_again_when_the_session_is_gone(context, site, back_to_tracking):
     page = logged_in(context, site, "fleet")
     context.clear_cookies()
