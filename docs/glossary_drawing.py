@@ -47,7 +47,7 @@ def cube() -> Iterator[str]:
     for right, down, name in ((1, 0, "east"), (0, 1, "south"), (-1, 0, "west")):
         start, end = (x + right * half, y + down * half), (x + right * reach, y + down * reach)
         yield line("line normal", start, end, tip=True)
-        where = {"east": (end[0], y - 10), "west": (end[0], y - 10), "south": (x + 32, end[1] - 8)}[name]
+        where = {"east": (end[0], y - 10), "west": (end[0], y - 10), "south": (x + 38, end[1] - 8)}[name]
         yield text("mid", where, name)
     yield f'<circle class="line" cx="{x:g}" cy="{y:g}" r="9"/><circle cx="{x:g}" cy="{y:g}" r="3" fill="var(--ink)"/>'
     yield text("mid", (x, y + 36), "zenith")
@@ -74,7 +74,7 @@ def tilts_b() -> Iterator[str]:
     yield ground(2 * PANEL, "south", "north")
     for name, b_deg in zip(CLASSES, (LIMITS_B[1], 45, LIMITS_B[0]), strict=True):
         yield from module(name, (x, y), (-cos(radians(b_deg)), sin(radians(b_deg))), f"B {b_deg}")
-    yield text("mid note", (2.5 * PANEL, GROUND + 62), "90 is flat; 15 looks nearly at the horizon")
+    yield text("mid note", (2.5 * PANEL, GROUND + 62), "90 is flat, 15 is nearly upright")
 
 
 def module(name: str, pivot: tuple[float, float], normal: tuple[float, float], label: str) -> Iterator[str]:

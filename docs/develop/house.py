@@ -26,8 +26,8 @@ STYLE = (
     "text{font-family:sans-serif;fill:#222}.name{font-size:15px;font-weight:bold}.about{font-size:11.5px}"
     ".note{font-size:12.5px;fill:#555}rect{stroke:#456;stroke-width:1}"
 )
-# Mean width of a letter of the text, as a share of its size.
-LETTER = 0.53
+# Mean width of a letter in a wide font, as a share of its size.
+LETTER = 0.6
 
 
 class Box(NamedTuple):
