@@ -24,6 +24,20 @@ NOTEBOOK = (
     "../docs/tutorials/notebook.ipynb"
 )
 ZENSICAL = "zensical build --strict --clean"
+# A server gives the page of a wrong address under that address, in whatever folder the site lies: it has to look there
+# for the first of the site's own folders itself.
+LOST = "404.html"
+BEGIN = """<script>{
+  const root = location.pathname.match(/^.*?\\/(?=(?:FOLDERS)\\/)|^.*\\//)[0];
+  document.head.insertAdjacentHTML("afterbegin", `<base href="${root}">`);
+}</script>"""
+BEGIN_OF_SEARCH = """<script>{
+  const settings = document.getElementById("__config");
+  settings.textContent = JSON.stringify({ ...JSON.parse(settings.textContent), base: document.baseURI });
+}</script>"""
+LOST_WORDS = """
+  <h1>There is no such page</h1>
+  <p>Search for what you are after, or begin at <a href="index.html">the front page</a>.</p>"""
 # What Zensical's pages ask of the network.
 SHIM = "https://unpkg.com/iframe-worker/shim"
 DECISIONS_HEAD = """# Decisions
@@ -46,6 +60,7 @@ def main() -> int:
         if step == NOTEBOOK:
             plain_tables(site / "pages" / "tutorials" / "notebook.md")
     menu = named(tomllib.loads((site / "zensical.toml").read_text(encoding="utf-8")))
+    at_home_anywhere(site / "html")
     asking = own_scripts(site / "html")
     if asking:
         print(f"asks something of the network: {', '.join(asking)}", file=sys.stderr)
@@ -83,6 +98,17 @@ def plain_tables(page: Path) -> None:
     """Let the tables of a notebook look like all others of the site."""
     text = re.sub(r"<style scoped>.*?</style>\n?", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     page.write_text(text.replace('<table border="1" class="dataframe">', "<table>"), encoding="utf-8")
+
+
+def at_home_anywhere(html: Path) -> None:
+    """Let the page of a wrong address find the site, wherever it lies, and say what to do."""
+    folders = "|".join(sorted(path.name for path in html.iterdir() if path.is_dir()))
+    text = re.sub(r"""((?:href|src)=|"search":)"/""", r'\1"', (html / LOST).read_text(encoding="utf-8"))
+    text = text.replace("<head>", "<head>" + BEGIN.replace("FOLDERS", folders), 1)
+    text = re.sub(r"\s*<h1>404 - Not found</h1>", LOST_WORDS, text)
+    text = text.replace('new URL("/",location)', 'new URL(".",document.baseURI)')
+    text = re.sub(r'<script src="assets', lambda found: BEGIN_OF_SEARCH + found[0], text, count=1)
+    (html / LOST).write_text(text, encoding="utf-8")
 
 
 def own_scripts(html: Path) -> list[str]:

@@ -44,6 +44,22 @@ def test_a_page_that_fetches_from_elsewhere_is_named(tmp_path):
     assert (DOCS / "site" / "iframe-worker.js").is_file()
 
 
+def test_the_page_of_a_wrong_address_finds_the_site_in_whatever_folder_it_lies(tmp_path):
+    (tmp_path / "tutorials").mkdir()
+    page = '<head><link href="/site.css"></head><h1>404 - Not found</h1>{"search":"/s.js"}<script src="/assets/b.js">'
+    (tmp_path / "404.html").write_text(page, encoding="utf-8")
+    BUILD.at_home_anywhere(tmp_path)
+    text = (tmp_path / "404.html").read_text(encoding="utf-8")
+    assert '"/' not in text
+    assert 'href="index.html"' in text
+    assert text.index("<base") < text.index("site.css")
+    (root,) = re.findall(r"match\(/(.+)/\)\[0\]", text)
+    found = {
+        path: re.match(root, path)[0] for path in ("/no.html", "/at/docs/no.html", "/at/docs/tutorials/far/no.html")
+    }
+    assert list(found.values()) == ["/", "/at/docs/", "/at/docs/"]
+
+
 def test_the_search_takes_the_name_of_an_alarm_for_one_word():
     settings = tomllib.loads((DOCS / "site" / "zensical.toml").read_text(encoding="utf-8"))
     separator = settings["project"]["plugins"]["search"]["separator"]
