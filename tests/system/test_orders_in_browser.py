@@ -156,6 +156,19 @@ def test_with_letters_twice_as_large_nothing_leaves_the_screen_of_a_phone(browse
         large.close()
 
 
+def test_a_long_reason_pushes_nothing_off_the_screen_of_a_phone(context, site):
+    page = browsers.Page(context, site.url, "control")
+    page.page.set_viewport_size({"width": 320, "height": 640})
+    page.sees(".hero h1", "Tracking")
+    width = page.page.evaluate(
+        """() => {
+            document.querySelector(".hero .why").textContent = "/var/lib/heliocube/tracker/learned.json cannot be read";
+            return document.documentElement.scrollWidth;
+        }"""
+    )
+    assert width == 320
+
+
 def test_stow_for_all_asks_for_the_token_again_when_the_session_is_gone(context, site, back_to_tracking):
     page = logged_in(context, site, "fleet")
     context.clear_cookies()
