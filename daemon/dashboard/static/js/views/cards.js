@@ -104,7 +104,7 @@ function showWind(node, source, extra) {
 
 export function light() {
   const { list, values } = facts(["Beam, normal to the sun", "Diffuse, horizontal", "Albedo of the ground", "Learned albedo", "Learned gains E / S / W", "Power of the module"]);
-  const node = card("Light, as the law sees it", null, list);
+  const node = card("Light and power", null, list);
 
   function update({ tracker, extra, old }) {
     setClass(node, "stale", old);
