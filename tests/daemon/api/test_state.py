@@ -2,12 +2,14 @@
 
 import asyncio
 import math
+import re
 from dataclasses import replace
 from operator import itemgetter
 
 import pytest
 
 from daemon.base.records import Mode, MoveOutcome
+from tests.support import DOCS
 from tests.support.motion import A_PACKET, B_PACKET, lose
 from tests.support.phases import at_rest, tracking, under_way
 
@@ -36,6 +38,21 @@ def test_the_state_tells_everything_with_age_and_quality(serve):
         assert found["bridge"]["accepted"] > 5
         assert found["decision"]["law"] == "mu-prime"
         assert any("tracking" in item["text"] for item in found["news"])
+
+    serve(scenario)
+
+
+def test_the_page_about_the_interface_names_every_key_of_the_state(serve):
+    page = (DOCS / "api.md").read_text(encoding="utf-8")
+    whole, _, own = page.partition("## What the state has")[2].partition("Of a tracker.")
+    firsts = [" ".join(re.findall(r"^\| (.+?) \|", part, re.MULTILINE)) for part in (whole, own)]
+    of_all, of_one = (set(re.findall(r"`(\w+)`", words)) for words in firsts)
+
+    async def scenario(rig, call):
+        found = (await call.get("/api/state")).json
+        (tracker,) = found["trackers"].values()
+        assert of_all == set(found) - set(tracker)
+        assert set(tracker) <= of_one
 
     serve(scenario)
 
