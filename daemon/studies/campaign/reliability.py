@@ -51,10 +51,10 @@ Faults without a row, which the campaign throws all the same:
 _MATRIX = """
 ## Component by component
 
-What the campaign does to each component, by the names of its faults. A cell that is not done is refused by
-`--only COMPONENT:FAULT`, for the reason that stands here.
+What the campaign does to each component, by the names of its faults; kinds of fault with one answer share a row. What
+is not done is refused by `--only COMPONENT:FAULT`, for the reason that stands here.
 
-| Component | Fault | Done as, or why not |
+| Component | Kinds of fault | Done as, or why not |
 |---|---|---|
 """
 
@@ -115,12 +115,18 @@ def page(
     text += "".join(f"| {row} |\n" for row in pair_rows(pairs, seen))
     text += _UNSEEN + "".join(f"| `{name}` | {why} |\n" for name, why in UNSEEN.items())
     text += _MATRIX
-    for component in COMPONENTS:
-        for kind in FAULT_KINDS:
-            found = cell(component, kind)
-            done = f"not done: {found}" if isinstance(found, str) else ", ".join(f"`{name}`" for name in found)
-            text += f"| {component} | {kind} | {done} |\n"
-    return text
+    return text + "".join(f"| {row} |\n" for component in COMPONENTS for row in _component_rows(component))
+
+
+def _component_rows(component: str) -> Iterator[str]:
+    """Yield a row for each answer that a component's kinds of fault have."""
+    kinds: dict[str, list[str]] = {}
+    for kind in FAULT_KINDS:
+        found = cell(component, kind)
+        done = f"not done: {found}" if isinstance(found, str) else ", ".join(f"`{name}`" for name in found)
+        kinds.setdefault(done, []).append(kind)
+    for done, alike in kinds.items():
+        yield f"{component} | {', '.join(alike)} | {done}"
 
 
 def _row(drill: Drill, measured: WorstSeen) -> str:

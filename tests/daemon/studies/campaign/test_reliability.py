@@ -75,6 +75,16 @@ def test_the_page_has_what_is_declared_now():
     assert written.count("Every bound is kept, and no promise was broken.") == 2
 
 
+def test_the_page_has_each_kind_of_fault_of_each_component_once():
+    matrix = page([], [], [], []).partition("Component by component")[2]
+    rows = [line.strip("| ").split(" | ") for line in matrix.splitlines() if line.startswith("| ")][1:]
+    for component in COMPONENTS:
+        kinds = [kind for name, alike, _ in rows if name == component for kind in alike.split(", ")]
+        assert sorted(kinds) == sorted(FAULT_KINDS)
+        answers = [answer for name, _, answer in rows if name == component]
+        assert len(answers) == len(set(answers))
+
+
 def _declared_rows(text: str) -> list[list[str]]:
     """Return the tables' cells but for those that were measured."""
     rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| ")]
