@@ -74,13 +74,17 @@ def main() -> int:
 
 
 def stage(folder: Path) -> None:
-    """Copy every page and picture to `folder`, with links that hold there."""
+    """Copy every page and picture to `folder`, with links that hold and read well there."""
     shutil.copytree(DOCS, folder, ignore=shutil.ignore_patterns("*.py", "*.ipynb", "zensical.toml", "__pycache__"))
     for source, name in BESIDE.items():
         text = (ROOT / source).read_text(encoding="utf-8")
         (folder / name).write_text(re.sub(r"\]\(docs/", "](", text), encoding="utf-8")
+    menu = (HERE / "zensical.toml").read_text(encoding="utf-8")
+    titles = {Path(page).name: title for title, page in re.findall(r'"([^"]+)" = "([^"]+\.md)"', menu)}
     for page in folder.rglob("*.md"):
         text = re.sub(r"\]\(((?:\.\./)*decisions/)\)", r"](\1index.md)", page.read_text(encoding="utf-8"))
+        # In a repository a page is known by its file, on the site by its place in the menu.
+        text = re.sub(r"\[(?:docs/)?([\w-]+\.md)\](?=\()", lambda found: f"[{titles[found[1]]}]", text)
         page.write_text(text.replace("notebook.ipynb)", "notebook.md)"), encoding="utf-8")
     (folder / "decisions" / "index.md").write_text(decisions(), encoding="utf-8")
 

@@ -31,6 +31,13 @@ def test_the_menu_names_every_page_once(tmp_path):
     assert len(re.findall(r'"[\w/.-]+\.md"', text)) == len(pages)
 
 
+def test_a_link_is_called_as_the_menu_calls_its_page_and_not_by_its_file(tmp_path):
+    BUILD.stage(tmp_path / "pages")
+    texts = {page.name: page.read_text(encoding="utf-8") for page in (tmp_path / "pages").rglob("*.md")}
+    assert "([Alarms](alarms.md))" in texts["dashboard.md"]
+    assert [name for name, text in texts.items() if re.search(r"\[[\w/.-]+\.md\]\(", text)] == []
+
+
 def test_every_decision_is_in_the_list_of_them():
     listed = re.findall(r"- \[.+\]\((.+)\)", BUILD.decisions())
     assert listed == [page.name for page in sorted((DOCS / "decisions").glob("0*.md"))]
