@@ -177,12 +177,11 @@ def _positioner(found: _Families, seen: PositionerState, name: str) -> None:
     telemetry = seen.telemetry
     found.gauge("positioner_up", "1 while the positioner sends telemetry.", float(seen.connected), tracker=name)
     found.gauge("moving", "1 during a move or a reference run.", float(seen.moving), tracker=name)
-    faults = len(telemetry.faults) if telemetry else 0
-    found.gauge("faults", "Latched faults of the positioner.", faults, tracker=name)
     if seen.pose_age_s is not None:
         found.gauge("pose_age_seconds", "Age of the newest telemetry.", seen.pose_age_s, tracker=name)
     if seen.pose is None or telemetry is None:
         return
+    found.gauge("faults", "Latched faults of the positioner.", len(telemetry.faults), tracker=name)
     found.by_axis("angle_degrees", "Where the tracker stands.", seen.pose.a_deg, seen.pose.b_deg, tracker=name)
     if math.isfinite(telemetry.supply_v):
         found.gauge("supply_volts", "Motor supply of the positioner.", telemetry.supply_v, tracker=name)

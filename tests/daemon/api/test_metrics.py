@@ -18,3 +18,14 @@ def test_metrics_are_those_of_prometheus(serve):
         assert "python_info" not in names
 
     serve(scenario)
+
+
+def test_faults_of_a_positioner_that_does_not_answer_are_not_zero_but_not_there(serve):
+    async def scenario(rig, call):
+        await under_way(rig)
+        assert b'heliocube_faults{tracker="tracker"} 0.0' in (await call.get("/metrics")).body
+        rig.cables.positioner.link_up = False
+        await rig.until(lambda: not rig.motion.connected, 60, "the loss of the link")
+        assert b"heliocube_faults" not in (await call.get("/metrics")).body
+
+    serve(scenario)
