@@ -4,6 +4,7 @@ import errno
 import getpass
 import json
 import os
+import re
 import socket
 import time
 from collections.abc import Mapping
@@ -37,6 +38,8 @@ _REPEATABLE = ("/api/state", "/healthz", "/api/stop", "/api/stow", "/api/mainten
 _TRIES = 3
 _AGAIN_AFTER_S = 0.1
 _OTHER_ADDRESS = "127.20.22.1"
+_LENGTH = re.compile(rb"(?i)\r\ncontent-length: *(\d+)")
+_BEFORE_IT_WAS_SENT = (errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EADDRNOTAVAIL)
 
 
 class NoServiceError(UserError):
@@ -127,7 +130,10 @@ class Client:
                 f"nothing listens at {self.address}: the service is not running, or its api.listen is another address"
             ) from None
         except OSError as error:
-            raise NoServiceError(f"the service at {self.address} does not answer: {error}") from None
+            taken = "; it may have taken the command all the same: see 'heliocube status'"
+            after = taken if method == "POST" and error.errno not in _BEFORE_IT_WAS_SENT else ""
+            why = error.strerror or error
+            raise NoServiceError(f"the service at {self.address} does not answer: {why}{after}") from None
         try:
             found = json.loads(content)
         except ValueError:
@@ -159,12 +165,9 @@ class Client:
         """Ask again where the connection was cut off without an answer, if what is asked may be asked twice."""
         for _ in range(_TRIES - 1 if path in _REPEATABLE else 0):
             try:
-                status, content = self._exchange(method, path, body)
+                return self._exchange(method, path, body)
             except (ConnectionResetError, BrokenPipeError):
-                status = b""
-            if status:
-                return status, content
-            time.sleep(_AGAIN_AFTER_S)
+                time.sleep(_AGAIN_AFTER_S)
         return self._exchange(method, path, body)
 
     def _exchange(self, method: str, path: str, body: bytes) -> tuple[bytes, bytes]:
@@ -185,7 +188,10 @@ class Client:
             reply = bytearray()
             while len(reply) < _LONGEST_REPLY and (part := connection.recv(65536)):
                 reply += part
-        head, _, content = bytes(reply).partition(b"\r\n\r\n")
+        head, end, content = bytes(reply).partition(b"\r\n\r\n")
+        said = _LENGTH.search(head)
+        if not reply or (head.startswith(b"HTTP/") and not (end and (said is None or len(content) >= int(said[1])))):
+            raise ConnectionResetError(errno.ECONNRESET, "the connection was cut off before the end of the answer")
         return b"".join(head.split(b" ")[1:2]), content
 
     def _connect(self) -> socket.socket:
@@ -193,6 +199,8 @@ class Client:
         try:
             return socket.create_connection(place, _TIMEOUT_S)
         except OSError as error:
+            if isinstance(error, TimeoutError):
+                raise OSError(errno.EHOSTUNREACH, "timed out") from None
             if error.errno != errno.EADDRNOTAVAIL or not self.address.host.startswith("127."):
                 raise
         # A flood from this machine has used up the ports of the usual address; each of loopback has its own.
