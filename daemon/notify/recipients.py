@@ -47,9 +47,8 @@ class AppriseRecipient:
 
     def __init__(self, address: str) -> None:
         apprise = _apprise()
-        asset = apprise.AppriseAsset()
-        # A message that is posted to where it was moved is asked for there, and any page is taken for its acceptance.
-        asset.http_redirects = False
+        # Where a server has moved, a page is asked for instead of the message sent, and taken for its acceptance.
+        asset = apprise.AppriseAsset(http_redirects=False)
         service = apprise.Apprise.instantiate(address, asset=asset)
         if service is None:
             raise ValueError("apprise knows no such address")
