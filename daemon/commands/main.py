@@ -79,6 +79,9 @@ class _Commands(TyperGroup):
             raise
 
 
+# In what matplotlib says as it is loaded, on a full disk for one; a command that draws nothing does not load it.
+_NO_CACHE = "MPLCONFIGDIR"
+
 show_values_in_words()
 app = typer.Typer(
     cls=_Commands,
@@ -352,6 +355,13 @@ def main() -> None:
         say(f"heliocube: {error}", err=True)
         sys.exit(error.exit_code)
     except OSError as error:
+        if _NO_CACHE in str(error):
+            say(
+                "heliocube: what draws the pictures needs a folder of its own, and finds neither in the user's home nor"
+                f" among the temporary files room for one: free space there, or set {_NO_CACHE} to a folder",
+                err=True,
+            )
+            sys.exit(ExitCode.MISTYPED)
         # Every command looks at paths that a person has named; what may be looked at is not for each of them to know.
         if error.filename is None or error.errno not in (errno.EACCES, errno.EPERM, errno.ENAMETOOLONG):
             raise

@@ -233,3 +233,14 @@ from daemon.entry import main; main()
 """
     done = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, timeout=90, cwd=ROOT)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", f"heliocube: {sentence}\n")
+
+
+def test_no_room_for_what_draws_the_pictures_is_a_sentence_and_no_defect(tmp_path):
+    program = "import tempfile; tempfile.tempdir = '/dev/null/x'; from daemon.entry import main; main()"
+    words = ["gain", "--lat", "48", "--plot", str(tmp_path / "gain.png")]
+    without_home = os.environ | {"MPLCONFIGDIR": "/dev/null/y"}
+    command = [sys.executable, "-c", program, *words]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=90, cwd=ROOT, env=without_home)
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.splitlines()[-1].startswith("heliocube: what draws the pictures needs a folder of its own, and")
