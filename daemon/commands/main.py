@@ -40,6 +40,7 @@ from daemon.commands.status import command as status_command
 from daemon.commands.studies import calibrate, campaign, compare, energy, gain, samples
 from daemon.commands.studies import report as reports
 from daemon.commands.studies.simulate import (
+    after_tables,
     checked_pictures,
     checked_report,
     draw_pictures,
@@ -247,21 +248,23 @@ def simulate(
     pages: Sequence[Path] = ()
     if not as_json:
         report(summary, settings, out)
-    if drawn:
-        draw_pictures(drawn, settings, out, local)
-        pages = drawn
-    if report_to is not None and summary.interrupted_utc_s is None:
-        from daemon.studies.report.studies import report_simulation
+    ended = summary.interrupted_utc_s
+    kept = f"the tables in {out} are whole" if ended is None else f"the tables end at {iso_utc(ended)[:19]}Z"
+    with after_tables(kept):
+        if drawn:
+            draw_pictures(drawn, settings, out, local)
+            pages = drawn
+        if report_to is not None and ended is None:
+            from daemon.studies.report.studies import report_simulation
 
-        reports = report_simulation(settings, span, out, table_format.value, report_to, local, force=force)
-        pages = [*pages, *reports]
+            reports = report_simulation(settings, span, out, table_format.value, report_to, local, force=force)
+            pages = [*pages, *reports]
     if as_json:
         print_json(page_of(summary, settings, out, pages))
     else:
         tell_pages(pages)
-    if summary.interrupted_utc_s is not None:
-        end = iso_utc(summary.interrupted_utc_s)[:19]
-        raise InterruptedEarlyError(f"interrupted: the tables end at {end}Z{without_page(report_to)}")
+    if ended is not None:
+        raise InterruptedEarlyError(f"interrupted: {kept}{without_page(report_to)}")
 
 
 app.add_typer(dashboard.app)

@@ -146,6 +146,15 @@ def without_page(report_to: Path | None) -> str:
     return "" if report_to is None else ", and no page was written"
 
 
+@contextlib.contextmanager
+def after_tables(what: str) -> Iterator[None]:
+    """Let Ctrl-C say `what` is kept while pictures and pages are made of it; raises `InterruptedEarlyError`."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise InterruptedEarlyError(f"interrupted: {what}, but not all pictures and pages are") from None
+
+
 def tell_pages(paths: "Sequence[Path]") -> None:
     """Say where pages or pictures are."""
     for path in paths:
@@ -218,7 +227,8 @@ def replay(
     if report_to is not None and done == len(rows):
         from daemon.studies.report.studies import report_replay
 
-        pages = report_replay(settings, span, rows, replayed, out, report_to, local, force=force)
+        with after_tables(f"{out} is whole"):
+            pages = report_replay(settings, span, rows, replayed, out, report_to, local, force=force)
     warnings, law = replayed.failed_laws, settings.law.driver
     if as_json:
         page = {"simulated": True, "rows": done, "law": law, "warnings": warnings, "table": out, "reports": pages}

@@ -84,3 +84,15 @@ def test_a_replay_tells_of_a_law_that_fails_as_a_simulation_does(heliocube, tmp_
     assert (code, told.splitlines()[1]) == (0, f"{FAILED}12:05:05Z on")
     code, told, _ = heliocube(*asked, "--force", "--json")
     assert (code, json.loads(told)["warnings"]) == (0, [f"{FAILED}12:05:05Z on"])
+
+
+def test_ctrl_c_while_pictures_are_drawn_says_that_the_tables_are_whole(heliocube, tmp_path, monkeypatch):
+    def interrupted(*_, **_more):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", interrupted)
+    asked = ("--start", "2022-10-14T11:50Z", "--days", 0.01, "--plot", tmp_path / "day.png")
+    code, _, told = heliocube("simulate", *asked, "--out", tmp_path / "out")
+    kept = f"the tables in {tmp_path / 'out'} are whole, but not all pictures and pages are"
+    assert (code, told) == (130, f"heliocube: interrupted: {kept}\n")
+    assert (tmp_path / "out" / "poses.csv").exists()
