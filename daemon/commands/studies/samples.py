@@ -27,6 +27,11 @@ def samples(
     except OSError as error:
         raise UserError(f"--out: {out} cannot be a folder: {error.strerror}") from None
     for source in sources:
-        shutil.copyfile(source, out / source.name)
+        try:
+            shutil.copyfile(source, out / source.name)
+        except OSError as error:
+            # Half a day would pass for a recording with a gap.
+            (out / source.name).unlink(missing_ok=True)
+            raise UserError(f"--out: {out} cannot take {source.name}: {error.strerror}") from None
     say(f"written to {out}: {', '.join(source.name for source in sources)}")
     say(f"SIMULATED; site {SITE.latitude_deg:g},{SITE.longitude_deg:g},{SITE.altitude_m:g}; free to use (CC0-1.0)")

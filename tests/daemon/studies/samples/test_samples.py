@@ -65,3 +65,10 @@ def test_copies_are_written_once_and_an_unknown_day_lists_the_known(tmp_path):
     assert CliRunner().invoke(app, ["samples", "--out", str(out), "--force"]).exit_code == 0
     with pytest.raises(heliocube.UserError, match="no sample day 'foggy': choose clear, mixed, overcast"):
         heliocube.sample("foggy")
+
+
+def test_a_day_that_a_full_disk_does_not_take_whole_is_not_left_there(tmp_path):
+    (tmp_path / "mixed.csv").symlink_to("/dev/full")
+    done = CliRunner().invoke(app, ["samples", "--out", str(tmp_path), "--force"])
+    assert str(done.exception) == f"--out: {tmp_path} cannot take mixed.csv: No space left on device"
+    assert [path.name for path in tmp_path.iterdir()] == ["clear.csv"]
