@@ -68,9 +68,10 @@ def angles_from_direction(direction: ArrayLike) -> tuple[Array, Array]:
     """Return (a_deg, b_deg) that point the normal along `direction`, shape (..., 3), of any positive length.
 
     Andriamahefa et al. (2023), equation (14), with the sign of A that follows from (13) (the printed (15) lost it).
-    B runs from 0 to 180 deg here; limits are not applied. A direction that is zero, NaN or infinite gives NaN.
+    B runs from 0 to 180 deg here; limits are not applied. A direction that is zero, NaN or infinite gives NaN, and
+    another shape `ValueError`, here and below.
     """
-    vector = np.asarray(direction, dtype=np.float64)
+    vector = _vectors(direction)
     south, east, up = vector[..., 0], vector[..., 1], vector[..., 2]
     with np.errstate(invalid="ignore", over="ignore"):
         length = np.sqrt(south * south + east * east + up * up)
@@ -87,7 +88,7 @@ def angles_within(direction: ArrayLike, limits: Limits) -> tuple[Array, Array]:
     B is that of equation (14), clipped; A is then the best for that B, atan2(-j, i cos B + k sin B), which is (14)
     itself wherever B was inside. A direction that is zero, NaN or infinite gives NaN.
     """
-    vector = np.asarray(direction, dtype=np.float64)
+    vector = _vectors(direction)
     _, free_b_deg = angles_from_direction(vector)
     b_deg = np.clip(free_b_deg, limits.b_min_deg, limits.b_max_deg)
     b = np.radians(b_deg)
@@ -107,7 +108,7 @@ def direction_from_azimuth(azimuth_deg: ArrayLike, elevation_deg: ArrayLike, lat
 
 def azimuth_from_direction(direction: ArrayLike, latitude_deg: float) -> tuple[Array, Array]:
     """Return (azimuth_deg from North clockwise, elevation_deg) of vector(s) of shape (..., 3)."""
-    vector = np.asarray(direction, dtype=np.float64)
+    vector = _vectors(direction)
     north = -_hemisphere(latitude_deg) * vector[..., 0]
     azimuth = np.degrees(np.arctan2(vector[..., 1], north)) % 360.0
     elevation = np.degrees(np.arctan2(vector[..., 2], np.hypot(vector[..., 0], vector[..., 1])))
@@ -121,10 +122,17 @@ def equator_azimuth_deg(latitude_deg: float) -> float:
 
 def separation_deg(first: ArrayLike, second: ArrayLike) -> Array:
     """Return the angle(s) [deg] between vectors of shape (..., 3); exact for small angles too."""
-    u, v = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    u, v = _vectors(first), _vectors(second)
     across: Array = np.linalg.norm(np.cross(u, v), axis=-1)
     along: Array = np.sum(u * v, axis=-1)
     return np.degrees(np.arctan2(across, along))
+
+
+def _vectors(given: ArrayLike) -> Array:
+    vectors = np.asarray(given, dtype=np.float64)
+    if vectors.shape[-1:] != (3,):
+        raise ValueError(f"directions are south, east, up along the last axis, not an array of {vectors.shape}")
+    return vectors
 
 
 def _hemisphere(latitude_deg: float) -> float:

@@ -34,8 +34,9 @@ def mu_prime(faces: ArrayLike, *, uniform_threshold: float = 0.01) -> Array:
     Raises
     ------
     ValueError
-        The last axis has not four faces.
+        The last axis has not four faces, or the threshold is no share.
     """
+    _check_share("uniform threshold", uniform_threshold)
     east, south, west, zenith, valid = _split(faces)
     equatorward = _beyond(south - np.minimum(east, west), uniform_threshold * zenith)
     return _direction(equatorward, east - west, zenith, valid)
@@ -72,11 +73,14 @@ def sun_vector(
     Raises
     ------
     ValueError
-        The last axis has not four faces, or the albedo is none.
+        The last axis has not four faces, or the albedo, the threshold or the uncertainty is no share.
     """
-    # Written so that NaN fails.
-    if not 0.0 <= albedo <= 1.0:
-        raise ValueError(f"the albedo must be a share from 0 to 1, not {albedo}")
+    for name, value in (
+        ("albedo", albedo),
+        ("uniform threshold", uniform_threshold),
+        ("gain uncertainty", gain_uncertainty),
+    ):
+        _check_share(name, value)
     east, south, west, zenith, valid = _split(faces)
     least = np.minimum(east, west)
     equatorward = _beyond(south - least, uniform_threshold * zenith)
@@ -116,6 +120,12 @@ def chronometric(sun_direction: ArrayLike) -> Array:
     """Return the sun's direction(s), shape (..., 3), and NaN where the sun is below the horizon."""
     sun = np.asarray(sun_direction, dtype=np.float64)
     return np.where(sun[..., 2:] > 0, sun, np.nan)
+
+
+def _check_share(name: str, value: float) -> None:
+    # Written so that NaN fails.
+    if not 0.0 <= value <= 1.0:
+        raise ValueError(f"the {name} must be a share from 0 to 1, not {value}")
 
 
 def _split(faces: ArrayLike) -> tuple[Array, Array, Array, Array, np.ndarray]:

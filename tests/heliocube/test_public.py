@@ -76,6 +76,25 @@ def test_an_albedo_that_is_no_share_is_refused(albedo):
         heliocube.sun_vector(SOUTH_AT_45_DEG, albedo=albedo)
 
 
+@pytest.mark.parametrize("wrong", [-1.0, np.nan])
+def test_a_threshold_that_is_no_share_is_refused_by_both_laws_of_the_paper(wrong):
+    for law in (heliocube.mu_prime, heliocube.sun_vector):
+        with pytest.raises(ValueError, match=f"the uniform threshold must be a share from 0 to 1, not {wrong}"):
+            law([1.0, 2.0, 3.0, 4.0], uniform_threshold=wrong)
+
+
+@pytest.mark.parametrize("wrong", [[1.0, 2.0], np.ones((3, 5))], ids=["two", "turned"])
+def test_directions_of_another_shape_are_refused_and_not_read_by_their_first_three(wrong):
+    sentence = "directions are south, east, up along the last axis, not an array of"
+    for call in (
+        heliocube.angles_from_direction,
+        lambda vector: heliocube.angles_within(vector, heliocube.Limits()),
+        lambda vector: heliocube.separation_deg(vector, vector),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            call(wrong)
+
+
 def test_a_kind_that_no_store_has_is_refused_with_those_that_are_there(tmp_path):
     for kinds in ("scan", ["poses", "scan"]):
         with pytest.raises(heliocube.UserError, match="kinds: 'scan' is not one of scans, decisions, moves, poses"):
