@@ -1,6 +1,7 @@
 """Small files: TOML within bounds, replacing as a whole so that a crash leaves no part, and secrets."""
 
 import contextlib
+import errno
 import itertools
 import os
 import stat
@@ -19,6 +20,13 @@ _DEEPEST_TOML = 20
 # What parses a key takes the square of its parts.
 _MOST_POINTS = 200
 _LONGEST_TOML_TEXT = 4096
+
+
+def drop_cut(path: Path, error: OSError) -> None:
+    """Remove a file that a full disk has cut; one that could not be opened is left as it is."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        with contextlib.suppress(OSError):
+            path.unlink()
 
 
 def replace_file(path: Path, text: str) -> None:

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from daemon.base.errors import UserError
+from daemon.base.files import drop_cut
 from daemon.commands.answers import say
 from daemon.commands.options import ForceOption
 from daemon.store.outputs import check_outputs
@@ -31,7 +32,7 @@ def samples(
             shutil.copyfile(source, out / source.name)
         except OSError as error:
             # Half a day would pass for a recording with a gap.
-            (out / source.name).unlink(missing_ok=True)
+            drop_cut(out / source.name, error)
             raise UserError(f"--out: {out} cannot take {source.name}: {error.strerror}") from None
     say(f"written to {out}: {', '.join(source.name for source in sources)}")
     say(f"SIMULATED; site {SITE.latitude_deg:g},{SITE.longitude_deg:g},{SITE.altitude_m:g}; free to use (CC0-1.0)")

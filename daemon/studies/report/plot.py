@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib import rc_context
 
 from daemon.base.errors import UserError
+from daemon.base.files import drop_cut
 from daemon.config.settings import Settings
 from daemon.store.runs import nothing_in
 from daemon.studies.inputs import parse_site
@@ -84,4 +85,5 @@ def draw(material: Material, names: Sequence[str], paths: Sequence[Path], zone: 
                 metadata = {"Date": None} if path.suffix.lower() == ".svg" else {}
                 figure.savefig(path, dpi=_DPI, facecolor="white", metadata=metadata)
         except OSError as error:
+            drop_cut(path, error)
             raise UserError(f"{path} cannot be written: {error.strerror}") from None

@@ -9,6 +9,7 @@ import pytest
 from matplotlib.dates import date2num
 from matplotlib.image import imread
 
+from daemon.base.errors import UserError
 from daemon.studies.report.material import of_tables
 from daemon.studies.report.motion import motion_of
 from daemon.studies.report.pictures import PICTURES, Drawing
@@ -111,6 +112,14 @@ def test_a_picture_in_a_file_has_a_white_ground(tmp_path):
     pixels = imread(tmp_path / "wind.png")
     assert pixels[..., 3].min() == 1.0
     assert pixels[0, 0].tolist() == [1.0, 1.0, 1.0, 1.0]
+
+
+def test_a_picture_that_a_full_disk_does_not_take_whole_is_not_left_there(tmp_path):
+    path = tmp_path / "wind.png"
+    path.symlink_to("/dev/full")
+    with pytest.raises(UserError, match=r"wind\.png cannot be written: No space left on device"):
+        draw(material(), ["wind"], [path], None)
+    assert not path.is_symlink()
 
 
 @pytest.mark.parametrize(("days", "words"), [(1, "14 October 2022, UTC; below it local time, CEST"), (2, "UTC")])

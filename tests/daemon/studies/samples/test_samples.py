@@ -72,3 +72,10 @@ def test_a_day_that_a_full_disk_does_not_take_whole_is_not_left_there(tmp_path):
     done = CliRunner().invoke(app, ["samples", "--out", str(tmp_path), "--force"])
     assert str(done.exception) == f"--out: {tmp_path} cannot take mixed.csv: No space left on device"
     assert [path.name for path in tmp_path.iterdir()] == ["clear.csv"]
+
+
+def test_what_may_not_be_overwritten_stays_as_it_was(tmp_path):
+    (tmp_path / "mixed.csv").symlink_to("/proc/version")
+    done = CliRunner().invoke(app, ["samples", "--out", str(tmp_path), "--force"])
+    assert f"{tmp_path} cannot take mixed.csv" in str(done.exception)
+    assert (tmp_path / "mixed.csv").is_symlink()
