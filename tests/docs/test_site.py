@@ -85,6 +85,14 @@ def test_the_notebook_is_kept_without_its_results():
     assert not [cell["id"] for cell in cells if cell.get("outputs") or cell.get("execution_count")]
 
 
+def test_the_notebook_s_service_takes_no_port_that_another_may_have():
+    cells = json.loads((DOCS / "tutorials" / "notebook.ipynb").read_text(encoding="utf-8"))["cells"]
+    (written,) = re.findall(r"settings = '(.+)'", "".join(line for cell in cells for line in cell["source"]))
+    settings = tomllib.loads(written.replace("\\n", "\n"))
+    assert settings["bridge"]["listen"].endswith(":0")
+    assert settings["api"]["enabled"] is False
+
+
 @pytest.mark.parametrize("word", [*Mode, "A", "B", "face", "stop", "scan", "target", "law"])
 def test_the_glossary_has_the_words_of_the_status(word):
     text = (DOCS / "glossary.md").read_text(encoding="utf-8")
