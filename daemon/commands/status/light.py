@@ -40,6 +40,8 @@ def _shadow(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
 
 def _energies(one_kwh_m2: float, other_kwh_m2: float) -> tuple[str, str]:
     """Return two of a kind in the unit that shows their difference, which stands behind the second."""
+    if max(one_kwh_m2, other_kwh_m2) < 0.01:
+        return f"{1000 * one_kwh_m2:.2f}", f"{1000 * other_kwh_m2:.2f} Wh/m2"
     if max(one_kwh_m2, other_kwh_m2) < 1.0:
         return f"{1000 * one_kwh_m2:.0f}", f"{1000 * other_kwh_m2:.0f} Wh/m2"
     return f"{one_kwh_m2:.2f}", f"{other_kwh_m2:.2f} kWh/m2"

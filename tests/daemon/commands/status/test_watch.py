@@ -79,7 +79,11 @@ def test_a_warning_comes_above_the_screen_which_is_taken_away_and_drawn_anew():
 
 @pytest.mark.parametrize(
     ("actual", "chronometric", "shown"),
-    [(0.84, 0.83, "+1.2 % over chronometric: 840 against 830 Wh/m2"), (3.0, 3.03, "-1.0 % over chronometric: 3.00 ag")],
+    [
+        (0.0013, 0.001, "+30.0 % over chronometric: 1.30 against 1.00 Wh/m2"),
+        (0.84, 0.83, "+1.2 % over chronometric: 840 against 830 Wh/m2"),
+        (3.0, 3.03, "-1.0 % over chronometric: 3.00 ag"),
+    ],
 )
 def test_what_was_received_is_shown_in_a_unit_that_tells_the_two_apart(state, actual, chronometric, shown):
     state["received"] = {

@@ -14,7 +14,7 @@ function facts(names) {
 
 // The law's name stands above already.
 const because = ({ law, why }) => (why.startsWith(`${law}: `) ? why.slice(law.length + 2) : why);
-const energy = (kwh) => (kwh < 1 ? num(1000 * kwh, 0, "Wh/m²") : num(kwh, 2, "kWh/m²"));
+const energy = (kwh) => (kwh < 1 ? num(1000 * kwh, kwh < 0.01 ? 2 : 0, "Wh/m²") : num(kwh, 2, "kWh/m²"));
 const pair = ({ target_a_deg: a, target_b_deg: b }) => `A ${signedDeg(a)}, B ${deg(b)}`;
 
 function inTheShadow({ law, failed_why, gain, travelled_deg, active_travelled_deg }) {
