@@ -137,6 +137,9 @@ def test_every_template_finds_its_value_in_the_state_and_every_button_is_a_comma
                 for mode in ("hold", "stow", "snow", "maintenance", "fault"):
                     found_mode = _rendered(components["command"], {**tracking, "mode": {"name": mode}})
                     assert found_mode == ("auto" if mode == "fault" else mode)
+                for mode, at_stow, shown in [("stow", False, "OFF"), ("stow", True, "ON"), ("tracking", True, "OFF")]:
+                    seen = {**tracking, "mode": {"name": mode}, "at_stow": at_stow}
+                    assert _rendered(components["stowed"], seen) == shown
                 assert values["readings"] == "OFF"
                 assert 0 < values["irradiance_zenith"] < 1500
                 assert values["angle_b"] == pytest.approx(tracking["tracker"]["pose"]["b_deg"])
