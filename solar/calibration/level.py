@@ -18,6 +18,8 @@ _ZENITH = len(FACE_NORMALS) - 1
 _LEAST_COMMON = 8
 # Beyond these the other instrument does not see this sky, or its clock, place or unit is another one.
 _LARGEST_SPREAD, _LARGEST_RATIO = 0.02, 1.3
+# From here on it matters to which instant of its span a mean belongs.
+_LONG_STEP_S = 150.0
 
 
 class Tie(NamedTuple):
@@ -40,11 +42,14 @@ class Level:
         has none; None without such an instrument.
     ghi_error
         Relative standard error of that instrument's own calibration (one sigma).
+    ghi_step_s
+        How far apart its values are.
     """
 
     faces: tuple[Tie | None, Tie | None, Tie | None, Tie | None] = (None, None, None, None)
     ghi_w_m2: Array | None = None
     ghi_error: float = 0.0075
+    ghi_step_s: float = 60.0
 
 
 def ties(level: Level, shape: Shape, vertical: float, zenith_over_ghi: Array) -> tuple[Tie | None, Tie | None]:
@@ -64,7 +69,7 @@ def ties(level: Level, shape: Shape, vertical: float, zenith_over_ghi: Array) ->
     """
     of_zenith = [level.faces[_ZENITH]]
     if level.ghi_w_m2 is not None:
-        of_zenith.append(Tie(_ratio(zenith_over_ghi), level.ghi_error))
+        of_zenith.append(Tie(_ratio(zenith_over_ghi, level.ghi_step_s), level.ghi_error))
     of_vertical = [
         None if tie is None else Tie(tie.response * vertical / float(shape.response[face]), tie.error)
         for face, tie in enumerate(level.faces[:_ZENITH])
@@ -72,7 +77,7 @@ def ties(level: Level, shape: Shape, vertical: float, zenith_over_ghi: Array) ->
     return _together(of_zenith), _together(of_vertical)
 
 
-def _ratio(zenith_over_ghi: Array) -> float:
+def _ratio(zenith_over_ghi: Array, step_s: float) -> float:
     logs = np.log(zenith_over_ghi[np.isfinite(zenith_over_ghi) & (zenith_over_ghi > 0.0)])
     if logs.size < _LEAST_COMMON:
         raise ValueError(
@@ -82,10 +87,12 @@ def _ratio(zenith_over_ghi: Array) -> float:
     middle = float(np.median(logs))
     spread = 1.4826 * float(np.median(np.abs(logs - middle)))
     if not spread <= _LARGEST_SPREAD:
+        apart = f"its values are {step_s / 60:g} min apart: is each mean's time the middle of its span? "
+        means = apart if step_s > _LONG_STEP_S else ""
         raise ValueError(
             f"a GHI nearby that goes with the zenith face: their ratio varies by {spread:.1%} from one quarter of an "
-            f"hour to the next, where {_LARGEST_SPREAD:.0%} is the most (its times in UTC? a clock that is minutes "
-            "off, or another sky?)"
+            f"hour to the next, where {_LARGEST_SPREAD:.0%} is the most ({means}its times in UTC? a clock that is "
+            "minutes off, or another sky?)"
         )
     if not abs(middle) <= np.log(_LARGEST_RATIO):
         raise ValueError(

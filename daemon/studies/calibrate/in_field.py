@@ -1,6 +1,7 @@
 """Evaluation of `heliocube calibrate field`: the cube where it stands."""
 
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +75,26 @@ class FieldResult:
     night_readings: int
     level: LevelSources
 
+    @property
+    def contradictions(self) -> list[str]:
+        """What is said to be known of the level and cannot all be true, k = 2, a clause for each two."""
+        known, change_percent = self.level.referenced, 100.0 * np.log(self.fit.response)
+        vertical = [face for face in known if face != "zenith"]
+        found = []
+        for one, other in combinations(vertical, 2):
+            apart = abs(float(change_percent[FACES.index(one)] - change_percent[FACES.index(other)]))
+            found.append((f"of {one} and of {other}", apart, float(np.hypot(known[one], known[other]))))
+        if "zenith" in known and self.level.ghi is not None:
+            # The fit lies between the two, as far from each as its variance tells.
+            both = float(np.hypot(known["zenith"], self.level.ghi_uncertainty_percent))
+            apart = abs(float(change_percent[FACES.index("zenith")])) * (both / known["zenith"]) ** 2
+            found.append(("of zenith and the GHI", apart, both))
+        return [
+            f"what is said to be known {who} is {apart:.1f} % apart in these readings, where {most:.1f} % is explained"
+            for who, apart, most in found
+            if apart > most
+        ]
+
 
 def calibrate_field(
     readings: FaceReadings,
@@ -126,7 +147,7 @@ def _level(sources: LevelSources, utc_s: Array, site: Site) -> Level:
     east, south, west, zenith = (
         Tie(1.0, sources.referenced[face] / 200.0) if face in sources.referenced else None for face in FACES
     )
-    ghi = None
+    ghi, step_s = None, MEAN_S
     if sources.ghi is not None:
         times, values = block_means(sources.ghi.utc_s, sources.ghi.ghi_w_m2 - zero_of(sources.ghi, site), MEAN_S)
         ghi = values_at(utc_s, times, values[:, None])[:, 0]
@@ -135,4 +156,5 @@ def _level(sources: LevelSources, utc_s: Array, site: Site) -> Level:
                 f"--ghi: {sources.ghi.source} has {span_text(sources.ghi.utc_s)}, and the cube's readings "
                 f"{span_text(utc_s)}; check the file and that its times are UTC"
             )
-    return Level((east, south, west, zenith), ghi, sources.ghi_uncertainty_percent / 200.0)
+        step_s = float(np.median(np.diff(sources.ghi.utc_s)))
+    return Level((east, south, west, zenith), ghi, sources.ghi_uncertainty_percent / 200.0, step_s)

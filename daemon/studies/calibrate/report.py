@@ -93,6 +93,7 @@ def field_page(found: FieldResult, made_on: CubeSetup) -> dict[str, Any]:
         "days": found.fit.days,
         "standing": _standing(found, made_on.site.latitude_deg),
         "level_by": found.level.names,
+        "contradictions": found.contradictions,
         "unexplained_share": found.fit.shape.residual,
         "doubtful": not found.fit.shape.residual <= _DOUBTFUL,
     }
@@ -129,6 +130,11 @@ def field_lines(found: FieldResult, made_on: CubeSetup, sky: str) -> list[str]:
         f"albedo  {fit.albedo:.3f} +- {standing['albedo_uncertainty']:.3f} (law.albedo)",
         f"left unexplained: {100.0 * fit.shape.residual:.2f} % of the zenith face",
         f"Uncertainties (U, +-) are expanded, k = 2. {_level_line(found)}",
+    ]
+    lines += [
+        f"Doubtful: {clause}; check each certificate, its serial number and its gain in the configuration, or leave "
+        "one out."
+        for clause in found.contradictions
     ]
     if not fit.shape.residual <= _DOUBTFUL:
         lines.append(

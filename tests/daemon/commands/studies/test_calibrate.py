@@ -2,6 +2,7 @@ import csv
 import functools
 import gzip
 import json
+import re
 from contextlib import closing
 
 import numpy as np
@@ -242,6 +243,35 @@ def test_a_face_with_a_reference_holds_the_level_of_the_others(heliocube, tmp_pa
     words = " ".join(told.split())
     assert "The level of the gains is held by the gain of zenith (U 0.5 %), and by the clear-sky model." in words
     assert "From that the model alone gives the vertical faces." in words
+
+
+def test_two_references_that_cannot_both_be_true_are_named(heliocube, tmp_path):
+    utc_s, faces = in_place()
+    ghi = ClearSky(SIRTA).at(utc_s).ghi_w_m2
+    roof = write(tmp_path / "roof.csv", ["time", "ghi"], [(iso(t), 1.04 * g) for t, g in zip(utc_s, ghi, strict=True)])
+    fill_store(tmp_path, utc_s, faces / [GAINS[0], GAINS[1], GAINS[2] / 1.04, GAINS[3]])
+    known = [word for face in ("east=1", "south=1.5", "west=1", "zenith=1") for word in ("--referenced", face)]
+    asked = ("calibrate", "field", "--store", tmp_path, *SITE, "--ghi", roof, "--ghi-uncertainty", "1")
+    code, told, _ = heliocube(*asked, *known, "--out", tmp_path / "one.toml")
+    assert code == 0
+    words = " ".join(told.split())
+    apart = dict(re.findall(r"known (of \w+ and \w+ \w+) is ([0-9.]+) % apart", words))
+    assert set(apart) == {"of east and of west", "of south and of west", "of zenith and the GHI"}
+    assert [float(percent) for percent in apart.values()] == pytest.approx([4.0] * 3, abs=0.4)
+    assert "in these readings, where 1.4 % is explained; check each certificate" in words
+    _, told, _ = heliocube(*asked, *known[:4], "--out", tmp_path / "other.toml", "--json")
+    assert json.loads(told)["contradictions"] == []
+
+
+def test_a_ghi_by_ten_minute_means_that_does_not_go_with_the_cube_is_refused_with_its_step(heliocube, tmp_path):
+    fill_store(tmp_path, *in_place())
+    utc_s = MAY + np.arange(0.0, 3 * 86400.0, 60.0)
+    means = ClearSky(SIRTA).at(utc_s).ghi_w_m2.reshape(-1, 10).mean(axis=1)
+    roof = write(tmp_path / "roof.csv", ["time", "ghi"], [(iso(t), g) for t, g in zip(utc_s[::10], means, strict=True)])
+    asked = ("calibrate", "field", "--store", tmp_path, *SITE, "--out", tmp_path / "o.toml", "--ghi", roof)
+    code, _, err = heliocube(*asked)
+    assert code == 2
+    assert "its values are 10 min apart: is each mean's time the middle of its span?" in " ".join(err.split())
 
 
 def test_readings_of_another_calibration_are_refused(heliocube, tmp_path):
