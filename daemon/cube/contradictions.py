@@ -65,7 +65,8 @@ class Contradictions:
             return False
         if whys[face] is Doubt.SWAPPED:
             return self._fit.in_order([place for place, why in enumerate(whys) if why is Doubt.SWAPPED])
-        return self._fit.whole < AGREEMENT
+        # All four are needed again soon, whatever lies on the ground; one can be done without.
+        return (self._fit.whole if whys[face] is Doubt.TORN else self._fit.ordinary) < AGREEMENT
 
     def _judged_beside(self, frozen: Sequence[int]) -> NDArray[np.int64]:
         """Accuse another face than the frozen one only where the others contradict each other without it as well."""

@@ -25,6 +25,9 @@ BLOCKS = 5
 """Minutes whose mean is judged: a passing shadow and the edge of a cloud are no faults."""
 BAD_LOOKS = 3
 _GOOD_LOOKS = 10
+# A face that is found wrong again so soon after it was used again has to agree for twice as long each time.
+_RELAPSE_S = 86400.0
+_MOST_GOOD_LOOKS = 160
 _UPRIGHT = 0.05
 _ZENITH = FACES.index("zenith")
 
@@ -126,6 +129,7 @@ class FaceWatch:
         """Judge from the beginning: what was found until now was found by a sun that stood elsewhere."""
         self._corrections = self._clock_watch.corrections
         self._bad, self._good = [0] * len(FACES), [0] * len(FACES)
+        self._good_needed, self._forgiven_s = [_GOOD_LOOKS] * len(FACES), [-math.inf] * len(FACES)
         self._whys: list[Doubt] = [Doubt.NONE] * len(FACES)
         self._minutes.clear()
         self._contradictions = Contradictions()
@@ -223,12 +227,20 @@ class FaceWatch:
             self._good[face] = 0
             # What has to follow the light again, or to stand in order, does so whatever else it reads meanwhile.
             if self._bad[face] >= BAD_LOOKS and not (doubt is Doubt.OVER and self._whys[face] in _HARD_TO_FORGIVE):
+                if self._whys[face] is Doubt.NONE:
+                    self._note_relapse(face)
                 self._whys[face] = doubt
         elif sound:
             self._bad[face] = 0
             self._good[face] += 1
-            if self._good[face] >= _GOOD_LOOKS:
+            if self._good[face] >= self._good_needed[face] and self._whys[face] is not Doubt.NONE:
                 self._whys[face] = Doubt.NONE
+                self._forgiven_s[face] = self._clock.monotonic()
+
+    def _note_relapse(self, face: int) -> None:
+        """Ask more of a face that was used again less than a day ago."""
+        soon = self._clock.monotonic() - self._forgiven_s[face] < _RELAPSE_S
+        self._good_needed[face] = min(2 * self._good_needed[face], _MOST_GOOD_LOOKS) if soon else _GOOD_LOOKS
 
     def _report(self) -> None:
         now = f"{iso_utc(self._clock.utc())[:16].replace('T', ' ')} UTC"

@@ -27,6 +27,9 @@ _SOLVED = 0.06
 _CLEARLY = 2.0
 _ALBEDOS = np.array([0.1, 0.3, 0.7])
 _HORIZON_RANGE = (-0.2, 0.7)
+# Snow and the brightest horizon explain much: a face at half its gain agrees with three others once or twice a day.
+_WITHOUT_SNOW = 2
+_ORDINARY_HORIZON_RANGE = (-0.2, 0.4)
 _LIT_W_M2 = 30.0
 _PARTS = 3
 _LEAST_MINUTES = 24
@@ -48,6 +51,8 @@ class Misfits(NamedTuple):
         The same in the part of the time where they agree best.
     swapped
         By all four with two swapped back, for each of `PAIRS`, shape (6,).
+    ordinary
+        By all four where the ground has no snow and the horizon is no brighter than it usually is.
     """
 
     whole: float
@@ -55,6 +60,7 @@ class Misfits(NamedTuple):
     without: Array
     least_without: Array
     swapped: Array
+    ordinary: float
 
     @property
     def contradict(self) -> bool:
@@ -71,7 +77,9 @@ class Misfits(NamedTuple):
             # A face that stands still may for a while look like its neighbour.
             return ()
         if swapped is not None:
-            return PAIRS[swapped]
+            # What one face explains about as well is no swap: one at half its gain looked like two.
+            alone = float(self.without.min()) < _CLEARLY * float(self.swapped[swapped])
+            return () if alone else PAIRS[swapped]
         return () if single is None else (single,)
 
     def bears(self, face: int) -> bool:
@@ -108,7 +116,7 @@ def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
     tried = np.concatenate([np.repeat(faces[None], len(_HELD_BACK), axis=0), np.moveaxis(faces[:, orders], 0, 1)])
     used = np.concatenate([_HELD_BACK, np.ones((len(PAIRS), 4), dtype=np.bool_)])[:, None, :]
     used = np.broadcast_to(used, tried.shape)
-    left = _left_over(tried, up, used)
+    left, without_snow = _left_over(tried, up, used)
     there = (used * tried**2).sum(axis=-1)
     shares = np.sqrt(left.sum(axis=-1) / there.sum(axis=-1))
     parts = zip(np.array_split(left, _PARTS, axis=-1), np.array_split(there, _PARTS, axis=-1), strict=True)
@@ -119,6 +127,7 @@ def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
         without=shares[1:5],
         least_without=least[1:5],
         swapped=shares[5:],
+        ordinary=float(np.sqrt(without_snow[0].sum() / there[0].sum())),
     )
 
 
@@ -133,16 +142,24 @@ def _order(pair: tuple[int, int]) -> list[int]:
     return [{one: other, other: one}.get(face, face) for face in range(4)]
 
 
-def _left_over(faces: Array, sun: Array, used: NDArray[np.bool_]) -> Array:
-    """Return the squares left over, shape (k, n), over the ground that explains the faces best."""
+def _left_over(faces: Array, sun: Array, used: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return the squares left over, shape (k, n), over the ground that explains most: any, and without snow."""
     albedo = _ALBEDOS[:, None, None]
     light = light_from_faces(np.broadcast_to(faces, (len(_ALBEDOS), *faces.shape)), sun, albedo, used[None])
-    over = np.where(used, faces - faces_of(light, sun, albedo), 0.0)
-    squares: Array = (over**2).sum(axis=-1).min(axis=0)
-    return squares
+    any_light, ordinary = (
+        (np.where(used, faces - faces_of(light, sun, albedo, limits), 0.0) ** 2).sum(axis=-1)
+        for limits in (_HORIZON_RANGE, _ORDINARY_HORIZON_RANGE)
+    )
+    return any_light.min(axis=0), ordinary[:_WITHOUT_SNOW].min(axis=0)
 
 
-def faces_of(light: Light, sun: Array, albedo: Array | float) -> Array:
-    """Return what the faces of a cube read [W/m2] in a light whose horizon is no darker than any is, shape (..., 4)."""
-    horizon = np.clip(light.horizon, _HORIZON_RANGE[0] * light.uniform, _HORIZON_RANGE[1] * light.uniform)
+def faces_of(
+    light: Light, sun: Array, albedo: Array | float, horizon_range: tuple[float, float] = _HORIZON_RANGE
+) -> Array:
+    """Return what the faces of a cube read [W/m2] in a light whose horizon is within a range, shape (..., 4).
+
+    Without a range it is no darker, and no brighter, than any is; a range is a share of the uniform part.
+    """
+    low, high = horizon_range
+    horizon = np.clip(light.horizon, low * light.uniform, high * light.uniform)
     return on_faces(light._replace(horizon=horizon), sun, albedo)

@@ -1,14 +1,14 @@
 """What a face that lies costs: weeks of measured weather with each fault, energy against chronometric and the bound.
 
 Usage: python tests/measurements/face_weeks.py FOLDER [--law LAW ...] [--month M ...] [--kind KIND ...] [--scan SECONDS]
-[--day DAY] [--still HOUR]
+[--day DAY] [--still HOUR] [--soiled SHARE]
 
 FOLDER holds the months of a year at Lyngby. Of each month seven days, from the 8th on or from --day, are replayed
 through the service's own code under Perez' sky, with a real sensor's noise. A fault is there from the first midnight;
 what stands still does so from noon (UTC) of the first day on, or from the hour of --still. `held` stands still but for
 its noise, `stuck` does so at 300 W/m2; `shaded` has no beam while the sun is within 30 deg of where the face looks;
-`soiled` keeps 80 % of its light. By default June and December of `optimal`; --month 4 6 10 12 --law optimal mu-prime is
-the whole, 20 minutes.
+`soiled` keeps 80 % of its light, or the share of --soiled. By default June and December of `optimal`;
+--month 4 6 10 12 --law optimal mu-prime is the whole, 20 minutes.
 """
 
 import argparse
@@ -44,7 +44,9 @@ PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 class Week:
     """A week's light, what the faces read in it, and what chronometric and the bound collect a day [Wh/m2]."""
 
-    def __init__(self, folder: Path, month: int, first_day: int, scan_s: float, still_hour: float) -> None:
+    def __init__(
+        self, folder: Path, month: int, first_day: int, scan_s: float, still_hour: float, soiled: float = SOILED
+    ) -> None:
         (path,) = folder.glob(f"*-{month:02d}.csv*")
         weather = measured_weather(path)
         year = datetime.fromtimestamp(weather.start_utc_s + DAY_S, UTC).year
@@ -62,7 +64,7 @@ class Week:
         self.utc_s = self.utc_s[self.order]
         self.sky = build_sky(self.light, "perez1990")
         dull = build_sky(lay_out(utc_s, 0.0 * now.dni_w_m2, now.dhi_w_m2, LYNGBY, scan_s), "perez1990")
-        self.still_s = begin + 3600.0 * still_hour
+        self.still_s, self.soiled = begin + 3600.0 * still_hour, soiled
         ideal = normal_from_angles(*angles_within(self.light.sun, LIMITS))
         self.chronometric = self.light.by_day(self.sky.irradiance_on(ideal, ALBEDO))
         self.bound = self.light.by_day(best_possible(self.light, self.sky, LIMITS, ALBEDO))
@@ -94,7 +96,7 @@ class Week:
         elif kind == "stuck":
             faces[:, face] = STUCK_W_M2 + noise
         elif kind == "soiled":
-            faces[:, face] *= SOILED
+            faces[:, face] *= self.soiled
         elif kind == "shaded":
             azimuth_deg = np.degrees(np.arctan2(self.sun[:, 1], -self.sun[:, 0])) % 360.0
             # North is 0; the frame's first axis looks to the equator, its second to the east.
@@ -144,9 +146,10 @@ def main() -> None:
     parser.add_argument("--scan", type=float, default=30.0)
     parser.add_argument("--day", type=int, default=8)
     parser.add_argument("--still", type=float, default=12.0)
+    parser.add_argument("--soiled", type=float, default=SOILED)
     arguments = parser.parse_args()
     for month in arguments.month:
-        week = Week(arguments.folder, month, arguments.day, arguments.scan, arguments.still)
+        week = Week(arguments.folder, month, arguments.day, arguments.scan, arguments.still, arguments.soiled)
         for law in arguments.law:
             share, days, travel, tracking = week.driven(law, week.faces)
             print(f"\nmonth {month}, {law}: share of the bound [%], of the healthy week's [%], worst day over")

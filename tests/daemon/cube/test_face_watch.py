@@ -78,6 +78,7 @@ class WatchedDay:
 
 
 MORNING_UTC_S = 1655283600.0  # 2022-06-15 09:00
+DECEMBER_UTC_S = MORNING_UTC_S - 180 * 86400.0
 
 
 @pytest.mark.parametrize(("face", "at_w_m2"), [(0, 90.0), (0, 300.0), (1, 120.0), (1, 450.0), (3, 250.0), (3, 600.0)])
@@ -117,6 +118,33 @@ def test_a_face_is_accused_by_the_third_look_at_five_minutes_and_forgiven_after_
     assert day.doubted() == [3]
     day.minutes(6)
     assert day.doubted() == []
+
+
+def test_a_face_that_is_found_wrong_again_within_a_day_has_to_agree_for_twice_as_long():
+    # Without the half hour, which has to agree as well.
+    day = WatchedDay(MORNING_UTC_S, east=CubeSettings().east.model_copy(update={"azimuth_deg": 60.0}))
+    agreed = []
+    for gap_hours in (0, 0, 0, 25):
+        day.clock.utc_s += 3600.0 * gap_hours
+        day.minutes(12, frozen=3, at_w_m2=1800.0)
+        agreed.append(0)
+        while day.doubted():
+            day.minutes(1)
+            agreed[-1] += 1
+    assert np.diff(agreed).tolist() == pytest.approx([10, 20, -30], abs=1)
+
+
+@pytest.mark.parametrize("face", [1, 3])
+def test_a_face_at_half_its_gain_is_no_swap_of_two_and_is_not_forgiven_by_a_light_that_would_need_snow(face):
+    day = WatchedDay(DECEMBER_UTC_S)
+    day.share[face] = 0.5
+    doubted = []
+    for _ in range(40):
+        day.minutes(10)
+        doubted.append(day.doubted())
+    assert 2 not in map(len, doubted)
+    named = doubted.index([face]) if face == 3 else len(doubted)
+    assert all(face in faces for faces in doubted[named:])
 
 
 def test_looks_that_accuse_a_face_count_only_without_one_that_agrees_between_them():
