@@ -116,7 +116,8 @@ def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
     tried = np.concatenate([np.repeat(faces[None], len(_HELD_BACK), axis=0), np.moveaxis(faces[:, orders], 0, 1)])
     used = np.concatenate([_HELD_BACK, np.ones((len(PAIRS), 4), dtype=np.bool_)])[:, None, :]
     used = np.broadcast_to(used, tried.shape)
-    left, without_snow = _left_over(tried, up, used)
+    left = _left_over(tried, up, used, _ALBEDOS, _HORIZON_RANGE)
+    without_snow = _left_over(tried[:1], up, used[:1], _ALBEDOS[:_WITHOUT_SNOW], _ORDINARY_HORIZON_RANGE)
     there = (used * tried**2).sum(axis=-1)
     shares = np.sqrt(left.sum(axis=-1) / there.sum(axis=-1))
     parts = zip(np.array_split(left, _PARTS, axis=-1), np.array_split(there, _PARTS, axis=-1), strict=True)
@@ -142,15 +143,15 @@ def _order(pair: tuple[int, int]) -> list[int]:
     return [{one: other, other: one}.get(face, face) for face in range(4)]
 
 
-def _left_over(faces: Array, sun: Array, used: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the squares left over, shape (k, n), over the ground that explains most: any, and without snow."""
-    albedo = _ALBEDOS[:, None, None]
-    light = light_from_faces(np.broadcast_to(faces, (len(_ALBEDOS), *faces.shape)), sun, albedo, used[None])
-    any_light, ordinary = (
-        (np.where(used, faces - faces_of(light, sun, albedo, limits), 0.0) ** 2).sum(axis=-1)
-        for limits in (_HORIZON_RANGE, _ORDINARY_HORIZON_RANGE)
-    )
-    return any_light.min(axis=0), ordinary[:_WITHOUT_SNOW].min(axis=0)
+def _left_over(
+    faces: Array, sun: Array, used: NDArray[np.bool_], albedos: Array, horizon_range: tuple[float, float]
+) -> Array:
+    """Return the squares left over, shape (k, n), over the ground that explains the faces best."""
+    albedo = albedos[:, None, None]
+    light = light_from_faces(np.broadcast_to(faces, (len(albedos), *faces.shape)), sun, albedo, used[None])
+    over = np.where(used, faces - faces_of(light, sun, albedo, horizon_range), 0.0)
+    squares: Array = (over**2).sum(axis=-1).min(axis=0)
+    return squares
 
 
 def faces_of(
