@@ -75,11 +75,6 @@ class ApiServer:
         Takes the URL as soon as the port is had.
     speed
         How many times as fast as the machine's the clock runs.
-
-    Attributes
-    ----------
-    url
-        Where it is served; None while it is not.
     """
 
     def __init__(
@@ -100,8 +95,12 @@ class ApiServer:
         self._connections = Connections(api.token, api.refusals, speed)
         self._outage = Outage(log, "the local interface")
         self._bound: socket.socket | None = None
-        self.url: str | None = None
         self._try_to_bind()
+
+    @property
+    def url(self) -> str | None:
+        """Where it is served; None while it is not."""
+        return None if self._bound is None else _url_of(self._bound)
 
     async def run(self) -> None:
         """Serve until cancelled."""
@@ -117,7 +116,7 @@ class ApiServer:
         """Give the port back; needed only if `run` was never called."""
         if self._bound is not None:
             self._bound.close()
-            self._bound = self.url = None
+            self._bound = None
 
     def _try_to_bind(self) -> None:
         now_s = self._clock.monotonic()
@@ -136,9 +135,7 @@ class ApiServer:
         self._outage.up(now_s)
         self._alarm("api-down", None)
         self._bound = bound
-        host, port = bound.getsockname()[:2]
-        self.url = f"http://{Address(host, port)}"
-        self._tell(self.url)
+        self._tell(_url_of(bound))
 
     async def _serve(self, bound: socket.socket) -> None:
         pace = max(round(self._speed), 1)
@@ -172,3 +169,8 @@ class ApiServer:
             self._api.close()
             server.end()
             await serving
+
+
+def _url_of(bound: socket.socket) -> str:
+    host, port = bound.getsockname()[:2]
+    return f"http://{Address(host, port)}"
