@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-if TYPE_CHECKING:
-    from pydantic_core import ErrorDetails
-
 from daemon.base.errors import UserError
 from daemon.base.files import parse_toml, toml_text
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 
 def _no_empty_path(value: object) -> object:

@@ -53,14 +53,12 @@ def campaign(
 
     workers = chosen_workers(jobs, cluster)
     if reliability is not None:
-        _refuse_given(
-            context, "--reliability tries every fault in its own way", (*_DRAWN, "--schedule", "--show", "--keep")
-        )
+        without_effect = (*_DRAWN, "--schedule", "--show", "--keep")
+        _refuse_given(context, "--reliability tries every fault in its own way", without_effect)
+        check_outputs([reliability], "--reliability", force=force)
     elif schedule is not None:
         _refuse_given(context, "--schedule has its own faults and hours", _DRAWN)
-    if reliability is not None:
-        check_outputs([reliability], "--reliability", force=force)
-    elif schedule is None:
+    else:
         check_outputs([keep / f"seed-{seed}.json" for seed in range(first, first + seeds)], "--keep", force=force)
     from daemon.studies.campaign.matrix import chosen_schedules
 
