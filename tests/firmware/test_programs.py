@@ -35,7 +35,7 @@ def test_the_probe_identifies_compares_and_moves_both_axes_and_back(start_firmwa
     firmware = start_firmware(10.0, 60.0)
     before = firmware.pose_deg()
     done = heliocube("probe", "positioner", "-c", configure(firmware, tmp_path), "--seconds", "4", "--move-deg", "2")
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 0, done.stdout + done.stderr
     assert "board 36A1" in done.stdout
     assert "geometry of A fits" in done.stdout
     assert "agree with the configuration" in done.stdout

@@ -1,10 +1,11 @@
-"""How late a byte comes through a pseudo-terminal where processes have unlike shares of the processors.
+"""How late a byte comes through a pseudo-terminal, by the shares of the processors of what else runs.
 
     python -m tests.measurements.shares [--seconds 15]
 
 What is written to a pseudo-terminal is carried by a thread of the kernel. Beside twelve processes, half of which always
 compute and half of which begin anew every half millisecond, a byte is sent every 20 ms, and what comes later than
-200 ms is counted, for shares that are equal and not.
+200 ms is counted: with the share that a session has by itself and with the smaller one of `make test`, each with
+processes whose shares are equal and not. The session's share is set back at the end.
 """
 
 import argparse
@@ -15,6 +16,7 @@ import sys
 import threading
 import time
 import tty
+from pathlib import Path
 
 LATE_S = 0.2
 EVERY_S = 0.02
@@ -22,6 +24,9 @@ COMPUTES = "while True: pass"
 BEGINS_ANEW = "import time\nwhile True:\n    time.sleep(0.0005)\n    sum(range(3000))"
 SHARES = ((0, 0), (5, 0), (15, 0), (0, -10))
 """Of what computes and of what begins anew, as `nice`."""
+SESSION = Path("/proc/self/autogroup")
+SESSIONS = (0, 6)
+"""Of all of them together, likewise."""
 
 
 def measured(seconds):
@@ -58,17 +63,29 @@ def main():
     parser.add_argument("--seconds", type=float, default=15.0, help="for each pair of shares")
     seconds = parser.parse_args().seconds
     print(f"{os.cpu_count()} processors, {os.uname().release}")
-    for computing, beginning in SHARES:
-        ordered = [(computing, COMPUTES)] * 6 + [(beginning, BEGINS_ANEW)] * 6
-        beside = [subprocess.Popen(["nice", "-n", str(share), sys.executable, "-c", what]) for share, what in ordered]
-        try:
-            sent, late = measured(seconds)
-        finally:
-            for process in beside:
-                process.kill()
-                process.wait()
-        told = f"{len(late)} of {sent} late, at most {max(late, default=0.0):.2f} s"
-        print(f"nice {computing} and {beginning}: {told}", flush=True)
+    before = SESSION.read_text(encoding="ascii").split()[-1] if SESSION.exists() else None
+    try:
+        for session in SESSIONS if before else (0,):
+            if before:
+                SESSION.write_text(str(session), encoding="ascii")
+            for computing, beginning in SHARES:
+                print(f"session {session}, {told(computing, beginning, seconds)}", flush=True)
+    finally:
+        if before:
+            SESSION.write_text(before, encoding="ascii")
+
+
+def told(computing, beginning, seconds):
+    """Measure beside processes of two shares and return what came of it in words."""
+    ordered = [(computing, COMPUTES)] * 6 + [(beginning, BEGINS_ANEW)] * 6
+    beside = [subprocess.Popen(["nice", "-n", str(share), sys.executable, "-c", what]) for share, what in ordered]
+    try:
+        sent, late = measured(seconds)
+    finally:
+        for process in beside:
+            process.kill()
+            process.wait()
+    return f"nice {computing} and {beginning}: {len(late)} of {sent} late, at most {max(late, default=0.0):.2f} s"
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@ import sys
 
 import pytest
 
-from tests.support.passes import exit_code, run
+from tests.support.passes import behind_the_kernel, exit_code, misplaces_sessions, run
 
 
 def python(code):
@@ -37,3 +37,30 @@ def test_each_line_bears_its_pass_and_results_come_in_one_piece(at_once):
     assert "waiting | == test session starts ==" in lines
     assert any("== FAILURES ==\nit failed\n=== 1 failed ==" in text for text in lines)
     assert "computing | ...." in lines
+
+
+@pytest.mark.parametrize(
+    ("release", "wrong"),
+    [
+        ("6.1.0-37-amd64", False),
+        ("6.11.9-amd64", False),
+        ("6.12.48-amd64", True),
+        ("6.18-rc1", True),
+        ("6.18.44-cloud", True),
+        ("6.18.45", False),
+        ("7.0.1", False),
+        ("unknown", False),
+    ],
+)
+def test_only_the_kernels_that_misplace_sessions_are_given_way(tmp_path, release, wrong):
+    share = tmp_path / "autogroup"
+    share.write_text("/autogroup-17 nice 2\n")
+    assert misplaces_sessions(release) is wrong
+    with behind_the_kernel(share, release):
+        assert (share.read_text() == "6") is wrong
+    assert share.read_text().strip() == ("2" if wrong else "/autogroup-17 nice 2")
+
+
+def test_a_kernel_without_shares_for_sessions_is_left_alone(tmp_path):
+    with behind_the_kernel(tmp_path / "nothing", "6.18.44"):
+        assert not (tmp_path / "nothing").exists()
