@@ -17,7 +17,7 @@ _INTERRUPTED, _NOTHING_COLLECTED = 2, 5
 _SHARE = Path("/proc/self/autogroup")
 _NICE = re.compile(r"nice (-?\d+)")
 _SMALL_SHARE = 6
-# Linux from 6.12, as some distributions have it, to 6.18.44 computes the place of a session in the queue wrongly whenever
+# Linux from 6.12, as some distributions have it, to 6.18.44 computes a session's place in the queue wrongly whenever
 # one of its processes begins or ends a wait: docs/develop/tests.md.
 _FIRST_WRONG, _FIRST_RIGHT = (6, 12), (6, 18, 45)
 
