@@ -1,15 +1,14 @@
 """Rules between keys. Each is a function of the settings whose docstring is its sentence in the reference."""
 
-import ipaddress
 import math
 from collections.abc import Iterator
 from datetime import UTC, datetime
-from typing import NamedTuple
 
 import numpy as np
 
-from daemon.base.addresses import parse_address
 from daemon.base.records import FACES
+from daemon.config.conflict import Conflict
+from daemon.config.link_rules import LINK_RULES
 from daemon.config.plugged import LAW, MULTIPLEXED
 from daemon.config.sections import Sections
 from solar.frames import equator_azimuth_deg
@@ -24,14 +23,6 @@ _SWEEP_ENDS_S = 0.2
 # The bridge takes times of scans from July 1978 to the end of 2099.
 FIRST_START, END_OF_STARTS = datetime(1979, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC)
 SELF_TESTS = ("self_test_channel", "second_self_test_channel")
-
-
-class Conflict(NamedTuple):
-    """Keys that do not go together: the one to blame first, and what is wrong with it."""
-
-    key: str
-    reason: str
-    others: tuple[str, ...] = ()
 
 
 def conflicts(settings: Sections) -> list[Conflict]:
@@ -260,79 +251,6 @@ def thresholds_have_hysteresis(settings: Sections) -> Iterator[Conflict]:
         yield Conflict("safety.release_wind_m_s", reason, (other,))
 
 
-def the_bridge_is_signed_or_not(settings: Sections) -> Iterator[Conflict]:
-    """`bridge.insecure` stands without `bridge.key_file`; beyond this machine one of the two is set."""
-    bridge = settings.bridge
-    if bridge.insecure and bridge.key_file is not None:
-        reason = "contradicts bridge.key_file, which asks for signed scans; remove one of the two"
-        yield Conflict("bridge.insecure", reason, ("bridge.key_file",))
-    if bridge.insecure or bridge.key_file is not None:
-        return
-    if bridge.transport == "mqtt":
-        reason = "reaches beyond this machine, so bridge.key_file must name a key (or bridge.insecure be true)"
-        yield Conflict("bridge.transport", reason, ("bridge.key_file", "bridge.insecure"))
-    addresses = {"bridge.listen": bridge.listen}
-    addresses |= {f"bridge.send_to[{index}]": text for index, text in enumerate(bridge.send_to)}
-    if bridge.multicast_group is not None:
-        addresses["bridge.multicast_group"] = bridge.multicast_group
-    for key, text in addresses.items():
-        if not ipaddress.ip_address(parse_address(text).host).is_loopback:
-            reason = "reaches beyond this machine, so bridge.key_file must name a key (or bridge.insecure be true)"
-            yield Conflict(key, reason, ("bridge.key_file", "bridge.insecure"))
-            return
-
-
-def an_interface_has_a_group(settings: Sections) -> Iterator[Conflict]:
-    """`bridge.multicast_interface` stands only with `bridge.multicast_group`."""
-    if settings.bridge.multicast_interface is not None and settings.bridge.multicast_group is None:
-        reason = "has no effect without bridge.multicast_group"
-        yield Conflict("bridge.multicast_interface", reason, ("bridge.multicast_group",))
-
-
-def what_needs_a_broker_has_one(settings: Sections) -> Iterator[Conflict]:
-    """`bridge.transport = "mqtt"`, `mqtt.wind.topic` and `mqtt.safe.topic` stand only with `mqtt.enabled`."""
-    if settings.mqtt.enabled:
-        return
-    if settings.bridge.transport == "mqtt":
-        yield Conflict("bridge.transport", "needs mqtt.enabled = true and a broker", ("mqtt.enabled",))
-    for name in ("wind", "safe"):
-        if getattr(settings.mqtt, name).topic is not None:
-            reason = "protects nothing without mqtt.enabled = true"
-            yield Conflict(f"mqtt.{name}.topic", reason, ("mqtt.enabled",))
-
-
-def an_archive_gets_what_a_store_keeps(settings: Sections) -> Iterator[Conflict]:
-    """`mqtt.archive` stands only with `mqtt.enabled`, and on a simulated rig with `store.directory`."""
-    if settings.mqtt.archive and not settings.mqtt.enabled:
-        yield Conflict("mqtt.archive", "needs mqtt.enabled = true and a broker", ("mqtt.enabled",))
-    if settings.mqtt.archive and settings.store.directory is None and settings.instruments.kind != "real":
-        reason = "needs store.directory: a simulated rig keeps no records, and none can be sent"
-        yield Conflict("mqtt.archive", reason, ("store.directory",))
-
-
-def the_broker_is_known_as_asked(settings: Sections) -> Iterator[Conflict]:
-    """Certificate files of `mqtt` stand only with `mqtt.tls`, and a certificate with its key."""
-    mqtt = settings.mqtt
-    for name in ("ca_file", "certificate_file", "certificate_key_file"):
-        if getattr(mqtt, name) is not None and not mqtt.tls:
-            yield Conflict(f"mqtt.{name}", "has no effect without mqtt.tls = true", ("mqtt.tls",))
-    if mqtt.certificate_file is None and mqtt.certificate_key_file is not None:
-        yield Conflict("mqtt.certificate_key_file", "needs mqtt.certificate_file", ("mqtt.certificate_file",))
-
-
-def the_two_words_differ(settings: Sections) -> Iterator[Conflict]:
-    """`mqtt.safe.safe` and `mqtt.safe.unsafe` are two words."""
-    if settings.mqtt.safe.safe == settings.mqtt.safe.unsafe:
-        yield Conflict("mqtt.safe.unsafe", "must differ from mqtt.safe.safe", ("mqtt.safe.safe",))
-
-
-def quiet_hours_have_both_ends(settings: Sections) -> Iterator[Conflict]:
-    """`notify.quiet_from` and `notify.quiet_until` go together."""
-    for name, other in (("quiet_from", "quiet_until"), ("quiet_until", "quiet_from")):
-        if getattr(settings.notify, name) is not None and getattr(settings.notify, other) is None:
-            yield Conflict(f"notify.{name}", f"needs notify.{other}", (f"notify.{other}",))
-
-
 def a_curve_fits_its_period(settings: Sections) -> Iterator[Conflict]:
     """All points of a curve, each its settling and an exchange of about 20 ms, fit into `load.period_s`."""
     load = settings.load
@@ -386,15 +304,9 @@ RULES = (
     positions_are_inside_limits,
     staleness_spans_two_scans,
     thresholds_have_hysteresis,
-    the_bridge_is_signed_or_not,
-    an_interface_has_a_group,
     the_positioner_reaches_its_limits,
     the_positioner_reaches_night_stow_and_snow,
-    what_needs_a_broker_has_one,
-    an_archive_gets_what_a_store_keeps,
-    the_broker_is_known_as_asked,
-    the_two_words_differ,
-    quiet_hours_have_both_ends,
     a_curve_fits_its_period,
     a_real_rig_has_no_simulated_load,
+    *LINK_RULES,
 )

@@ -1,0 +1,33 @@
+"""Rules between the keys of what others reach."""
+
+import pytest
+
+SERVED = "[sunspec]\nenabled = true\nlisten = '{}'\n[api]\nenabled = {}\nlisten = '{}'\n"
+
+
+@pytest.mark.parametrize(
+    ("sunspec", "api"),
+    [
+        ("127.0.0.1:5020", "127.0.0.1:5020"),
+        ("0.0.0.0:5020", "127.0.0.1:5020"),
+        ("192.168.1.20:5020", "0.0.0.0:5020"),
+        ("[::]:5020", "[::1]:5020"),
+    ],
+)
+def test_two_servers_of_one_process_have_a_port_each(problem, sunspec, api):
+    said = problem(SERVED.format(sunspec, "true", api))
+    assert said.startswith(f'sunspec.listen = "{sunspec}": is the port of api.listen ({api}) already')
+
+
+@pytest.mark.parametrize(
+    ("sunspec", "served", "api"),
+    [
+        ("127.0.0.1:5020", "true", "127.0.0.1:5021"),
+        ("127.0.0.1:5020", "false", "127.0.0.1:5020"),
+        ("192.168.1.20:5020", "true", "127.0.0.1:5020"),
+        ("[::]:5020", "true", "0.0.0.0:5020"),
+        ("127.0.0.1:0", "true", "127.0.0.1:0"),
+    ],
+)
+def test_servers_that_do_not_meet_may_have_one_number(read, sunspec, served, api):
+    assert read(SERVED.format(sunspec, served, api)).sunspec.listen == sunspec
