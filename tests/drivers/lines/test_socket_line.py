@@ -26,6 +26,7 @@ def test_who_does_not_answer_is_given_up_after_five_seconds(monkeypatch):
         assert runner.run(opened_for_s()) - begin_s == pytest.approx(5.0)
 
 
+@pytest.mark.live
 def test_what_sends_on_and_on_is_told_within_seconds():
     async def act():
         over = asyncio.Event()

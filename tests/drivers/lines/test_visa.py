@@ -118,6 +118,7 @@ def test_nothing_is_kept_of_a_line_that_was_closed(ends):
     assert ports() == before
 
 
+@pytest.mark.live
 def test_what_sends_on_and_on_is_told_within_seconds(ends):
     instrument, path = ends
     over = threading.Event()

@@ -301,6 +301,7 @@ def test_a_pulled_cable_is_a_lost_link_and_the_same_name_works_again(voltmeter_h
     asyncio.run(scene())
 
 
+@pytest.mark.live
 def test_a_meter_on_gpib_behind_a_prologix_adapter_is_read(tmp_path):
     core = VoltmeterCore(lambda _now: 0.0123, np.random.default_rng(3), now=time.monotonic())
     adapter = Prologix(core, tmp_path / "prologix")

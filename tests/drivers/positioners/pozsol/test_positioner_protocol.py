@@ -93,6 +93,7 @@ class Player(threading.Thread):
         os.close(self._master)
 
 
+@pytest.mark.live
 @pytest.mark.usefixtures("patience")
 def test_the_driver_sends_these_bytes_and_believes_this_telemetry(transcript, tmp_path):
     pieces = transcript("positioner")
