@@ -3,6 +3,7 @@
 import asyncio
 import itertools
 import socket
+import struct
 import sys
 import time
 from contextlib import ExitStack
@@ -16,6 +17,7 @@ from daemon.bridge.receiver import BridgeReceiver
 from daemon.config.links import BridgeSettings
 from tests.daemon.bridge.desk import KEY, HandClock, place_of, port, scan, signed
 
+SO_TIMESTAMPNS = 35
 only_linux = pytest.mark.skipif(
     sys.platform != "linux", reason="only Linux hands a peer's datagrams to a line of its own"
 )
@@ -184,6 +186,26 @@ class Manager:
 
 
 @pytest.fixture
+def stamps():
+    """See that the kernel notes when a datagram comes, and keep it so: at the first who asks it begins some time later.
+
+    A datagram that came before has the time at which it is read, which is the same for a service that reads at once.
+    """
+    with udp() as asking:
+        asking.bind(("127.0.0.1", 0))
+        asking.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        for wait_s in (0.02, *[0.1] * 600):
+            asking.sendto(b"?", asking.getsockname())
+            time.sleep(wait_s)
+            read_s = time.time()
+            _, [(_, _, stamp)], _, _ = asking.recvmsg(16, 64)
+            seconds, nanoseconds = struct.unpack("@ll", stamp)
+            if seconds + nanoseconds / 1e9 < read_s - wait_s / 2:
+                break
+        yield
+
+
+@pytest.fixture
 def manager():
     manager = Manager()
     yield manager
@@ -192,6 +214,7 @@ def manager():
 
 
 @only_linux
+@pytest.mark.usefixtures("stamps")
 def test_what_comes_while_the_service_is_restarted_is_heard_and_dated_by_when_it_came(manager):
     async def main():
         clock, scans = HandClock(), []
