@@ -66,6 +66,11 @@ def iso_utc(utc_s: float) -> str:
     return f"{_minute(minutes)}{milliseconds // 1000:02d}.{milliseconds % 1000:03d}Z"
 
 
+def minute_utc(utc_s: float) -> str:
+    """Return a UTC instant [s] as a person reads it in a sentence, cut to the minute: ``2022-10-12 10:18 UTC``."""
+    return f"{iso_utc(utc_s)[:16].replace('T', ' ')} UTC"
+
+
 # Five instants to a scan, nearly all of them in the same minute.
 @lru_cache(maxsize=256)
 def _minute(minutes: int) -> str:

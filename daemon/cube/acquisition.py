@@ -70,7 +70,7 @@ class Acquisition:
         alarms: Alarms | None = None,
     ) -> None:
         self._face_watch = face_watch
-        self._told_sensors = None if alarms is None else ToldSensors(alarms)
+        self._told_sensors = None if alarms is None else ToldSensors(alarms, clock)
         self._settings = settings
         self._cube = GuardedCube(cube)
         self._clock = clock

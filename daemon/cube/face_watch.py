@@ -2,16 +2,18 @@
 
 import math
 from collections import deque
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daemon.base.alarms.alarms import Alarms
-from daemon.base.clock import Clock, iso_utc
+from daemon.base.clock import Clock, minute_utc
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.records import FACES
 from daemon.config.sections import CubeSettings, SiteSettings
 from daemon.cube.contradictions import MINUTES, Contradictions
+from daemon.cube.told_faces import in_a_row, reads, since_each
 from solar.ephemeris import SunDirection
 from solar.faces.contradiction import misfits
 from solar.faces.plausible import LOWEST_SINE, Doubt, Response, doubts, lit, lit_at_night, responses
@@ -32,15 +34,27 @@ _UPRIGHT = 0.05
 _ZENITH = FACES.index("zenith")
 
 _WHY = {
-    Doubt.DEAD: "next to nothing while other faces are lit: check its sensor, its cable and its multiplexer input",
-    Doubt.DARK: "nothing in daylight: check the multiplexer's supply and its address lines",
-    Doubt.SAME: "the same as another, two by two: an address line of the multiplexer is stuck, or its port is dead",
-    Doubt.FROZEN: "the same while the light changes on the others: check whether its sensor or its channel is stuck",
-    Doubt.OVER: "more than sun and sky can give there: check its gain, and whether faces are interchanged",
-    Doubt.NIGHT: "light in the night while the others are dark: check whether its sensor or its channel is stuck",
-    Doubt.ODD: "what the others and the sun's position contradict: check whether it is shaded, dirty, stuck or turned",
-    Doubt.SWAPPED: "each what the other should: check whether their cables are swapped",
-    Doubt.TORN: "what no light explains, and which of them is wrong is not known: check all four, and the clock",
+    Doubt.DEAD: "next to nothing while other faces are lit",
+    Doubt.DARK: "nothing in daylight",
+    Doubt.SAME: "the same as another, two by two",
+    Doubt.FROZEN: "the same while the light changes on the others",
+    Doubt.OVER: "more than sun and sky can give there",
+    Doubt.NIGHT: "light in the night while the others are dark",
+    Doubt.ODD: "what the others and the sun's position contradict",
+    Doubt.SWAPPED: "each what the other should",
+    Doubt.TORN: "what no light explains, and which of them is wrong is not known",
+}
+_STUCK = "whether the sensor or the channel of {} is stuck"
+_CHECK = {
+    Doubt.DEAD: "sensor, cable and multiplexer input of {}",
+    Doubt.DARK: "the multiplexer's supply and its address lines",
+    Doubt.SAME: "whether an address line of the multiplexer is stuck, or its port is dead",
+    Doubt.FROZEN: _STUCK,
+    Doubt.OVER: "the gain of {}, and whether faces are interchanged",
+    Doubt.NIGHT: _STUCK,
+    Doubt.ODD: "whether {} is shaded, dirty, stuck or turned",
+    Doubt.SWAPPED: "whether the cables of {} are swapped",
+    Doubt.TORN: "all four, and the clock",
 }
 # A face that stood still is no better for reading, for a while, what could be true.
 _MUST_FOLLOW = (Doubt.FROZEN, Doubt.NIGHT, Doubt.ODD)
@@ -243,23 +257,22 @@ class FaceWatch:
         self._good_needed[face] = min(2 * self._good_needed[face], _MOST_GOOD_LOOKS) if soon else _GOOD_LOOKS
 
     def _report(self) -> None:
-        now = f"{iso_utc(self._clock.utc())[:16].replace('T', ' ')} UTC"
+        now = minute_utc(self._clock.utc())
         whys = {name: why for name, why in zip(FACES, self._whys, strict=True) if why is not Doubt.NONE}
         if not whys and not self._since:
             # Not 'it is over': what was acknowledged before a restart takes its time to be found again.
             return
         self._since = {name: self._since.get(name, now) for name in whys}
-        parts = []
+        self._alarms.set("cube-face", self._told(whys) if whys else None, of=whys)
+
+    def _told(self, whys: Mapping[str, Doubt]) -> str:
+        """Say what is wrong with each face before what to do: where a display cuts the text, no face is missing."""
+        found: list[str] = []
+        checks: list[str] = []
         for doubt in dict.fromkeys(whys.values()):
             names = [name for name, why in whys.items() if why is doubt]
-            many, they, agree = ("faces read", "they", "agree") if len(names) > 1 else ("face reads", "it", "agrees")
-            since = " and ".join(dict.fromkeys(self._since[name] for name in names))
-            parts.append(
-                f"the {_in_a_row(names)} {many} {_WHY[doubt]}; not used since {since}, until {they} {agree} with the"
-                " others again"
-            )
-        self._alarms.set("cube-face", "; ".join(parts) or None, of=whys)
-
-
-def _in_a_row(names: list[str]) -> str:
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+            since = since_each({name: self._since[name] for name in names})
+            found.append(f"the {in_a_row(names)} {reads(names)} {_WHY[doubt]}; not used since {since}")
+            checks.append(f"check {_CHECK[doubt].format(in_a_row(names))}")
+        until = "each agrees" if len(whys) > 1 else "it agrees"
+        return f"{'; '.join(found)}, until {until} with the others again: {'; '.join(checks)}"

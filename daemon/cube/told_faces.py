@@ -2,14 +2,33 @@
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from daemon.base.alarms.alarms import Alarms, tells
+from daemon.base.clock import Clock, minute_utc
 from daemon.base.records import FACES, Quality, Scan
 from drivers.interfaces import CubeReading
 
 # At 5 s a scan not quite a minute: a reading out of range now and then is no sensor that lies, or is lost.
 _SCANS = 10
+
+
+def in_a_row(names: Sequence[str]) -> str:
+    """Return names as they stand in a sentence: ``east, south and west``."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def reads(names: Sequence[str]) -> str:
+    """Return the words behind the names of faces that tell what they read."""
+    return "faces read" if len(names) > 1 else "face reads"
+
+
+def since_each(since: Mapping[str, str]) -> str:
+    """Return since when, with the names of faces only where it is not the same of all."""
+    if len(set(since.values())) == 1:
+        return next(iter(since.values()))
+    return in_a_row([f"{at} ({name})" for name, at in since.items()])
 
 
 class _FaceAlarm(ABC):
@@ -19,14 +38,17 @@ class _FaceAlarm(ABC):
     ----------
     alarms
         Of what belongs to no tracker.
+    clock
+        The service's time: a second face raises the alarm anew, and each has a time of its own.
     """
 
     _qualities: ClassVar[tuple[Quality, ...]]
 
-    def __init__(self, alarms: Alarms) -> None:
+    def __init__(self, alarms: Alarms, clock: Clock) -> None:
         self._alarms = alarms
+        self._clock = clock
         self._counts = [0] * len(FACES)
-        self._faces: tuple[str, ...] = ()
+        self._since: dict[str, str] = {}
 
     def note(self, scan: Scan) -> None:
         """Take in a scan: ten that name a face raise the alarm, ten more that do not end it."""
@@ -34,8 +56,10 @@ class _FaceAlarm(ABC):
             step = 1 if face.quality in self._qualities else -1
             self._counts[place] = min(max(self._counts[place] + step, 0), _SCANS)
         counts = dict(zip(FACES, self._counts, strict=True))
-        faces = tuple(name for name, count in counts.items() if count == _SCANS or (count > 0 and name in self._faces))
-        self._faces = faces
+        faces = [name for name, count in counts.items() if count == _SCANS or (count > 0 and name in self._since)]
+        if faces or self._since:
+            now = minute_utc(self._clock.utc())
+            self._since = {name: self._since.get(name, now) for name in faces}
         self._tell(scan)
 
     @abstractmethod
@@ -49,12 +73,12 @@ class ToldFaces(_FaceAlarm):
     _qualities = (Quality.IMPLAUSIBLE,)
 
     def _tell(self, _scan: Scan) -> None:
-        if not self._faces:
+        names = tuple(self._since)
+        if not names:
             self._alarms.set("cube-face", None)
             return
-        read = "faces read" if len(self._faces) > 1 else "face reads"
-        text = f"the {', '.join(self._faces)} {read} what cannot be true and is not used; the cube's own alarms say why"
-        self._alarms.set("cube-face", text, of=self._faces)
+        text = f"the {in_a_row(names)} {reads(names)} what cannot be true; not used since {since_each(self._since)}"
+        self._alarms.set("cube-face", f"{text}; the cube's own alarms say why", of=names)
 
 
 class ToldSensors:
@@ -64,10 +88,14 @@ class ToldSensors:
     ----------
     alarms
         Of what belongs to no tracker.
+    clock
+        The process' time: each sensor has a time of its own.
     """
 
-    def __init__(self, alarms: Alarms) -> None:
+    def __init__(self, alarms: Alarms, clock: Clock) -> None:
         self._alarms = alarms
+        self._clock = clock
+        self._since: dict[str, str] = {}
         self._notes = [""] * len(FACES)
         self._quiet = [0] * len(FACES)
         self._told_unread = [False] * len(FACES)
@@ -88,7 +116,11 @@ class ToldSensors:
             if not self._notes[place]:
                 self._told_unread[place] = False
         told = {name: note for name, note in zip(FACES, self._notes, strict=True) if note}
-        self._alarms.set("cube-sensor", "; ".join(told.values()) or None, of=told, worse=worse)
+        if told or self._since:
+            now = minute_utc(self._clock.utc())
+            self._since = {name: self._since.get(name, now) for name in told}
+        texts = [f"{note} (since {self._since[name]})" for name, note in told.items()]
+        self._alarms.set("cube-sensor", "; ".join(texts) or None, of=told, worse=worse)
 
 
 class UnreadFaces(_FaceAlarm):
@@ -101,11 +133,11 @@ class UnreadFaces(_FaceAlarm):
 
     def _tell(self, scan: Scan) -> None:
         sensors = next((alarm.text for alarm in self._alarms.active if alarm.name == "cube-sensor"), "")
-        faces = [name for name in self._faces if not tells(sensors, (name,))]
-        if not faces or len(self._faces) == len(FACES):
+        faces = [name for name in self._since if not tells(sensors, (name,))]
+        if not faces or len(self._since) == len(FACES):
             self._alarms.set("face-unread", None)
             return
         read = dict(zip(FACES, scan.faces, strict=True))
         if all(read[name].quality in self._qualities for name in faces):
-            each = ", ".join(f"{name} ({read[name].quality})" for name in faces)
+            each = in_a_row([f"{name} ({read[name].quality} since {self._since[name]})" for name in faces])
             self._alarms.set("face-unread", f"no reading of {each} while other faces are read", of=faces)

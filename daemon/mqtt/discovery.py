@@ -91,8 +91,16 @@ def _binary(name: str, condition: str, device_class: str | None = None, **more: 
 
 def _face(name: str) -> dict[str, Any]:
     scan = "value_json.scan"
-    value = f"{scan}.faces.{name}.irradiance_w_m2 if {scan} and not {scan}.stale else none"
+    value = f"{scan}.faces.{name}.irradiance_w_m2 if {scan} and {scan}.faces.{name}.quality == 'ok' else none"
     return _sensor(f"Irradiance {name}", value, "W/m²", "irradiance")
+
+
+def _bad_faces() -> dict[str, Any]:
+    """Return the sensor that names each face that is not used, with its quality."""
+    faces = {name: f"value_json.scan.faces.{name}.quality" for name in FACES}
+    each = [f"('{name} ' + {quality} + ', ' if {quality} != 'ok' else '')" for name, quality in faces.items()]
+    bad = f"(({' + '.join(each)})[:-2] or 'none') if value_json.scan else 'no scan'"
+    return _sensor("Faces not used", bad, None, None, **_DIAGNOSTIC)
 
 
 def _pose(axis: str) -> dict[str, Any]:
@@ -140,6 +148,7 @@ _DIAGNOSTIC = {"entity_category": "diagnostic"}
 _CUBE = {
     **{f"irradiance_{name}": _face(name) for name in FACES},
     "sun_elevation": _sensor("Sun elevation", "value_json.sun_elevation_deg", "°"),
+    "faces_not_used": _bad_faces(),
     "readings": _binary("Cube readings", "not value_json.scan or value_json.scan.stale", "problem"),
     "simulated": _binary("Simulated", "value_json.simulated", **_DIAGNOSTIC),
     "alarm": _binary("Alarm", "value_json.alarms", "problem"),

@@ -96,8 +96,8 @@ class Service:
         self.bus = bus
         self._folder = kept_in(settings.store.directory)
         self.cube_alarms = Alarms(clock, bus.publish, file=AlarmFile(self._folder, CUBE_FILE_NAME))
-        self._told_faces = ToldFaces(self.cube_alarms)
-        self._unread_faces = UnreadFaces(self.cube_alarms)
+        self._told_faces = ToldFaces(self.cube_alarms, clock)
+        self._unread_faces = UnreadFaces(self.cube_alarms, clock)
         self._is_open = False
         self._random = random
         self._kept_in = kept_in

@@ -160,18 +160,19 @@ _ALL = (
     _kind(
         "cube-face",
         Severity.WARNING,
-        "a face of the cube reads what cannot be true",
-        "the face is not used: the laws work with three faces; if two are missing, the tracker follows the ephemeris",
-        "check the sensor, its cable, the multiplexer, anything that shades it, and whether cables are swapped; it is"
-        " used again after ten good checks, and after standing still or contradicting the others only once it"
-        " follows the light",
+        "a face of the cube, or several, reads what cannot be true",
+        "such a face is not used: the laws work with three; if two are missing, the tracker follows the ephemeris",
+        "of each face in the alarm's text check the sensor, its cable, the multiplexer, anything that shades it, and"
+        " whether cables are swapped; it is used again after ten good checks, and after standing still or contradicting"
+        " the others only once it follows the light",
     ),
     _kind(
         "face-unread",
         Severity.WARNING,
-        "for ten scans a face of the cube has given no reading (over-range, stale, missing) while others have",
+        "for ten scans a face of the cube, or several, has given no reading (over-range, stale, missing) while others"
+        " have",
         "the laws work with three faces; if two are missing, the tracker follows the ephemeris",
-        "check its sensor, plug and cable; ten scans with a reading end the alarm",
+        "of each face in the alarm's text check sensor, plug and cable; ten scans with a reading end the alarm",
     ),
     _kind(
         "cube-sensor",

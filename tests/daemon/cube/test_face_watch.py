@@ -160,9 +160,29 @@ def test_each_fault_is_told_with_the_faces_that_have_it():
     day = WatchedDay(MORNING_UTC_S)
     day.minutes(8, frozen=[1, 3], at_w_m2=[0.0, 1800.0])
     (alarm,) = day.alarms.active
-    dead, over = alarm.text.split(", until it agrees with the others again")[:2]
-    assert dead.startswith("the south face reads next to nothing")
-    assert over.startswith("; the zenith face reads more than sun and sky")
+    found, checks = alarm.text.split(", until each agrees with the others again: ")
+    assert re.fullmatch(
+        r"the south face reads next to nothing while other faces are lit; not used since 2022-06-15 09:0\d UTC;"
+        r" the zenith face reads more than sun and sky can give there; not used since 2022-06-15 09:0\d UTC",
+        found,
+    )
+    assert len(found) < 255, "all that Home Assistant shows of a text"
+    south, zenith = checks.split("; ")
+    assert south == "check sensor, cable and multiplexer input of south"
+    assert zenith == "check the gain of zenith, and whether faces are interchanged"
+
+
+def test_two_faces_with_the_same_fault_are_named_each_with_its_own_time():
+    day = WatchedDay(MORNING_UTC_S)
+    day.minutes(8, frozen=1, at_w_m2=0.0)
+    day.minutes(12, frozen=[1, 2], at_w_m2=0.0)
+    (alarm,) = day.alarms.active
+    assert re.fullmatch(
+        r"the south and west faces read next to nothing while other faces are lit; not used since"
+        r" 2022-06-15 09:0\d UTC \(south\) and 2022-06-15 09:1\d UTC \(west\), until each agrees with the others again:"
+        r" check sensor, cable and multiplexer input of south and west",
+        alarm.text,
+    )
 
 
 @pytest.mark.parametrize(("gap_s", "looks_again"), [(90.0, True), (150.0, False)])
@@ -232,7 +252,8 @@ def test_swapped_faces_are_named_together_although_one_was_left_out_before_the_o
     east, _, west, _ = day.minutes(60)
     assert west < east
     (alarm,) = day.alarms.active
-    assert "the east and west faces read each what the other should: check whether" in alarm.text
+    assert "the east and west faces read each what the other should; not used since" in alarm.text
+    assert alarm.text.endswith(": check whether the cables of east and west are swapped")
     assert len(re.findall(r"[0-9:]{5} UTC", alarm.text)) == 2
 
 

@@ -53,6 +53,7 @@ def test_the_document_has_every_kind_of_entity_with_names_of_their_own():
         "motor_current_b",
         "alarm_text",
         "alarm_remedy",
+        "faces_not_used",
     }
 
 
@@ -145,6 +146,13 @@ def test_every_template_finds_its_value_in_the_state_and_every_button_is_a_comma
                 assert values["angle_b"] == pytest.approx(tracking["tracker"]["pose"]["b_deg"])
                 assert _rendered(components["irradiance_east"], {**first, "scan": None}) is None
                 assert _rendered(components["readings"], {**first, "scan": None}) == "ON"
+                assert _rendered(components["faces_not_used"], {**first, "scan": None}) == "no scan"
+                assert values["faces_not_used"] == "none"
+                for face, quality in (("south", "implausible"), ("west", "over-range")):
+                    tracking["scan"]["faces"][face]["quality"] = quality
+                assert _rendered(components["faces_not_used"], tracking) == "south implausible, west over-range"
+                assert _rendered(components["irradiance_south"], tracking) is None
+                assert _rendered(components["irradiance_east"], tracking) is not None
                 button = components["press_stow"]
                 await lab.say(button["command_topic"], button["payload_press"])
                 assert (await lab.until("heliocube/tracker/reply"))["accepted"] is True

@@ -1,11 +1,17 @@
 """The cube is lost, dark, late or lies: what the tracker follows then, and when it follows the cube again."""
 
 import asyncio
+import io
 import re
 
 import pytest
+from rich.console import Console
 
 from daemon.base.records import Decision, Event, Mode, ModeChange, Move
+from daemon.commands.status.check import verdict
+from daemon.commands.status.screen import live_screen, render
+from daemon.notify.notices import ServiceWatch
+from daemon.service.state import state_json
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
 from tests.support.phases import at_rest, modes, tracking
@@ -181,3 +187,32 @@ def test_a_late_reply_is_never_credited_to_another_face(run_rig):
         for reading, true in zip(scan.faces, truth, strict=True):
             if reading.quality == "ok":
                 assert reading.irradiance_w_m2 == pytest.approx(true, abs=25)
+
+
+def test_two_bad_faces_are_both_named_with_what_is_wrong_and_since_when_at_every_door(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        await asyncio.sleep(600)
+        rig.scene.break_sensor(1, 0.0)
+        await asyncio.sleep(1200)
+        rig.scene.break_sensor(2, 0.0)
+        await rig.until_mode(Mode.FALLBACK, 1800)
+        state = state_json(rig.see())
+        lines, code = verdict(state, {"troubles": [], "down": []})
+        screens = []
+        for shown in (render(state), live_screen(state)):
+            console = Console(file=io.StringIO(), width=2000, height=100)
+            console.print(shown)
+            screens.append(console.file.getvalue())
+        (notice,) = ServiceWatch("roof", 60.0, "notice", None, 0.0).answered(state, 1.0)
+        assert code == 4
+        for door in (state["alarms"][0]["text"][:255], "\n".join(lines), *screens, notice.body):
+            assert re.search(
+                r"the south and west faces read next to nothing while other faces are lit; not used since"
+                r" 2022-10-12 10:1\d UTC \(south\) and 2022-10-12 10:[34]\d UTC \(west\)",
+                door,
+            )
+            assert "its sensor" not in door
+        assert "south implausible, west implausible" in rig.control.why
+
+    run_rig(scenario)
