@@ -53,4 +53,4 @@ def _last_known(motion: Motion, clock: Clock, text: str) -> str:
     if pose is None:
         return f"{text}; whether anything moves is not known: look at the tracker"
     age_s = clock.monotonic() - pose.time_monotonic_s
-    return f"{text}; last seen {age_s:.0f} s ago at A {pose.a_deg:+z.1f}, B {pose.b_deg:.1f} deg: look at the tracker"
+    return f"{text}; last seen {age_s:.0f} s ago at A {pose.a_deg:+z.1f}, B {pose.b_deg:z.1f} deg: look at the tracker"

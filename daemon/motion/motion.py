@@ -144,7 +144,7 @@ class Motion(MotionState):
         """
         if not self._limits.contain(target.a_deg, target.b_deg):
             raise ValueError(
-                f"target A {target.a_deg:z.2f}, B {target.b_deg:.2f} deg is outside the limits ({self._limits})"
+                f"target A {target.a_deg:z.2f}, B {target.b_deg:z.2f} deg is outside the limits ({self._limits})"
             )
         self._refuse_frozen()
         obstacle = self.blocked or (None if stow else self.doubt)

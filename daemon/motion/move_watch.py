@@ -91,12 +91,12 @@ class MoveWatch:
             ways = self._ways = _ways_of_positions(telemetry, self._axis_names, self._tolerance_deg)
         for way, place in zip(ways, angles if self._by_angles else positions, strict=True):
             if way.overshot(place):
-                return Progress.OVERSHOT, f"{way.name} stands at {place:.1f} deg, beyond its target {way.target:.1f}"
+                return Progress.OVERSHOT, f"{way.name} stands at {place:z.1f} deg, beyond its target {way.target:z.1f}"
         if self._there(angles):
             after_s = max(self._stands_after_s, _TAKES_UP_S if self._aims_elsewhere(telemetry) else 0.0)
             if still and now_s - self._moved_s >= after_s:
                 return Progress.ARRIVED, ""
-        where = f"A {angles[0]:.1f}, B {angles[1]:.1f} deg"
+        where = f"A {angles[0]:z.1f}, B {angles[1]:z.1f} deg"
         if now_s - self._moved_s > self._stalled_after_s:
             text = f"no movement for {now_s - self._moved_s:.0f} s at {where}"
             return Progress.STALLED, "; ".join((text, *_hints(telemetry)))

@@ -95,6 +95,6 @@ def elsewhere(before: Pose, now: Pose, tolerance_deg: float) -> str:
     if all(way <= tolerance_deg for way in turned):
         return ""
     return (
-        f"positioner stands at A {now.a_deg:z.1f}, B {now.b_deg:.1f} deg; before the loss it stood at "
-        f"A {before.a_deg:z.1f}, B {before.b_deg:.1f} deg"
+        f"positioner stands at A {now.a_deg:z.1f}, B {now.b_deg:z.1f} deg; before the loss it stood at "
+        f"A {before.a_deg:z.1f}, B {before.b_deg:z.1f} deg"
     )

@@ -104,8 +104,8 @@ class Watch:
         if all(on_it):
             return ""
         return (
-            f"positioner stands at A {telemetry.a_deg:z.1f}, B {telemetry.b_deg:.1f} deg; the move on which it was lost"
-            " does not lead there"
+            f"positioner stands at A {telemetry.a_deg:z.1f}, B {telemetry.b_deg:z.1f} deg; the move on which it was"
+            " lost does not lead there"
         )
 
     @property
@@ -245,6 +245,6 @@ def _leap(before: Telemetry, after: Telemetry, took_s: float, *, by_angles: bool
     if _near(see(before), see(after), most_deg):
         return None
     return (
-        f"the count jumped from A {before.a_deg:+z.1f}, B {before.b_deg:.1f}"
-        f" to A {after.a_deg:+z.1f}, B {after.b_deg:.1f} deg"
+        f"the count jumped from A {before.a_deg:+z.1f}, B {before.b_deg:z.1f}"
+        f" to A {after.a_deg:+z.1f}, B {after.b_deg:z.1f} deg"
     )

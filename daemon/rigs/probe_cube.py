@@ -163,4 +163,4 @@ async def _measured(meter: Keithley2000, settings: Settings, name: str | None) -
         return "beyond the range", None
     if name not in FACES:
         return f"{voltage_mv:+z.4f} mV", voltage_mv
-    return f"{voltage_mv:+z.4f} mV, {calibrated(voltage_mv, getattr(settings.cube, name)):.1f} W/m2", voltage_mv
+    return f"{voltage_mv:+z.4f} mV, {calibrated(voltage_mv, getattr(settings.cube, name)):z.1f} W/m2", voltage_mv

@@ -239,7 +239,7 @@ class ModbusProbe:
         return Answering(unit, text)
 
     def _answering(self, unit: int, name: MakeName, who: WhoAmI, told: Told) -> Answering:
-        value = "no value" if told.flaw else f"{told.w_m2:.2f} W/m2"
+        value = "no value" if told.flaw else f"{told.w_m2:z.2f} W/m2"
         return Answering(unit, f"{who.text}: {value}{', ' if told.note else ''}{told.note}", name, who.serial)
 
     def _candidates(self, line: str, unit: int) -> Iterator[tuple[MakeName, Make]]:

@@ -135,7 +135,7 @@ def _report_stream(counts: Counter[int], seconds: float, say: Say) -> None:
 
 def _report_state(telemetry: Telemetry, fields: dict[int, str], say: Say) -> None:
     say(
-        f"A {telemetry.a_deg:z.1f} deg at {telemetry.position_a:g}, B {telemetry.b_deg:.1f} deg at"
+        f"A {telemetry.a_deg:z.1f} deg at {telemetry.position_a:g}, B {telemetry.b_deg:z.1f} deg at"
         f" {telemetry.position_b:g}; supply {telemetry.supply_v:g} V; mode '{telemetry.details['mode']}'"
     )
     states = {

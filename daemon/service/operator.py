@@ -136,7 +136,7 @@ class Operator:
         seen = await self._until(lambda: Seen.DONE if _stands(motion, asked_s) else None)
         way = ""
         if seen is Seen.DONE and heading is not None:
-            way = f"stopped on the way to A {heading.a_deg:+z.1f}, B {heading.b_deg:.1f} deg; "
+            way = f"stopped on the way to A {heading.a_deg:+z.1f}, B {heading.b_deg:z.1f} deg; "
         return await self._answer(seen, f"{way}{self._seen()}{_replaced(before, control.wishes)}")
 
     async def stow(self, why: str, by: str = "") -> Answer:
@@ -318,11 +318,11 @@ class Operator:
         mode = f"mode {control.mode}: {control.why}"
         if motion.pose is None or not motion.connected:
             return f"the tracker does not answer ({_obstacle(motion)}); {mode}"
-        where = f"A {motion.pose.a_deg:+z.1f}, B {motion.pose.b_deg:.1f} deg"
+        where = f"A {motion.pose.a_deg:+z.1f}, B {motion.pose.b_deg:z.1f} deg"
         if motion.homing:
             return f"homing, now at {where}; {mode}"
         if (target := motion.heading) is not None:
-            return f"moving to A {target.a_deg:+z.1f}, B {target.b_deg:.1f} deg, now at {where}; {mode}"
+            return f"moving to A {target.a_deg:+z.1f}, B {target.b_deg:z.1f} deg, now at {where}; {mode}"
         return f"{'moving' if motion.stands_since_s is None else 'standing'} at {where}; {mode}"
 
 

@@ -65,7 +65,7 @@ def _sentence(record: Record) -> str | None:
     if isinstance(record, Event):
         return f"{record.subject}: {record.text}"
     if isinstance(record, Move):
-        text = f"moved to A {record.end_a_deg:+z.1f}, B {record.end_b_deg:.1f} deg in {record.duration_s:.0f} s"
+        text = f"moved to A {record.end_a_deg:+z.1f}, B {record.end_b_deg:z.1f} deg in {record.duration_s:.0f} s"
         if record.outcome != "arrived":
             text += f" ({record.outcome})"
         return f"{text}: {record.why}"

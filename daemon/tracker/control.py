@@ -397,4 +397,4 @@ class Control(Doors):
 
 
 def _log_fields(law: str, target: Target) -> dict[str, str]:
-    return {"law": law, "a_deg": f"{target.a_deg:z.2f}", "b_deg": f"{target.b_deg:.2f}", "why": target.why}
+    return {"law": law, "a_deg": f"{target.a_deg:z.2f}", "b_deg": f"{target.b_deg:z.2f}", "why": target.why}

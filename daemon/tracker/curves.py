@@ -152,7 +152,7 @@ class IvAcquisition:
     def _changed(self, before: float) -> str | None:
         now = self._zenith()
         if abs(now - before) > max(self._settings.abort_change * before, _LEAST_CHANGE_W_M2):
-            return f"the zenith irradiance went from {before:.0f} to {now:.0f} W/m2"
+            return f"the zenith irradiance went from {before:z.0f} to {now:z.0f} W/m2"
         return None
 
     def _judged(self, swept: SweptCurve, utc_s: float, start_s: float, before: float) -> IvCurve:

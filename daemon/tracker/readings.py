@@ -163,7 +163,7 @@ class Readings:
         if seen is not None and self._sees_zenith(seen):
             threshold = self._safety.night_above_w_m2 if self._night else self._safety.night_below_w_m2
             self._night = seen.zenith_w_m2 < threshold and sun_deg <= self._safety.night_highest_sun_deg
-            why = f"the zenith face reads {seen.zenith_w_m2:.1f} W/m2"
+            why = f"the zenith face reads {seen.zenith_w_m2:z.1f} W/m2"
         else:
             self._night = sun_deg < (0.5 if self._night else 0.0)
             why = f"the sun stands at {sun_deg:z.1f} deg"
@@ -179,7 +179,7 @@ def _why_too_dark(zenith_w_m2: float, *, sun_known: bool) -> str:
     if math.isnan(zenith_w_m2):
         return "neither the zenith face nor the clock shows whether it is day or night"
     when = "in daylight" if sun_known else "while the clock is in doubt"
-    return f"the zenith face reads {zenith_w_m2:.1f} W/m2 {when}"
+    return f"the zenith face reads {zenith_w_m2:z.1f} W/m2 {when}"
 
 
 class Window:

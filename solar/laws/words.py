@@ -14,7 +14,7 @@ def point_of_compass(azimuth_deg: float) -> str:
 
 def place(azimuth_deg: float, elevation_deg: float) -> str:
     """Return a direction as a person would show it."""
-    return f"the {point_of_compass(azimuth_deg)}, {elevation_deg:.0f} deg up"
+    return f"the {point_of_compass(azimuth_deg)}, {elevation_deg:z.0f} deg up"
 
 
 def towards_light(azimuth_deg: float, elevation_deg: float) -> str:

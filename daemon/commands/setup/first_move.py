@@ -103,7 +103,7 @@ class Leg:
         if not (angle - self.to_deg) * way <= tolerance_deg:
             return f"{name} went beyond {self.to_deg:z.1f} deg, to {angle:z.1f}"
         if not abs(other - self.other_deg) <= _ASTRAY_DEG:
-            return f"{still} moved, to {other:.1f} deg, where only {name} should"
+            return f"{still} moved, to {other:z.1f} deg, where only {name} should"
         return None
 
 
@@ -119,9 +119,8 @@ def ready(seen: Telemetry, conflicts: tuple[str, ...], limits: Limits) -> str | 
     if seen.autonomous:
         return "a mode of its own is on and may move it"
     if not _close_to(limits, seen):
-        return (
-            f"it stands at A {seen.a_deg:z.1f}, B {seen.b_deg:.1f} deg, outside the limits {limits}; 'back' widens them"
-        )
+        where = f"A {seen.a_deg:z.1f}, B {seen.b_deg:z.1f} deg"
+        return f"it stands at {where}, outside the limits {limits}; 'back' widens them"
     return None
 
 
@@ -188,7 +187,7 @@ async def _legs(
     stands = await positioner.read_telemetry()
     if not abs(stands.a_deg - begins.a_deg) >= _UNDER_WAY_DEG:
         raise FirstMoveError("the key came before the axis moved, so the stop is not proven")
-    say(f"  stopped by the key: it stands at A {stands.a_deg:z.1f}, B {stands.b_deg:.1f} deg")
+    say(f"  stopped by the key: it stands at A {stands.a_deg:z.1f}, B {stands.b_deg:z.1f} deg")
     return min(speeds)
 
 
@@ -256,7 +255,7 @@ async def _followed(positioner: Positioner, leg: Leg, bounds: Bounds, clock: Clo
         if track.first_s is None and now_s > begin_s + _BEGINS_WITHIN_S:
             raise FirstMoveError("took the target and did not move; is the motors' supply on?")
         if now_s > latest_s:
-            raise FirstMoveError(f"did not arrive: {leg.axis.upper()} stands at {leg.angle(seen):.1f} deg")
+            raise FirstMoveError(f"did not arrive: {leg.axis.upper()} stands at {leg.angle(seen):z.1f} deg")
 
 
 class _Track:

@@ -96,7 +96,7 @@ async def look_at_positioner(settings: Settings, clock: Clock, say: Say) -> None
         say(f"found: {identity.board} {identity.firmware} {identity.serial}".rstrip())
         await asyncio.sleep(_LISTEN_S)
         seen = await positioner.read_telemetry()
-        say(f"  it stands at A {seen.a_deg:z.1f} deg, B {seen.b_deg:.1f} deg")
+        say(f"  it stands at A {seen.a_deg:z.1f} deg, B {seen.b_deg:z.1f} deg")
         for sentence in (*identity.setup_conflicts, *seen.faults, *filter(None, [seen.reference_doubt])):
             say(f"  {sentence}")
     finally:

@@ -78,7 +78,7 @@ async def _positioner(settings: Settings) -> tuple[str, str]:
         seen = await positioner.read_telemetry()
     finally:
         await positioner.close()
-    where = f"{identity.board} {identity.firmware} at A {seen.a_deg:z.1f}, B {seen.b_deg:.1f} deg"
+    where = f"{identity.board} {identity.firmware} at A {seen.a_deg:z.1f}, B {seen.b_deg:z.1f} deg"
     wrong = [*identity.setup_conflicts, *_concerns(seen)]
     return "; ".join([where, *wrong]), "see 'heliocube probe positioner'" if wrong else ""
 

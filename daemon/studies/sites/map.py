@@ -53,7 +53,7 @@ def draw_map(outcomes: Sequence[SiteOutcome], path: Path) -> None:
             *places.T, c=gains, norm=scale, cmap="viridis", s=size, edgecolors="black", linewidths=0.3, zorder=3
         )
         _frame(panel, extent)
-        panel.set_title(f"{law}, sky {sky}: {gains.min():+.2f}..{gains.max():+.2f} %")
+        panel.set_title(f"{law}, sky {sky}: {gains.min():+z.2f}..{gains.max():+z.2f} %")
     for panel in panels[len(laws) :]:
         panel.set_visible(False)
     figure.colorbar(shown, ax=list(panels[: len(laws)]), label="gain over ideal chronometric [%]", shrink=0.8)

@@ -179,7 +179,7 @@ class PozsolPositioner:
             whole: dict[AxisName, int] = {"a": a.destination(a_deg), "b": b.destination(b_deg)}
         except ValueError as error:
             raise RefusedError(_DEVICE, f"is not given a target: {error}") from error
-        what = f"the target A {a_deg:z.2f}, B {b_deg:.2f} deg (destinations {whole['a']} and {whole['b']})"
+        what = f"the target A {a_deg:z.2f}, B {b_deg:z.2f} deg (destinations {whole['a']} and {whole['b']})"
         seen = self._require_fit(what)
         wanted = {"a": whole["a"] + a.zero_offset, "b": whole["b"] + b.zero_offset}
         shown = {"a": (seen.position_a, seen.destination_a), "b": (seen.position_b, seen.destination_b)}

@@ -13,7 +13,7 @@ def why_not_standing(seen: Telemetry, within_s: float, *, still: bool) -> str:
     if still:
         aims = f"A {seen.position_a:g} to {seen.destination_a:g}, B {seen.position_b:g} to {seen.destination_b:g}"
         return f"does not accept the stop: it stands, but still has to go from {aims}"
-    return f"keeps moving after {within_s:g} s of stops, at A {seen.a_deg:z.1f}, B {seen.b_deg:.1f} deg"
+    return f"keeps moving after {within_s:g} s of stops, at A {seen.a_deg:z.1f}, B {seen.b_deg:z.1f} deg"
 
 
 def misfit(seen: Telemetry, axes: Mapping[AxisName, AxisSetup]) -> str | None:
@@ -23,7 +23,7 @@ def misfit(seen: Telemetry, axes: Mapping[AxisName, AxisSetup]) -> str | None:
         angle_deg, position = shown[axis]
         if not setup.fits(angle_deg, position):
             return (
-                f"it shows {angle_deg:.1f} deg at position {position:g} of axis {axis.upper()}, where"
+                f"it shows {angle_deg:z.1f} deg at position {position:g} of axis {axis.upper()}, where"
                 f" instruments.positioner.{axis}_axis makes {setup.geometry.position(angle_deg):.1f} of that angle;"
                 " is the geometry that of this unit?"
             )

@@ -84,7 +84,7 @@ class Mount:
             azimuth_deg = self._turned(wanted.azimuth_deg)
             reached = self.elevation_min_deg <= elevation_deg <= self.elevation_max_deg
         if azimuth_deg is None or not reached:
-            where = f"azimuth {wanted.azimuth_deg:.1f}, elevation {wanted.elevation_deg:.1f} deg"
+            where = f"azimuth {wanted.azimuth_deg:z.1f}, elevation {wanted.elevation_deg:z.1f} deg"
             raise UnreachableError(f"{where}, and the rotator turns {self}")
         return RotatorPosition(azimuth_deg, elevation_deg)
 

@@ -160,7 +160,7 @@ class RotctldPositioner:
         try:
             aim = self._known_mount().place(a_deg, b_deg, here)
         except UnreachableError as error:
-            message = f"is not given the target A {a_deg:z.1f}, B {b_deg:.1f} deg: it lies at {error}"
+            message = f"is not given the target A {a_deg:z.1f}, B {b_deg:z.1f} deg: it lies at {error}"
             raise RefusedError(_DEVICE, message) from None
         if self._stops != stops:
             raise RefusedError(_DEVICE, "a stop came in between")
@@ -170,7 +170,7 @@ class RotctldPositioner:
             self._aim = None
             raise RefusedError(
                 _DEVICE,
-                f"did not take azimuth {aim.azimuth_deg:.2f}, elevation {aim.elevation_deg:.2f} deg:"
+                f"did not take azimuth {aim.azimuth_deg:z.2f}, elevation {aim.elevation_deg:z.2f} deg:"
                 f" {protocol.error_text(reply.error)}; are rotctld's limits (-C) and offsets (-o) right?",
             )
 
@@ -198,7 +198,7 @@ class RotctldPositioner:
             if now_s - still_s >= self._still_for_s:
                 return
             if now_s - begin_s > _STAND_WITHIN_S + self._still_for_s:
-                where = f"azimuth {here.azimuth_deg:.1f}, elevation {here.elevation_deg:.1f} deg"
+                where = f"azimuth {here.azimuth_deg:z.1f}, elevation {here.elevation_deg:z.1f} deg"
                 raise StillMovingError(_DEVICE, f"keeps moving after {now_s - begin_s:.0f} s of stops, at {where}")
             if now_s - stopped_s >= _STOP_EVERY_S:
                 stopped_s = now_s

@@ -106,6 +106,14 @@ def test_a_dark_zenith_face_under_a_high_sun_is_a_fault():
     assert "in daylight" in why
 
 
+def test_a_dark_sensor_reads_no_minus_zero():
+    rig = Rig()
+    rig.sun_deg = -10.0
+    assert rig.minutes(-0.04)[2] == "the zenith face reads 0.0 W/m2"
+    rig.sun_deg = 30.0
+    assert "the zenith face reads 0.0 W/m2 in daylight" in rig.minutes(-0.04)[1]
+
+
 def test_a_dark_zenith_face_beside_a_sunlit_one_is_a_fault_and_no_night():
     rig = Rig()
     rig.sun_deg = 3.0

@@ -14,6 +14,7 @@ def test_a_direction_near_the_zenith_is_an_even_sky_or_no_sun():
     assert words.towards_light(140.0, 85.0) == "the sky is even: lying flat collects most"
     assert words.towards_sun(140.0, 90.0) == "no sun is seen, or it is overhead: lying flat collects most"
     assert words.towards_light(140.0, 84.0) == "most light comes from the south-east, 84 deg up"
+    assert words.towards_light(140.0, -0.4) == "most light comes from the south-east, 0 deg up"
     assert words.towards_sun(140.0, 40.4) == "the faces see the sun in the south-east, 40 deg up"
 
 
