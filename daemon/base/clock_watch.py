@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 from daemon.base.alarms.alarms import Alarms
-from daemon.base.clock import Clock
+from daemon.base.clock import Clock, minute_utc
 
 _STEP_S = 2.0
 _DISTRUST_S = 30.0
@@ -113,8 +113,25 @@ class ClockWatch:
             self._alarms.set("clock", _NEVER if self._never else None)
 
 
+_UNITS = (("s", 1.0, 120.0), ("min", 60.0, 7200.0), ("h", 3600.0, 172_800.0), ("days", 86_400.0, 63_115_200.0))
+_YEAR_S = 31_557_600.0
+
+
+def step_words(step_s: float) -> str:
+    """Return a step of the clock [s] as a person says it: ``set forward by 52 years``, ``set back by 61 min``."""
+    size_s = abs(step_s)
+    found = next((f"{size_s / of_s:.3g} {unit}" for unit, of_s, below_s in _UNITS if size_s < below_s), None)
+    return f"set {'forward' if step_s > 0 else 'back'} by {found or f'{size_s / _YEAR_S:.0f} years'}"
+
+
+def told_step(step_s: float, now_utc_s: float) -> str:
+    """Return the sentence for a step of the clock [s] to this UTC [s], from when to when where minutes tell it."""
+    before, now = minute_utc(now_utc_s - step_s), minute_utc(now_utc_s)
+    return f"the clock was {step_words(step_s)}{f', from {before} to {now}' if before != now else ''}"
+
+
 def _doubt(off_s: float) -> str:
     return (
-        f"the clock was set by {off_s:+z.0f} s, and nothing confirms the new time: the sun's position is not used"
+        f"the clock was {step_words(off_s)}, and nothing confirms the new time: the sun's position is not used"
         " until the clock is synchronised (see 'timedatectl') or set back; if the time is right, restart the service"
     )

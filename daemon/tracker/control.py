@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
-from daemon.base.clock_watch import ClockWatch
+from daemon.base.clock_watch import ClockWatch, told_step
 from daemon.base.records import Decision, Estimate, Event, Irradiances, Mode, ModeChange, Pose, Record, Scan, Target
 from daemon.base.recurrence import Recurrence, Wording
 from daemon.base.state import StateFolder
@@ -254,7 +254,7 @@ class Control(Doors):
     def _watch_clock(self) -> None:
         step_s = self._clock_watch.step_s()
         if step_s is not None:
-            text = f"the clock was set by {step_s:+z.1f} s"
+            text = told_step(step_s, self._clock.utc())
             log.warning(text)
             self._report(text)
 

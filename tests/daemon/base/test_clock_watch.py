@@ -101,7 +101,7 @@ def test_small_steps_within_an_hour_add_up_to_a_doubt_and_are_told_as_one(sign):
         told.clock.offset += 10.0 * sign
         doubts += told.after(600)
     told_of = [doubt.partition(",")[0] for doubt in doubts]
-    assert told_of == [f"the clock was set by {sign * steps:+.0f} s" for steps in (40, 50, 60)]
+    assert told_of == [f"the clock was set {'forward' if sign > 0 else 'back'} by {steps} s" for steps in (40, 50, 60)]
     told.clock.offset -= 40.0 * sign
     assert not told.after(5)
 
@@ -162,6 +162,21 @@ def test_a_clock_that_nothing_synchronises_is_asked_for_after_two_minutes_and_ev
     assert told.asked == 12
 
 
+@pytest.mark.parametrize(
+    ("step_s", "told"),
+    [
+        (1665566421.0, "the clock was set forward by 53 years, and"),
+        (-3660.0, "the clock was set back by 61 min, and"),
+        (-200.0 * 86400.0, "the clock was set back by 200 days, and"),
+    ],
+)
+def test_a_step_is_told_in_the_unit_that_people_use_for_it(step_s, told):
+    found = Told(answer=None)
+    found.clock.offset += step_s
+    (text,) = found.after(5)
+    assert text.startswith(told)
+
+
 @pytest.mark.parametrize("answer", [None, True])
 def test_a_clock_that_is_synchronised_or_unknown_is_no_alarm(answer):
     assert not Told(answer).after(3600)
@@ -172,7 +187,7 @@ def test_a_step_is_an_alarm_for_as_long_as_nothing_tells_that_the_time_is_right(
     told = Told(answer)
     told.clock.offset += 43200
     (text,) = told.after(5)
-    assert "the clock was set by +43200 s" in text
+    assert "the clock was set forward by 12 h, and nothing confirms" in text
     assert "restart" in text
     assert told.after(86400) == [text]
 
