@@ -22,7 +22,7 @@ from daemon.config.sections import MotionSettings
 from daemon.motion.guard import Guard
 from daemon.motion.place import KeptPlace, elsewhere
 from daemon.motion.polling import OFTEN, Polling
-from daemon.motion.reference import Doubts
+from daemon.motion.reference import Doubts, remedy_of
 from daemon.motion.rehoming import Rehoming
 from daemon.motion.retry import Retries
 from daemon.motion.runs import Runs
@@ -85,7 +85,7 @@ class Motion(MotionState):
         self._publish = publish
         self._changed = changed
         self._polling = polling
-        doubts = Doubts(folder)
+        doubts = Doubts(folder, remedy_of(has_reference_run=expected.has_reference_run))
         place = KeptPlace(folder, positioner, doubts.reference, begins_anew=begins_anew)
         guard = Guard(positioner, expected, doubts, place, clock, publish, alarms, self._note_readiness)
         retries = Retries(settings.retry_after_s, alarms)

@@ -18,6 +18,11 @@ NOT_FINISHED = "homing was not finished, the reference is in doubt: home it"
 RESET = "the positioner has restarted and may have lost its reference: home it, or clear the mark"
 
 
+def remedy_of(*, has_reference_run: bool) -> str:
+    """Return what ends a doubt about the count, as the end of a sentence: not every drive can be homed."""
+    return "home it" if has_reference_run else "compare it with where it points, then clear it"
+
+
 def fault_text(name: str) -> str:
     """Return how a latched fault is shown."""
     return f"the positioner reports {name}"
@@ -42,18 +47,19 @@ def _file_in(folder: StateFolder) -> StateFile[_Kept]:
     return StateFile(folder, FILE_NAME, _Kept, log, "what is in doubt")
 
 
-def _load(file: StateFile[_Kept]) -> _Kept:
+def _load(file: StateFile[_Kept], remedy: str) -> _Kept:
     try:
         return file.load() or _Kept()
     except UnreadableStateError as error:
-        log.warning("%s: the reference is in doubt until it is homed or cleared", error)
-        text = f"{error}, so it is not known what was in doubt before the restart: home it"
+        text = f"{error}, so it is not known what was in doubt before the restart: {remedy}"
+        log.warning("%s", text)
         return _Kept(doubts={"unreadable": text})
 
 
 def kept_doubts(folder: StateFolder) -> tuple[str, ...]:
     """Return what is in doubt in a folder of which no service is at work, a sentence each; nothing is written there."""
-    kept = _load(_file_in(folder))
+    # Whose drive it was, and whether that can be homed, is not known.
+    kept = _load(_file_in(folder), "compare it with where it points")
     return (*kept.incidents.values(), *kept.doubts.values(), *((NOT_FINISHED,) if kept.homing else ()))
 
 
@@ -67,6 +73,8 @@ class Doubts:
     ----------
     folder
         Of the file.
+    remedy
+        What ends a doubt about the count, see `remedy_of`.
 
     Attributes
     ----------
@@ -78,10 +86,11 @@ class Doubts:
         Grows with every change, for those who show it.
     """
 
-    def __init__(self, folder: StateFolder) -> None:
+    def __init__(self, folder: StateFolder, remedy: str = remedy_of(has_reference_run=True)) -> None:
         self._file = _file_in(folder)
         self._file.reserve()
-        kept = _load(self._file)
+        self._remedy = remedy
+        kept = _load(self._file, remedy)
         self._doubts = dict(kept.doubts)
         self._incidents = dict(kept.incidents)
         self._faults = tuple(kept.faults)
@@ -124,7 +133,7 @@ class Doubts:
             return
         for name in self._faults:
             if name not in telemetry.faults:
-                self.doubt(f"fault {name}", f"{name} cleared by itself, the reference may be lost: home it")
+                self.doubt(f"fault {name}", f"{name} cleared by itself, the reference may be lost: {self._remedy}")
         self._faults = telemetry.faults
         self._save()
 
@@ -141,7 +150,7 @@ class Doubts:
         self.see(before, clearing=True)
         for name in before.faults:
             if fault_text(name) not in shown:
-                self.doubt(f"fault {name}", f"{name} was cleared before anybody had seen it: home the positioner")
+                self.doubt(f"fault {name}", f"{name} was cleared before anybody had seen it: {self._remedy}")
         for texts in (self._doubts, self._incidents):
             for kind in [kind for kind, text in texts.items() if text in shown]:
                 del texts[kind]

@@ -252,7 +252,7 @@ def test_a_clear_forgives_what_was_shown_and_a_failed_move_with_it():
         rig.motion.clear_faults(())
         assert not rig.motion.resting
         await asyncio.sleep(3.0)
-        assert "a_hall was cleared before anybody had seen it: home the positioner" in rig.motion.concerns
+        assert "a_hall was cleared before anybody had seen it: home it" in rig.motion.concerns
         rig.motion.clear_faults()
         await asyncio.sleep(3.0)
         assert rig.motion.concerns == ()

@@ -1,8 +1,19 @@
 """What is in doubt about the reference, in words."""
 
+import asyncio
+from random import Random
+
+from daemon.base.clock import LoopClock
+from daemon.base.process import Notifier
+from daemon.base.records import Bus
 from daemon.base.state import StateFolder
+from daemon.config.settings import Settings
 from daemon.motion.reference import NOT_FINISHED, RESET, Doubts, fault_text
+from daemon.rigs.real import build_positioner
+from daemon.service.rig import Rig, Role, TrackerInstruments
+from daemon.service.service import Service
 from drivers.interfaces import Telemetry
+from tests.support.addresses import free_port
 
 
 def test_what_two_doubts_say_is_said_once():
@@ -48,7 +59,7 @@ def test_only_what_was_shown_is_forgiven():
     assert doubts.incident == "B moved; it does not obey"
     assert (doubts.incident_of("motion"), doubts.incident_of("other")) == ("B moved", None)
     doubts.forgive(("B moved", fault_text("a_cable")), look("a_cable", "b_cable"))
-    unseen = "b_cable was cleared before anybody had seen it: home the positioner"
+    unseen = "b_cable was cleared before anybody had seen it: home it"
     assert doubts.texts == ("it does not obey", "the count has jumped", unseen)
     doubts.see(look(), clearing=False)
     assert doubts.texts == ("it does not obey", "the count has jumped", unseen)
@@ -80,3 +91,20 @@ def test_a_reference_run_that_the_service_did_not_outlive_was_not_finished(tmp_p
     doubts.note("motion", "B moved")
     doubts.referenced()
     assert Doubts(folder).texts == ("B moved",)
+
+
+def test_a_drive_without_a_reference_run_is_to_be_compared_and_is_not_told_to_home(tmp_path, caplog):
+    (tmp_path / "motion.json").write_text("{")
+    own = {"driver": "rotctld", "server": f"127.0.0.1:{free_port()}"}
+    whole = {"instruments": {"positioner": own}, "store": {"directory": tmp_path}, "bridge": {"listen": "127.0.0.1:0"}}
+    settings = Settings.model_validate(whole)
+
+    async def scenario():
+        clock = LoopClock(asyncio.get_running_loop().time, 1.7e9)
+        rig = Rig(None, (TrackerInstruments(build_positioner(settings, clock)),), None, simulated=False)
+        service = Service(settings, Role.TRACKER, rig, clock, Random(1), Bus(), bytes(range(32)), Notifier({}, 0))
+        return service.trackers[0].motion.doubt
+
+    doubt = asyncio.run(scenario())
+    assert doubt.endswith("in doubt before the restart: compare it with where it points, then clear it")
+    assert "home" not in doubt + caplog.text
