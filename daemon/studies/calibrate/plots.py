@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
-from daemon.base.errors import UserError
 from daemon.studies.calibrate.beside import Comparison
+from daemon.studies.picture_file import save_picture
 from daemon.studies.stamp import stamped
 
 # Okabe & Ito's colours, which the colour-blind can tell apart.
@@ -45,8 +45,4 @@ def draw_comparison(found: Comparison, path: Path, *, simulated: bool) -> None:
     figure.legend(*axes[0][0].get_legend_handles_labels(), markerscale=3.0, loc="outside lower center", ncols=2)
     for panel, label in zip(axes[-1], ("reference [W/m2]", "time [UTC]", "angle of incidence [deg]"), strict=True):
         panel.set_xlabel(label)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        stamped(figure, simulated).savefig(path, dpi=110)
-    except OSError as error:
-        raise UserError(f"--plot: {path} cannot be written: {error.strerror}") from error
+    save_picture(stamped(figure, simulated), path, dpi=110)

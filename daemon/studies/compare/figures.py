@@ -4,16 +4,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.dates import DateFormatter
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from daemon.base.errors import UserError
 from daemon.studies.compare.fit import Fit
 from daemon.studies.compare.gains import corrected_power
 from daemon.studies.compare.pairs import Pairs, Side
+from daemon.studies.picture_file import save_picture
 from solar.compare import ChainBias
 from solar.ephemeris import Site, sun_position
 from solar.frames import Array, azimuth_from_direction, normal_from_angles
@@ -119,17 +118,12 @@ def movement_figure(day: Pairs, site: Site, title: str) -> Figure:
 
 
 def save(figure: Figure, folder: Path, name: str) -> Path:
-    """Write the figure as PNG and SVG and return the PNG's path; the same figure gives the same bytes."""
+    """Write the figure as PNG and SVG and return the PNG's path; raises `UserError`."""
     path = folder / f"{name}.png"
-    try:
-        # What names an SVG's parts is random otherwise.
-        with rc_context({"svg.hashsalt": "heliocube"}):
-            figure.savefig(path, dpi=110)
-            # Where everything stands has been found: to look for it again takes longer than to draw it.
-            figure.set_layout_engine("none")
-            figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
-    except OSError as error:
-        raise UserError(f"{path} cannot be written: {error.strerror}") from None
+    save_picture(figure, path, dpi=110)
+    # Where everything stands has been found: to look for it again takes longer than to draw it.
+    figure.set_layout_engine("none")
+    save_picture(figure, folder / f"{name}.svg")
     return path
 
 

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from daemon.studies.energy.losses import CAUSES, Losses
+from daemon.studies.picture_file import save_picture
 from daemon.studies.stamp import stamped
 from solar.energy import DAY_TYPES
 
@@ -20,7 +21,7 @@ _IN_A_ROW = 3
 
 
 def plot(found: Sequence[Losses], path: Path, *, simulated: bool) -> None:
-    """Draw a panel for each sky and law to a PNG file: a bar for each cause, by type of day."""
+    """Draw a panel for each sky and law to a PNG file, a bar for each cause, by type of day; raises `UserError`."""
     across = min(len(found), _IN_A_ROW)
     down = -(-len(found) // across)
     figure = Figure(figsize=(max(4.2 * across, 6.0), 2.9 * down + 0.9), layout="constrained")
@@ -40,7 +41,7 @@ def plot(found: Sequence[Losses], path: Path, *, simulated: bool) -> None:
         for name, colour, hatch in zip(DAY_TYPES, _COLOURS, _HATCHES, strict=True)
     ]
     figure.legend(handles=shown, loc="outside lower center", ncols=len(shown), frameon=False)
-    figure.savefig(path, dpi=120)
+    save_picture(figure, path)
 
 
 def _draw(axes: Axes, each: Losses) -> None:

@@ -14,6 +14,7 @@ from matplotlib.transforms import Bbox, BboxBase
 
 from daemon.studies.energy.benchmark import EnergyRow
 from daemon.studies.energy.names import BOUND, FIXED
+from daemon.studies.picture_file import save_picture
 from daemon.studies.stamp import stamped
 from solar.energy import DAY_TYPES
 from solar.frames import Array
@@ -37,8 +38,8 @@ _MARK_PX = 6.0
 
 
 def plot(rows: Sequence[EnergyRow], path: Path, *, simulated: bool = False) -> None:
-    """Draw both panels to a PNG file."""
-    picture(rows, simulated=simulated).savefig(path)
+    """Draw both panels to a PNG file; raises `UserError`."""
+    save_picture(picture(rows, simulated=simulated), path)
 
 
 def picture(rows: Sequence[EnergyRow], *, simulated: bool = False) -> Figure:

@@ -15,6 +15,7 @@ from daemon.studies.gain.choices import Device, PlotKind
 from daemon.studies.gain.evaluate import Columns, exact_energies, tilts_at
 from daemon.studies.gain.request import DeviceTilts, Request
 from daemon.studies.gain.weather import SkySource
+from daemon.studies.picture_file import save_picture
 from solar import gain
 from solar.frames import Array
 from solar.gain import printed
@@ -57,11 +58,7 @@ def draw(kind: PlotKind, request: Request, columns: Columns, sky: SkySource | No
         figure = daily_gain(request, sky)
     else:
         figure = printed_against_exact(request)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=130)
-    except OSError as error:
-        raise UserError(f"--plot: {path} cannot be written: {error.strerror}") from error
+    save_picture(figure, path, dpi=130)
 
 
 def gain_map(request: Request, columns: Columns, sky: SkySource | None) -> Figure:

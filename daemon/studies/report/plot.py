@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib import rc_context
 
 from daemon.base.errors import UserError
-from daemon.base.files import drop_cut
 from daemon.config.settings import Settings
 from daemon.store.runs import nothing_in
 from daemon.studies.inputs import parse_site
+from daemon.studies.picture_file import save_picture
 from daemon.studies.report.asked import format_of_tables
 from daemon.studies.report.material import Material, from_tables, of_tables, reach_of_tables
 from daemon.studies.report.motion import motion_of
@@ -78,12 +78,6 @@ def draw(material: Material, names: Sequence[str], paths: Sequence[Path], zone: 
     for name, path in zip(names, paths, strict=True):
         figure = PICTURES[name].draw(drawing)
         # On a page the picture has the page's colour behind it; a file has nothing.
-        figure.patch.set_alpha(1.0)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with rc_context({"svg.hashsalt": "heliocube", "svg.fonttype": "none"}):
-                metadata = {"Date": None} if path.suffix.lower() == ".svg" else {}
-                figure.savefig(path, dpi=_DPI, facecolor="white", metadata=metadata)
-        except OSError as error:
-            drop_cut(path, error)
-            raise UserError(f"{path} cannot be written: {error.strerror}") from None
+        figure.patch.set(alpha=1.0, facecolor="white")
+        with rc_context({"svg.fonttype": "none"}):
+            save_picture(figure, path, dpi=_DPI)

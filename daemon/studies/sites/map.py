@@ -13,6 +13,7 @@ from matplotlib.ticker import MultipleLocator
 
 from daemon.config.plugged import FALLBACK_LAW
 from daemon.studies.energy.names import BOUND, FIXED
+from daemon.studies.picture_file import save_picture
 from daemon.studies.sites.output import is_simulated
 from daemon.studies.sites.study import SiteOutcome
 from daemon.studies.stamp import stamped
@@ -30,7 +31,7 @@ def draw_map(outcomes: Sequence[SiteOutcome], path: Path) -> None:
     """Draw to a PNG file where the sites are and what each law gains there, the mean of a site's years.
 
     Planes that hardly move and the bound are left out, unless there is nothing else; more than four laws too. Longitude
-    and latitude in equal steps, coasts of Natural Earth at 1:110 million.
+    and latitude in equal steps, coasts of Natural Earth at 1:110 million. Raises `UserError`.
     """
     used = [outcome for outcome in outcomes if outcome.rows]
     sky = used[0].rows[0].sky
@@ -58,7 +59,7 @@ def draw_map(outcomes: Sequence[SiteOutcome], path: Path) -> None:
         panel.set_visible(False)
     figure.colorbar(shown, ax=list(panels[: len(laws)]), label="gain over ideal chronometric [%]", shrink=0.8)
     stamped(figure, is_simulated(used), "SIMULATED WEATHER")
-    figure.savefig(path, dpi=120)
+    save_picture(figure, path)
 
 
 def shown_laws(outcomes: Sequence[SiteOutcome]) -> list[str]:

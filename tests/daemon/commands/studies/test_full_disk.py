@@ -1,0 +1,54 @@
+"""Pictures of the studies on a full disk."""
+
+import pytest
+
+from tests.daemon.commands.studies.test_calibrate import beside
+
+pytestmark = pytest.mark.slow
+
+SITE = ("--site", "48.7,2.2,156")
+
+
+@pytest.fixture
+def inputs(tmp_path):
+    """Half an hour of weather, a site with it, two trackers that lie flat, and a cube beside a reference."""
+    minutes = range(600, 630)
+    clock = [f"2016-06-05T{minute // 60:02d}:{minute % 60:02d}:00Z" for minute in minutes]
+    lines = {
+        "weather.csv": ["time,ghi,dni,dhi", *(f"{at},{400 + 5 * place},300,150" for place, at in enumerate(clock))],
+        "sites.csv": ["name,latitude,longitude,altitude,weather", "here,48.7,2.2,156,weather.csv"],
+        "flat.csv": ["time,tracker,pmpp_w,a_deg,b_deg"],
+    }
+    for second in range(0, 3600, 5):
+        at = f"2022-10-12T10:{second // 60:02d}:{second % 60:02d}"
+        lines["flat.csv"] += [f"{at}.0Z,T-Cube,{48 + second / 30},0,90", f"{at}.5Z,T-Chrono,{50 + second / 30},0,90"]
+    for name, each in lines.items():
+        (tmp_path / name).write_text("\n".join(each) + "\n")
+    beside(tmp_path, days=1)
+
+
+@pytest.mark.parametrize(
+    ("words", "picture"),
+    [
+        ("gain --lat 48 --plot PICTURE", "gain.png"),
+        ("gain --lat 48 --plot PICTURE", "gain.svg"),
+        ("gain --lat 48 --plot PICTURE", "gain.pdf"),
+        ("energy weather.csv --laws flat --out .", "energy.png"),
+        ("energy weather.csv --laws optimal --losses --out .", "energy-losses.png"),
+        ("energy --sites sites.csv --laws flat --out .", "energy-sites.png"),
+        ("calibrate cube reference.csv sensors.csv --lag 0 --plot PICTURE", "beside.png"),
+        ("compare fit flat.csv --out bias.json", "bias.png"),
+        ("compare fit flat.csv --out bias.json", "bias.svg"),
+        ("compare report flat.csv --out .", "power-2022-10-12.png"),
+    ],
+)
+def test_a_picture_that_a_full_disk_does_not_take_whole_is_not_left_there(
+    heliocube, inputs, tmp_path, monkeypatch, words, picture
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / picture).symlink_to("/dev/full")
+    no_site = words.startswith(("gain", "compare fit", "energy --sites"))
+    code, _, told = heliocube(*words.replace("PICTURE", picture).split(), "--force", *(() if no_site else SITE))
+    assert code == 2
+    assert told.endswith(f"{picture} cannot be written: No space left on device\n")
+    assert not (tmp_path / picture).is_symlink()
