@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable
-from datetime import UTC, datetime
+from datetime import UTC, datetime, tzinfo
 from functools import lru_cache
 from typing import Protocol
 
@@ -69,6 +69,18 @@ def iso_utc(utc_s: float) -> str:
 def minute_utc(utc_s: float) -> str:
     """Return a UTC instant [s] as a person reads it in a sentence, cut to the minute: ``2022-10-12 10:18 UTC``."""
     return f"{iso_utc(utc_s)[:16].replace('T', ' ')} UTC"
+
+
+def local_time(utc_s: float, zone: tzinfo | None = None) -> datetime:
+    """Return an instant [s] as the clocks of a zone say it, None being this machine's.
+
+    UTC where the machine's zone is none: an offset of a day, as of ``TZ=UTC+25``, or one that has no such instant.
+    """
+    there = datetime.fromtimestamp(utc_s, UTC)
+    try:
+        return there.astimezone(zone)
+    except (ValueError, OverflowError):
+        return there
 
 
 # Five instants to a scan, nearly all of them in the same minute.

@@ -5,14 +5,14 @@ import contextlib
 import json
 import logging
 from collections.abc import Callable, Collection, Coroutine, Sequence
-from datetime import datetime, time
+from datetime import time
 from functools import partial
 from typing import Any
 
 import httpx
 
 from daemon.base.addresses import Address, parse_address
-from daemon.base.clock import Clock
+from daemon.base.clock import Clock, local_time
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier, on_signals
 from daemon.base.reconnect import Outage
@@ -216,7 +216,7 @@ class Courier:
             self._heart.down(now_s, trouble)
 
     def _local(self) -> time:
-        return datetime.fromtimestamp(self._clock.utc()).astimezone().time()
+        return local_time(self._clock.utc()).time()
 
 
 async def beat(address: str) -> str | None:

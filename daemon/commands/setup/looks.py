@@ -3,10 +3,9 @@
 import asyncio
 import os
 from collections.abc import Callable
-from datetime import UTC, datetime
 from pathlib import Path
 
-from daemon.base.clock import Clock, iso_utc
+from daemon.base.clock import Clock, iso_utc, local_time
 from daemon.base.errors import UserError
 from daemon.base.kernel_clock import synchronised
 from daemon.base.records import FACES
@@ -51,7 +50,7 @@ def _clock_sentence(settings: Settings, utc_s: float) -> str:
     if settings.instruments.bench:
         return f"By the bench's clock {now}"
     known = {True: "synchronised", False: "NOT synchronised", None: "not known to be synchronised"}[synchronised()]
-    return f"By this machine's clock {now}, {datetime.fromtimestamp(utc_s, UTC).astimezone():%H:%M} local ({known})"
+    return f"By this machine's clock {now}, {local_time(utc_s):%H:%M} local ({known})"
 
 
 def serial_ports() -> list[str]:

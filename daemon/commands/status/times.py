@@ -2,6 +2,8 @@
 
 from datetime import UTC, datetime
 
+from daemon.base.clock import local_time
+
 _DAY = "%Y-%m-%d"
 _CLOCK = "%H:%M:%S"
 
@@ -36,4 +38,4 @@ def zone(iso_utc: str) -> str:
 
 def _both(iso_utc: str) -> tuple[datetime, datetime]:
     utc = datetime.fromisoformat(iso_utc).astimezone(UTC)
-    return utc, utc.astimezone()
+    return utc, local_time(utc.timestamp())

@@ -1,7 +1,7 @@
 """The pictures of a report and of `heliocube plot`: one way to draw each series, units on every axis."""
 
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime, tzinfo
+from datetime import tzinfo
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
+from daemon.base.clock import local_time
 from daemon.base.records import FACES
 from daemon.studies.report.asked import NAMES
 from daemon.studies.report.availability import longest_interval_s
@@ -280,7 +281,7 @@ def _finished(figure: Figure, lowest: Axes, drawing: Drawing) -> Figure:
     else:
         lowest.xaxis.set_major_locator(AutoDateLocator(maxticks=12))  # type: ignore[no-untyped-call]  # as above
     lowest.xaxis.set_major_formatter(FuncFormatter(_clock(drawing)))
-    here = datetime.fromtimestamp((span.start_utc_s + span.end_utc_s) / 2.0, UTC).astimezone(drawing.zone)
+    here = local_time((span.start_utc_s + span.end_utc_s) / 2.0, drawing.zone)
     long = span.duration_s > 1.5 * DAY_S
     day = "" if long else f"{here:%d %B %Y}, ".lstrip("0")
     # The ticks of a long span are days.
@@ -295,7 +296,7 @@ def _clock(drawing: Drawing) -> Callable[[float, int], str]:
 
     def text(place: float, _number: int) -> str:
         there = num2date(place)  # type: ignore[no-untyped-call]  # as above
-        here = there.astimezone(drawing.zone)
+        here = local_time(there.timestamp(), drawing.zone)
         form = "%d %b" if long and not (there.hour or there.minute) else "%H:%M"
         return f"{there:{form}}" if not here.utcoffset() or long else f"{there:{form}}\n{here:{form}}"
 

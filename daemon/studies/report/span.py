@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta, tzinfo
 
+from daemon.base.clock import local_time
 from daemon.base.errors import UserError
 from daemon.studies.inputs import YEARS, instant
 from solar.ephemeris import DAY_S
@@ -91,8 +92,7 @@ def solar_midnight_s(day: date, longitude_deg: float) -> float:
 
 def times(utc_s: float, zone: tzinfo | None) -> tuple[datetime, datetime]:
     """Return the instant in UTC and as the clocks of a zone say it, None being this machine's."""
-    there = datetime.fromtimestamp(utc_s, UTC)
-    return there, there.astimezone(zone)
+    return datetime.fromtimestamp(utc_s, UTC), local_time(utc_s, zone)
 
 
 def _day(text: str, longitude_deg: float, now_utc_s: float) -> ReportSpan:

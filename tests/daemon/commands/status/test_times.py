@@ -1,13 +1,15 @@
 import time
+from zoneinfo import ZoneInfo
 
 import pytest
 
+from daemon.base.clock import local_time
 from daemon.commands.status.times import dated, moment, zone
 
 EVENING = "2026-07-21T22:30:05.000Z"
 
 
-@pytest.fixture(params=["Europe/Paris", "UTC"])
+@pytest.fixture(params=["Europe/Paris", "UTC", "UTC+25"])
 def place(request, monkeypatch):
     monkeypatch.setenv("TZ", request.param)
     time.tzset()
@@ -24,8 +26,13 @@ def test_local_time_stands_first_and_utc_beside_it_each_with_its_date_where_need
             "2026-07-22 00:30:05",
             "local time, UTC+02:00",
         ),
+        # No zone is a day from another; such a machine's time is told in UTC.
         "UTC": ("2026-07-21 22:30:05 UTC", "12:00:00 UTC", "2026-07-21 22:30:05", "UTC"),
-    }[place]
+    }[place.removesuffix("+25")]
     noon, later = "2026-07-21T12:00:00.000Z", "2026-07-21T12:30:00.000Z"
     assert (moment(EVENING), moment(noon, later), dated(EVENING), zone(EVENING)) == expected
     assert moment(noon, "2026-07-23T12:00:00.000Z").startswith("2026-07-21 ")
+
+
+def test_the_clocks_of_a_named_zone_are_as_they_are_there_whatever_the_machine_has(place):
+    assert f"{local_time(0.0, ZoneInfo('Asia/Kolkata')):%H:%M %Z}" == "05:30 IST"

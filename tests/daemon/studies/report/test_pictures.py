@@ -1,6 +1,7 @@
 """What the pictures of a report draw, and what they leave out."""
 
 import math
+import time
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -127,3 +128,17 @@ def test_the_axis_of_time_says_what_stands_below_it(tmp_path, days, words):
     found = material(days)
     figure = PICTURES["wind"].draw(Drawing(found, light_of(found), motion_of(found), ZoneInfo("Europe/Paris")))
     assert figure.axes[-1].get_xlabel() == words
+
+
+def test_on_a_machine_whose_zone_is_none_the_axis_of_time_is_in_utc(monkeypatch):
+    monkeypatch.setenv("TZ", "UTC+25")
+    time.tzset()
+    try:
+        found = material()
+        figure = PICTURES["wind"].draw(Drawing(found, light_of(found), motion_of(found), None))
+        figure.draw_without_rendering()
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    assert figure.axes[-1].get_xlabel() == "14 October 2022, UTC"
+    assert [tick.get_text() for tick in figure.axes[-1].get_xticklabels()][1] == "03:00"
