@@ -33,6 +33,7 @@ from daemon.commands.options import (
     RoleChoice,
     TableFormat,
     ZoneOption,
+    checked_seed,
     show_values_in_words,
 )
 from daemon.commands.setup import command as setup_command
@@ -124,7 +125,8 @@ SiteOption = Annotated[
     str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Site, in degrees north, degrees east and metres.")
 ]
 SeedOption = Annotated[
-    int | None, typer.Option(min=0, metavar="NUMBER", help="Seed of the simulated weather and noise.")
+    int | None,
+    typer.Option(min=0, callback=checked_seed, metavar="NUMBER", help="Seed of the simulated weather and noise."),
 ]
 
 

@@ -8,6 +8,7 @@ import typer
 from typer.core import TyperArgument, TyperOption
 
 from daemon.base.errors import UserError
+from daemon.config.simulation import LARGEST_SEED
 
 if TYPE_CHECKING:
     from daemon.studies.spread.workers import Workers
@@ -79,6 +80,13 @@ ClusterOption = Annotated[
     typer.Option("--cluster", metavar="HOST:PORT", help="Use the workers of this dask scheduler instead of --jobs."),
 ]
 ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite existing files.")]
+
+
+def checked_seed(seed: int | None) -> int | None:
+    """Return a seed; `typer.BadParameter` for one that is too large. As a range its digits would crowd out the help."""
+    if seed is not None and seed > LARGEST_SEED:
+        raise typer.BadParameter(f"'{seed}' is not a number up to {LARGEST_SEED}")
+    return seed
 
 
 def show_values_in_words() -> None:

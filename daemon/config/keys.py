@@ -367,8 +367,8 @@ def _range(part: dict[str, Any]) -> str:
     low, high = part.get("minimum"), part.get("maximum")
     above, below = part.get("exclusiveMinimum"), part.get("exclusiveMaximum")
     start = f" from {low:g}" if low is not None else f" above {above:g}" if above is not None else ""
-    if high is not None and high < 1e15:
-        return f"{start} to {high:g}" if low is not None else f"{start} and up to {high:g}"
+    if high is not None:
+        return f"{start}{' to' if low is not None else ' and up to'} {f'{high:g}' if high < 1e15 else high}"
     if below is not None:
         return f"{start}{' to' if low is not None else ''} below {below:g}"
     return f"{start} up" if low is not None else start

@@ -60,10 +60,10 @@ _CLAUSES = {
     "finite_number": "{input!r} is not a finite number",
     "int_parsing": "{input!r} is not a whole number",
     "int_from_float": "{input!r} is not a whole number",
-    "greater_than_equal": "{input!r} is not a number from {ge:.10g} up",
-    "greater_than": "{input!r} is not a number above {gt:.10g}",
-    "less_than_equal": "{input!r} is not a number up to {le:.10g}",
-    "less_than": "{input!r} is not a number below {lt:.10g}",
+    "greater_than_equal": "{input!r} is not a number from {ge} up",
+    "greater_than": "{input!r} is not a number above {gt}",
+    "less_than_equal": "{input!r} is not a number up to {le}",
+    "less_than": "{input!r} is not a number below {lt}",
 }
 
 
@@ -72,7 +72,10 @@ def in_words(wrong: "ErrorDetails") -> str:
     clause = _CLAUSES.get(wrong["type"])
     if clause is None:
         return wrong["msg"].removeprefix("Value error, ")
-    return clause.format(input=wrong["input"], **wrong.get("ctx", {}))
+    # Of a bound that is a whole number all digits are told: the next one is too large.
+    told = wrong.get("ctx", {}).items()
+    bounds = {name: f"{value:.10g}" if isinstance(value, float) else value for name, value in told}
+    return clause.format(input=wrong["input"], **bounds)
 
 
 def beside(path: Path | None, section: Kind) -> Kind:

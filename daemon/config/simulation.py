@@ -9,6 +9,9 @@ from pydantic import AfterValidator, AwareDatetime, Field
 from daemon.config.section import FilePath, NotNegative, Section
 from drivers.settings import Positive
 
+LARGEST_SEED = 2**63 - 1
+"""A TOML file has no larger whole number."""
+
 WeatherName = Literal["clear", "overcast", "variable", "broken"]
 
 
@@ -33,7 +36,7 @@ class SimulationSettings(Section):
         "haydavies", description="Model of how diffuse light spreads over the sky."
     )
     albedo: float = Field(0.2, ge=0, le=1, description="True albedo of the simulated ground.")
-    seed: int = Field(1, ge=0, le=2**63 - 1, description="The same seed gives the same clouds and noise.")
+    seed: int = Field(1, ge=0, le=LARGEST_SEED, description="The same seed gives the same clouds and noise.")
     start_utc: AwareDatetime | None = Field(
         None,
         examples=["2022-10-14T06:00:00Z"],

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json, teller
-from daemon.commands.options import ClusterOption, ForceOption, JobsOption, chosen_workers
+from daemon.commands.options import ClusterOption, ForceOption, JobsOption, checked_seed, chosen_workers
 
 _DRAWN = ("--seeds", "--from", "--hours", "--only", "--without")
 """The options of schedules that are drawn."""
@@ -17,7 +17,9 @@ _DRAWN = ("--seeds", "--from", "--hours", "--only", "--without")
 def campaign(
     context: typer.Context,
     seeds: Annotated[int, typer.Option(min=1, metavar="N", help="How many seeds.")] = 10,
-    first: Annotated[int, typer.Option("--from", min=0, metavar="SEED", help="The first seed.")] = 1,
+    first: Annotated[
+        int, typer.Option("--from", min=0, callback=checked_seed, metavar="SEED", help="The first seed.")
+    ] = 1,
     hours: Annotated[float, typer.Option(min=0.1, max=8760, help="Hours of virtual time for each seed.")] = 3.0,
     only: Annotated[
         str | None,

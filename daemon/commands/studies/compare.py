@@ -10,7 +10,7 @@ from rich.console import Console
 
 from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json, say, warn
-from daemon.commands.options import ClusterOption, ForceOption, JobsOption, TableFormat, chosen_workers
+from daemon.commands.options import ClusterOption, ForceOption, JobsOption, TableFormat, checked_seed, chosen_workers
 from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW
 from daemon.store.outputs import check_outputs
 from daemon.studies.compare.spans import parse_span
@@ -68,7 +68,8 @@ def simulate(
         str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Site: degrees north, degrees east, metres.")
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, metavar="NUMBER", help="Seed of the weather and the noise.")
+        int | None,
+        typer.Option(min=0, callback=checked_seed, metavar="NUMBER", help="Seed of the weather and the noise."),
     ] = None,
     table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of table.")] = TableFormat.csv,
     force: ForceOption = False,

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from daemon.base.errors import InterruptedEarlyError, UserError
 from daemon.commands.answers import JsonOption, print_json, warn
-from daemon.commands.options import ClusterOption, ForceOption, JobsOption, chosen_workers
+from daemon.commands.options import ClusterOption, ForceOption, JobsOption, checked_seed, chosen_workers
 from daemon.commands.studies.simulate import progress_bar
 from daemon.store.outputs import check_outputs
 
@@ -54,7 +54,12 @@ def energy(
     ] = None,
     seed: Annotated[
         int,
-        typer.Option(min=0, metavar="NUMBER", help="Seed of the built-in skies and of the random part of --losses."),
+        typer.Option(
+            min=0,
+            callback=checked_seed,
+            metavar="NUMBER",
+            help="Seed of the built-in skies and of the random part of --losses.",
+        ),
     ] = 1,
     laws: Annotated[
         str | None,
