@@ -60,11 +60,8 @@ def check_weather_file(path: Path, built_in: Sequence[str] = _SKIES) -> None:
 
     Of the built-in skies those are named in it that the command takes.
     """
-    if path.is_dir():
-        raise UserError(f"{path} is a folder: name a file of measured weather in it")
-    if path.exists() and not path.is_file():
-        raise UserError(f"{path} is no ordinary file: write its records into one and name that")
-    if not path.is_file():
+    check_ordinary(path, "measured weather")
+    if not path.exists():
         if built_in == _SKIES:
             raise UserError(
                 f"there is no weather file at {path}, and it is not one of the built-in skies {', '.join(_SKIES)}"
@@ -83,11 +80,20 @@ def check_packing(path: Path) -> None:
         )
 
 
-def check_data_files(paths: Sequence[Path], of: str) -> None:
-    """Raise `UserError` for the first path at which there is no file `of` something, likewise."""
+def check_ordinary(path: Path, what: str) -> None:
+    """Raise `UserError` for a folder, a device or a pipe where a file with `what` is meant."""
+    if path.is_dir():
+        raise UserError(f"{path} is a folder: name a file with {what} in it")
+    if path.exists() and not path.is_file():
+        raise UserError(f"{path} is no ordinary file: write its records into one and name that")
+
+
+def check_data_files(paths: Sequence[Path], what: str) -> None:
+    """Raise `UserError` for the first path at which there is no file with `what`, likewise."""
     for path in paths:
-        if not path.is_file():
-            raise UserError(f"there is no file {path} with {of}")
+        check_ordinary(path, what)
+        if not path.exists():
+            raise UserError(f"there is no file {path} with {what}")
 
 
 def impossible_note(source: str, count: int, first: str) -> str:

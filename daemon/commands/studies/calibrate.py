@@ -6,9 +6,8 @@ from typing import Annotated
 
 import typer
 
-from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json, say, warn
-from daemon.studies.inputs import instant
+from daemon.studies.inputs import check_data_files, instant
 
 app = typer.Typer(help="Calibrate the cube: beside a reference pyranometer, or where it stands.", no_args_is_help=True)
 
@@ -80,7 +79,7 @@ def cube(
     as_json: JsonOption = False,
 ) -> None:
     """Calibrate the four sensors, laid horizontally beside a reference pyranometer, in the manner of ISO 9847."""
-    _check_there(reference, sensors)
+    check_data_files([reference, *filter(None, [sensors])], "readings")
     from daemon.cube.calibration import write_calibration
     from daemon.studies.calibrate import report, request
     from daemon.studies.calibrate.beside import compare
@@ -166,7 +165,7 @@ def field(
     as_json: JsonOption = False,
 ) -> None:
     """Find gains, misalignment and albedo of the cube where it stands, from its readings under clear sky."""
-    _check_there(sensors, ghi)
+    check_data_files([*filter(None, [sensors, ghi])], "readings")
     from daemon.cube.calibration import write_calibration
     from daemon.studies.calibrate import report, request
     from daemon.studies.calibrate.in_field import LevelSources, calibrate_field
@@ -192,13 +191,6 @@ def field(
         print_json(page | {"calibration": calibration, "written": out})
         return
     _print(lines, calibration.identifier, out)
-
-
-def _check_there(*paths: Path | None) -> None:
-    """Refuse a missing file before the science is imported."""
-    for path in paths:
-        if path is not None and not path.exists():
-            raise UserError(f"there is no file at {path}")
 
 
 def _warn(*notes: str) -> None:

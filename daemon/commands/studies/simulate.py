@@ -189,7 +189,7 @@ def replay(
 
     from daemon.config.settings import settings_of_one
     from daemon.store.outputs import check_outputs
-    from daemon.studies.inputs import settings_for, site_values
+    from daemon.studies.inputs import check_ordinary, settings_for, site_values
 
     if (faces is None) is (store is None):
         raise UserError("replay needs either FACES.csv or --store DIR")
@@ -202,7 +202,9 @@ def replay(
     if not out.name.lower().endswith((".csv", ".csv.gz")):
         raise UserError(f"--out: {out} must end in .csv or .csv.gz")
     check_outputs([out], "--out", force=force)
-    if faces is not None and not faces.is_file():
+    if faces is not None:
+        check_ordinary(faces, "a cube's readings")
+    if faces is not None and not faces.exists():
         raise UserError(f"there is no file {faces}: name a CSV file with the columns time,east,south,west,zenith")
     from daemon.studies.recorded import read_csv, rows_of_store
     from daemon.studies.replay import replay as run_replay

@@ -1,6 +1,7 @@
 """What is wrong on the command line is refused before anything is loaded that only the work needs."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -42,7 +43,7 @@ WRONG = {
     "replay file --out new.parquet --site 48,2": "--out: new.parquet must end in .csv or .csv.gz",
     "replay file --out new.gz --site 48,2": "--out: new.gz must end in .csv or .csv.gz",
     "replay file --out there/out.csv --site 48,2": "there/out.csv " + THERE + "--out",
-    "simulate --out new --start 2022-10-12 --weather there": "there is a folder: name a file of measured weather in it",
+    "simulate --out new --start 2022-10-12 --weather there": "there is a folder: name a file with measured weather in",
     "energy none.csv --site 48,2 --out new": "there is no weather file at none.csv: name a file of measured weather",
     "energy clear --site 48,2 --out new": "clear is a built-in sky that this command does not take: name a file of",
     "gain --lat 48 --weather overcast": "that this command does not take: name a file of measured weather or clear",
@@ -62,8 +63,8 @@ WRONG = {
     "compare paper --out new --law none": "--law: there is no 'none'",
     "gain --lat 48 --weather none.csv": "there is no weather file at none.csv: name a file of measured weather",
     "plot light --store there --out new.png": "name either --day DAY, or --from and --to",
-    "calibrate cube none.csv none.csv --site 48,2": "there is no file at none.csv",
-    "calibrate field none.csv --site 48,2": "there is no file at none.csv",
+    "calibrate cube none.csv none.csv --site 48,2": "there is no file none.csv with readings",
+    "calibrate field none.csv --site 48,2": "there is no file none.csv with readings",
     "samples --out file": "--out: file cannot be a folder",
     "plot light --store none --day 2022-10-12 --out new.png": "there is no store at none/heliocube.sqlite",
     "simulate --out new --start 2022-10-12 --report new --zone nowhere": "there is no time zone 'nowhere'",
@@ -76,6 +77,13 @@ WRONG = {
     "campaign --reliability new.md --schedule file": "--reliability tries every fault in its own way, so --schedule",
     "campaign --schedule file --hours 3": "--schedule has its own faults and hours, so --hours would do nothing: leave",
     "campaign --cluster nowhere": "--cluster: 'nowhere' is not an address",
+    "replay there --out new.csv --site 48,2": "there is a folder: name a file with a cube's readings in it",
+    "replay pipe --out new.csv --site 48,2": "pipe is no ordinary file: write its records into one and name that",
+    "compare fit there --out new.json": "there is a folder: name a file with measured powers in it",
+    "compare report pipe --out new": "pipe is no ordinary file: write its records into one and name that",
+    "calibrate cube there file --site 48,2": "there is a folder: name a file with readings in it",
+    "calibrate field pipe --site 48,2": "pipe is no ordinary file: write its records into one and name that",
+    "simulate --out new --start 2022-10-12 --weather pipe": "pipe is no ordinary file: write its records into one",
     "bench --dir file": "--dir: file cannot be a folder: file is a file",
     "bench-ctl none state": "no bench answers there (No such file or directory); start one",
     "energy --sites none.csv --out new": "--sites: none.csv cannot be read: No such file",
@@ -107,6 +115,7 @@ def refused(tmp_path_factory):
     )
     (folder / "deep.toml").write_text(f"a = {'[' * 5000}")
     (folder / "there").mkdir()
+    os.mkfifo(folder / "pipe")
     names = ("scans.csv", "out.csv", "out.png", "energy.txt", "powers.csv", "gains.csv", "paper.txt", "seed-4.json")
     for name in names:
         (folder / "there" / name).write_text("mine")

@@ -343,7 +343,7 @@ def test_a_mistake_is_one_sentence_and_exit_code_2(heliocube, tmp_path, change, 
         (("--referenced", "roof=1"), "--referenced: 'roof=1' is not FACE=PERCENT"),
         (("--referenced", "zenith=nan"), "an uncertainty (k = 2) of 0.1 to 20 %"),
         (("--referenced", "zenith=0.01"), "an uncertainty (k = 2) of 0.1 to 20 %"),
-        (("--ghi", "nowhere.csv"), "there is no file at nowhere.csv"),
+        (("--ghi", "nowhere.csv"), "there is no file nowhere.csv with readings"),
         (("--ghi", "REFERENCE"), "and the cube's readings 2016-05-01T"),
     ],
 )
