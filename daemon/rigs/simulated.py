@@ -1,6 +1,7 @@
 """The composition root: the one place that decides between real and simulated, and builds what was decided."""
 
 import asyncio
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -89,7 +90,14 @@ def build_weather(
         inside = (missing >= weather.start_utc_s) & (missing <= weather.end_utc_s)
         if with_gaps and weather.covers(instants).any():
             missing = missing[~inside]
-        weather.at(missing)
+        try:
+            weather.at(missing)
+        except WeatherError as error:
+            if weather.start_utc_s <= from_utc_s <= weather.end_utc_s:
+                raise
+            # To the next whole second: the file begins there at the latest.
+            first = datetime.fromtimestamp(math.ceil(weather.start_utc_s), UTC)
+            raise UserError(f"{error}; add --start {first:%Y-%m-%dT%H:%M:%SZ}, or another of its instants") from error
         return weather, "; ".join(weather_notes(weather, site, from_utc_s, to_utc_s)) or None
     except WeatherError as error:
         raise UserError(str(error)) from error

@@ -115,3 +115,14 @@ def test_what_lies_outside_the_file_by_day_is_refused(gaps):
         build_weather(settings_under(gaps), MIDNIGHT + DAY_S, MIDNIGHT + 1.5 * DAY_S, with_gaps=True)
     with pytest.raises(UserError, match="it has a gap from"):
         build_weather(settings_under(gaps), MIDNIGHT + 10 * 3600, MIDNIGHT + 13 * 3600)
+
+
+def test_weather_that_does_not_reach_to_now_is_refused_with_a_start_that_does(heliocube, tmp_path):
+    lines = [f"2022-10-12T{hour:02d}:00:00.5Z,300,400,100" for hour in (8, 9, 10)]
+    (tmp_path / "weather.csv").write_text("\n".join(["time,ghi,dni,dhi", *lines]) + "\n")
+    asked = ("--weather", tmp_path / "weather.csv", "--site", "48.7,2.2")
+    code, _, told = heliocube("run", *asked, "--speed", 1)
+    assert (code, told.count("\n")) == (2, 1)
+    start = told.partition("add --start ")[2].partition(",")[0]
+    assert start == "2022-10-12T08:00:01Z"
+    assert heliocube("simulate", *asked, "--start", start, "--days", 0.01, "--out", tmp_path / "out")[0] == 0
