@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import logging
 import os
 import sys
 from importlib.metadata import version
@@ -354,6 +355,8 @@ def _refuse_simulation(options: dict[str, object]) -> None:
 
 def main() -> None:
     """Entry point: what a person can put right is one sentence and an exit code of its own, never a traceback."""
+    # It tells at length where it keeps its fonts if not at home, which is nothing to a person who asked for a picture.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         app()
     except UserError as error:

@@ -254,3 +254,12 @@ def test_no_room_for_what_draws_the_pictures_is_a_sentence_and_no_defect(tmp_pat
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
     assert done.stderr.splitlines()[-1].startswith("heliocube: what draws the pictures needs a folder of its own, and")
+
+
+def test_a_home_that_cannot_be_written_to_is_no_word_more_about_a_picture(tmp_path):
+    figure = tmp_path / "gain.png"
+    command = [sys.executable, "-m", "daemon.commands.main", "gain", "--lat", "48", "--plot", str(figure)]
+    without_home = {name: text for name, text in os.environ.items() if not name.startswith("XDG_")}
+    without_home |= {"HOME": "/dev/null", "MPLCONFIGDIR": "/dev/null/y"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=90, cwd=ROOT, env=without_home)
+    assert (done.returncode, done.stderr) == (0, f"figure in {figure}\n")
