@@ -96,7 +96,7 @@ def test_stow_is_the_biggest_button_of_a_phone_and_two_touches_away_and_moves_th
 
     page.page.locator("#who").tap()
     page.log_in()
-    assert page.text("#who") == "ana"
+    page.sees("#who", "ana")
     stow.tap()
     page.page.get_by_role("button", name="Stow now").tap()
     page.sees(".hero h1", "Stow")

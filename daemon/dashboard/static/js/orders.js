@@ -53,8 +53,10 @@ export class Orders {
     this.outcome = outcome;
     this.changed = changed;
     this.time = time;
-    this.session = { by: null, services: [] };
-    call("/session").then((session) => this.set(session), () => {});
+    const unknown = { by: null, services: [] };
+    this.session = unknown;
+    // An answer that comes after somebody has logged in is older than that.
+    call("/session").then((session) => this.session === unknown && this.set(session), () => {});
   }
 
   set(session) {
@@ -196,7 +198,7 @@ export class Orders {
   // Whether an order was refused for want of a session or of the service's token, and there is one now.
   async renewed(error, service) {
     if (error.status !== 401) return false;
-    const { by, services } = await call("/session").catch(() => ({ by: null, services: [] }));
+    const { by, services } = await call("/session").catch(() => this.session);
     this.set({ by, services: services.filter((each) => each !== service) });
     return this.login(service, sentenceOf(error));
   }
