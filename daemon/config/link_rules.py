@@ -1,6 +1,5 @@
 """Rules between the keys of what others reach and what reaches others; each as in `daemon.config.rules`."""
 
-import ipaddress
 from collections.abc import Iterator
 
 from daemon.base.addresses import parse_address
@@ -24,7 +23,7 @@ def the_bridge_is_signed_or_not(settings: Sections) -> Iterator[Conflict]:
     if bridge.multicast_group is not None:
         addresses["bridge.multicast_group"] = bridge.multicast_group
     for key, text in addresses.items():
-        if not ipaddress.ip_address(parse_address(text).host).is_loopback:
+        if not parse_address(text).ip.is_loopback:
             reason = "reaches beyond this machine, so bridge.key_file must name a key (or bridge.insecure be true)"
             yield Conflict(key, reason, ("bridge.key_file", "bridge.insecure"))
             return

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.base.alarms.alarms import Alarms
-from daemon.base.clock import Clock, minute_utc
+from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.records import FACES
 from daemon.config.sections import CubeSettings, SiteSettings
 from daemon.cube.contradictions import MINUTES, Contradictions
-from daemon.cube.told_faces import in_a_row, reads, since_each
+from daemon.cube.told_faces import in_a_row, kept_since, reads, since_each
 from solar.ephemeris import SunDirection
 from solar.faces.contradiction import misfits
 from solar.faces.plausible import LOWEST_SINE, Doubt, Response, doubts, lit, lit_at_night, responses
@@ -257,12 +257,11 @@ class FaceWatch:
         self._good_needed[face] = min(2 * self._good_needed[face], _MOST_GOOD_LOOKS) if soon else _GOOD_LOOKS
 
     def _report(self) -> None:
-        now = minute_utc(self._clock.utc())
         whys = {name: why for name, why in zip(FACES, self._whys, strict=True) if why is not Doubt.NONE}
         if not whys and not self._since:
             # Not 'it is over': what was acknowledged before a restart takes its time to be found again.
             return
-        self._since = {name: self._since.get(name, now) for name in whys}
+        self._since = kept_since(self._since, whys, self._clock)
         self._alarms.set("cube-face", self._told(whys) if whys else None, of=whys)
 
     def _told(self, whys: Mapping[str, Doubt]) -> str:

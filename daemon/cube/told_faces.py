@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar
 
 from daemon.base.alarms.alarms import Alarms, tells
@@ -22,6 +22,12 @@ def in_a_row(names: Sequence[str]) -> str:
 def reads(names: Sequence[str]) -> str:
     """Return the words behind the names of faces that tell what they read."""
     return "faces read" if len(names) > 1 else "face reads"
+
+
+def kept_since(since: Mapping[str, str], names: Iterable[str], clock: Clock) -> dict[str, str]:
+    """Return since when each of the names is told: as before where it was, from now on where it was not."""
+    now = minute_utc(clock.utc())
+    return {name: since.get(name, now) for name in names}
 
 
 def since_each(since: Mapping[str, str]) -> str:
@@ -58,8 +64,7 @@ class _FaceAlarm(ABC):
         counts = dict(zip(FACES, self._counts, strict=True))
         faces = [name for name, count in counts.items() if count == _SCANS or (count > 0 and name in self._since)]
         if faces or self._since:
-            now = minute_utc(self._clock.utc())
-            self._since = {name: self._since.get(name, now) for name in faces}
+            self._since = kept_since(self._since, faces, self._clock)
         self._tell(scan)
 
     @abstractmethod
@@ -117,8 +122,7 @@ class ToldSensors:
                 self._told_unread[place] = False
         told = {name: note for name, note in zip(FACES, self._notes, strict=True) if note}
         if told or self._since:
-            now = minute_utc(self._clock.utc())
-            self._since = {name: self._since.get(name, now) for name in told}
+            self._since = kept_since(self._since, told, self._clock)
         texts = [f"{note} (since {self._since[name]})" for name, note in told.items()]
         self._alarms.set("cube-sensor", "; ".join(texts) or None, of=told, worse=worse)
 

@@ -17,7 +17,7 @@ from daemon.base.records import Event, Pose, Record, Target
 from daemon.motion.alarms import Currents, OwnMode, show
 from daemon.motion.deafness import Deafness
 from daemon.motion.place import KeptPlace
-from daemon.motion.reference import Doubts, remedy_of
+from daemon.motion.reference import Doubts
 from daemon.motion.watch import Stray, Watch
 from drivers.errors import DeviceError, StillMovingError
 from drivers.interfaces import Positioner, PositionerIdentity, Repeating, Telemetry
@@ -95,7 +95,6 @@ class Guard:
         self._alarms = alarms
         self._polled = polled
         self.watch = watch = Watch(expected)
-        self._remedy = remedy_of(has_reference_run=expected.has_reference_run)
         # Three steps of a position that is rounded.
         self._deafness = Deafness(watch.same_place, 3.0 * expected.resolution() / expected.slowest_deg_per_s)
         self._currents = Currents(expected.current_alarm_a)
@@ -326,7 +325,7 @@ class Guard:
         if stray is None:
             return
         if stray.jump:
-            self.doubts.doubt("jump", f"{stray.text}, the reference may be lost: {self._remedy}")
+            self.doubts.doubt("jump", f"{stray.text}, the reference may be lost: {self.doubts.remedy}")
         elif self.stray is None:
             self.stray = stray
             self._strayed_at = telemetry

@@ -89,7 +89,7 @@ class Doubts:
     def __init__(self, folder: StateFolder, remedy: str = remedy_of(has_reference_run=True)) -> None:
         self._file = _file_in(folder)
         self._file.reserve()
-        self._remedy = remedy
+        self.remedy = remedy
         kept = _load(self._file, remedy)
         self._doubts = dict(kept.doubts)
         self._incidents = dict(kept.incidents)
@@ -133,7 +133,7 @@ class Doubts:
             return
         for name in self._faults:
             if name not in telemetry.faults:
-                self.doubt(f"fault {name}", f"{name} cleared by itself, the reference may be lost: {self._remedy}")
+                self.doubt(f"fault {name}", f"{name} cleared by itself, the reference may be lost: {self.remedy}")
         self._faults = telemetry.faults
         self._save()
 
@@ -150,7 +150,7 @@ class Doubts:
         self.see(before, clearing=True)
         for name in before.faults:
             if fault_text(name) not in shown:
-                self.doubt(f"fault {name}", f"{name} was cleared before anybody had seen it: {self._remedy}")
+                self.doubt(f"fault {name}", f"{name} was cleared before anybody had seen it: {self.remedy}")
         for texts in (self._doubts, self._incidents):
             for kind in [kind for kind, text in texts.items() if text in shown]:
                 del texts[kind]

@@ -6,7 +6,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
-from daemon.base.clock import iso_utc
+from daemon.base.clock import iso_utc, minute_utc
 from daemon.base.errors import UserError
 from daemon.store.schema import RUN_COLUMNS, columns_of, open_for_reading, unreadable
 from daemon.store.store import Origin
@@ -84,7 +84,7 @@ def nothing_in(
 ) -> str:
     """Return the sentence for a span, whose ends [s UTC] may be infinite, of which `source` has no `record`."""
     ends = (("from", start_utc_s), ("to", end_utc_s))
-    span = "".join(f" {word} {iso_utc(at)[:16].replace('T', ' ')} UTC" for word, at in ends if math.isfinite(at))
+    span = "".join(f" {word} {minute_utc(at)}" for word, at in ends if math.isfinite(at))
     have = ""
     if reach is not None:
         have = "; it has records from {} to {}".format(*(iso_utc(at)[:10] for at in reach))

@@ -16,7 +16,7 @@ _INTERRUPTED, _NOTHING_COLLECTED = 2, 5
 # Of the session as a whole, against all others and against the threads of the kernel.
 _SHARE = Path("/proc/self/autogroup")
 _NICE = re.compile(r"nice (-?\d+)")
-_SMALL_SHARE = 6
+SMALL_SHARE = 6
 # Linux from 6.12, as some distributions have it, to 6.18.44 computes a session's place in the queue wrongly whenever
 # one of its processes begins or ends a wait: docs/develop/tests.md.
 _FIRST_WRONG, _FIRST_RIGHT = (6, 12), (6, 18, 45)
@@ -88,22 +88,28 @@ def misplaces_sessions(release):
 
 
 @contextlib.contextmanager
-def behind_the_kernel(share=_SHARE, release=None):
-    """Give this session less than the kernel's threads have, which carry what is written to pseudo-terminals."""
+def session_share(nice, share=_SHARE):
+    """Give this session another share of the processors, as `nice`, until the end, where Linux has such."""
     try:
         before = _NICE.search(share.read_text(encoding="ascii"))
     except OSError:
         before = None
-    if before is None or not misplaces_sessions(platform.release() if release is None else release):
+    if before is None:
         yield
         return
-    share.write_text(str(_SMALL_SHARE), encoding="ascii")
+    share.write_text(str(nice), encoding="ascii")
     try:
         yield
     finally:
         # Back to what only an administrator may give, that is not possible.
         with contextlib.suppress(OSError):
             share.write_text(before[1], encoding="ascii")
+
+
+def behind_the_kernel(share=_SHARE, release=None):
+    """Give this session less than the kernel's threads have, which carry what is written to pseudo-terminals."""
+    wrong = misplaces_sessions(platform.release() if release is None else release)
+    return session_share(SMALL_SHARE, share) if wrong else contextlib.nullcontext()
 
 
 def _say(text):

@@ -204,8 +204,8 @@ def replay(
     check_outputs([out], "--out", force=force)
     if faces is not None:
         check_ordinary(faces, "a cube's readings")
-    if faces is not None and not faces.exists():
-        raise UserError(f"there is no file {faces}: name a CSV file with the columns time,east,south,west,zenith")
+        if not faces.exists():
+            raise UserError(f"there is no file {faces}: name a CSV file with the columns time,east,south,west,zenith")
     from daemon.studies.recorded import read_csv, rows_of_store
     from daemon.studies.replay import replay as run_replay
 
