@@ -148,12 +148,12 @@ def extraterrestrial_dni(utc_s: "Instant | Instants") -> Array:
     return normal.reshape(instants.shape)
 
 
-def solar_days(utc_s: Array, longitude_deg: float) -> Array:
-    """Return the solar days that instants [s UTC] fall in at a longitude, from one mean midnight to the next.
+def solar_days(utc_s: Number, longitude_deg: float) -> Number:
+    """Return the solar day that an instant [s UTC], or each of many, falls in at a longitude, by mean midnights.
 
     Counted from 1970-01-01 on. Where midnight of UTC falls in daylight, a day of UTC is halves of two of them.
     """
-    return np.floor((utc_s + longitude_deg * 240.0) / DAY_S)
+    return (utc_s + longitude_deg * 240.0) // DAY_S
 
 
 def sun_day(utc_s: Instant, latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0) -> SunDay:
@@ -165,8 +165,7 @@ def sun_day(utc_s: Instant, latitude_deg: float, longitude_deg: float, altitude_
     instant = _finite(utc_s)
     if instant.ndim:
         raise ValueError(f"a solar day is asked for by one instant, not by an array of {instant.shape}")
-    mean_solar_day = (float(instant) + longitude_deg * 240.0) // DAY_S
-    return _sun_day(mean_solar_day, latitude_deg, longitude_deg, altitude_m)
+    return _sun_day(solar_days(float(instant), longitude_deg), latitude_deg, longitude_deg, altitude_m)
 
 
 def share_of_daylight_left(utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0) -> float:

@@ -17,7 +17,7 @@ def sun_json(site: Site, utc_s: float) -> dict[str, Any]:
     The path begins and ends at the sun's lowest points; each point is a time, the azimuth from north and the apparent
     elevation [deg]. Rise and set are None on a day without, one of them alone where the polar day begins or ends.
     """
-    return _day(site, float(solar_days(np.array(utc_s), site.longitude_deg)))
+    return _day(site, solar_days(utc_s, site.longitude_deg))
 
 
 @lru_cache(maxsize=16)

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from daemon.base.records import Pose, Quality, Scan
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.tracker.phase import ALONE, Phase
-from solar.ephemeris import DAY_S, Site, sun_direction
+from solar.ephemeris import Site, solar_days, sun_direction
 from solar.frames import Limits
 from solar.received import received
 
@@ -186,7 +186,7 @@ class ReceivedToday:
 
     def day_of(self, utc_s: float) -> int:
         """Count the solar days from midnight to midnight."""
-        return int((utc_s + self._site[1] * DAY_S / 360.0) // DAY_S)
+        return int(solar_days(utc_s, self._site.longitude_deg))
 
     def _load(self) -> Insolation | None:
         try:

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.config.sections import MotionSettings
-from solar.ephemeris import DAY_S, Site, share_of_daylight_left
+from solar.ephemeris import Site, share_of_daylight_left, solar_days
 
 log = logging.getLogger("heliocube.control")
 
@@ -73,7 +73,7 @@ class DayBudget:
         self._file = StateFile(folder, FILE_NAME, Used, log, "the moves of the day")
         self._alarms = alarms
         # An older day's count ends with the first `turn`, which comes when the clock can be trusted.
-        self.used = self._load() or Used(day=self._day_of(utc_s))
+        self.used = self._load() or Used(day=int(solar_days(utc_s, site.longitude_deg)))
         # What was used of a later day: a machine without a clock of its own begins in 1970, and is set then.
         self._later: Used | None = None
 
@@ -100,7 +100,7 @@ class DayBudget:
 
     def turn(self, utc_s: float) -> None:
         """Begin a new day when the sun has passed its lowest point since the last call, or go on with a later one."""
-        today, before, later = self._day_of(utc_s), self.used, self._later
+        today, before, later = int(solar_days(utc_s, self._site.longitude_deg)), self.used, self._later
         if today == before.day:
             return
         if later is not None and today == later.day:
@@ -139,9 +139,6 @@ class DayBudget:
             f"{self.used.moves} moves of {self._settings.moves_per_day}, {self.used.travelled_deg:.0f} deg of"
             f" {self._settings.travel_per_day_deg:g}"
         )
-
-    def _day_of(self, utc_s: float) -> int:
-        return int((utc_s + self._site.longitude_deg * DAY_S / 360.0) // DAY_S)
 
     def _load(self) -> Used | None:
         try:

@@ -13,7 +13,7 @@ from weakref import ref
 
 import numpy as np
 
-from solar.ephemeris import DAY_S, Site, sun_direction
+from solar.ephemeris import Site, solar_days, sun_direction
 from solar.frames import Array
 from solar.laws.law import Reading
 from solar.laws.memory import LightMemory
@@ -29,11 +29,6 @@ _MOST_KEPT = 60
 
 FourNumbers = tuple[float, float, float, float]
 _NONE: FourNumbers = (0.0, 0.0, 0.0, 0.0)
-
-
-def solar_day(utc_s: float, longitude_deg: float) -> int:
-    """Count the solar days from midnight to midnight, from 1970 on."""
-    return int((utc_s + longitude_deg * DAY_S / 360.0) // DAY_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +89,7 @@ class Heard:
         """Return the link of whoever has heard one reading more."""
         known = self._after[1]() if self._after is not None and self._after[0] == reading else None
         if known is None:
-            day = solar_day(reading.utc_s, self.site.longitude_deg)
+            day = int(solar_days(reading.utc_s, self.site.longitude_deg))
             known = self.on(day).extended(reading)
             self._newest.append(known)
             self._after = (reading, ref(known))

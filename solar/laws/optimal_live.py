@@ -11,9 +11,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from solar.energy import DaylightWeather, Steer
-from solar.ephemeris import SunPosition, share_of_daylight_left, sun_direction, sun_position
+from solar.ephemeris import SunPosition, share_of_daylight_left, solar_days, sun_direction, sun_position
 from solar.frames import Angles, Array, Limits, azimuth_from_direction, direction_from_azimuth
-from solar.laws.heard import Heard, solar_day
+from solar.laws.heard import Heard
 from solar.laws.law import Aim, Estimates, LawSettings, Moment, Reading, TrackerFacts
 from solar.laws.light import FACES_NEEDED, light_from_faces, usable_faces
 from solar.laws.memory import THRIFT_RANGE, OptimalSettings
@@ -94,7 +94,7 @@ class LiveOptimal(ThreeFacesLaw):
         kept = None if tracker.kept is None else Kept.model_validate(tracker.kept)
         known = self._fresh if kept is None else kept.learned
         self._law = OptimalLaw(self._settings, self.limits, learned=known, group=tracker.group)
-        self._day = self._day_of(tracker.utc_s)
+        self._day = int(solar_days(tracker.utc_s, self.site.longitude_deg))
         if kept is not None and kept.day == self._day:
             self._law.resume(kept.travelled_deg, kept.moves)
         # What was used of a later day: a machine without a clock of its own begins in 1970, and is set then.
@@ -127,7 +127,7 @@ class LiveOptimal(ThreeFacesLaw):
 
     def turn(self, utc_s: float) -> bool:
         """Begin a new day when the sun has passed its lowest point since the last call, or go on with a later one."""
-        day, before, later = self._day_of(utc_s), self._kept(), self._later
+        day, before, later = int(solar_days(utc_s, self.site.longitude_deg)), self._kept(), self._later
         if day == self._day:
             return False
         self._later = before if day < self._day else None
@@ -213,10 +213,6 @@ class LiveOptimal(ThreeFacesLaw):
             travelled_deg=float(self._law.travelled_deg),
             moves=round(float(self._law.moves)),
         )
-
-    def _day_of(self, utc_s: float) -> int:
-        """Count the solar days from midnight to midnight."""
-        return solar_day(utc_s, self.site.longitude_deg)
 
 
 SETTINGS = LiveOptimalSettings

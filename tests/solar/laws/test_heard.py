@@ -7,9 +7,9 @@ from weakref import WeakValueDictionary, ref
 import numpy as np
 import pytest
 
-from solar.ephemeris import DAY_S, Site, sun_direction
+from solar.ephemeris import DAY_S, Site, solar_days, sun_direction
 from solar.frames import Angles, Limits
-from solar.laws.heard import Begun, Heard, solar_day
+from solar.laws.heard import Begun, Heard
 from solar.laws.law import Moment, Reading, TrackerFacts
 from solar.laws.memory import LightMemory, OptimalSettings
 from solar.laws.optimal_live import SETTINGS, LiveOptimal
@@ -67,7 +67,7 @@ def drive(numbers, common=None, befalls=None):
     return said
 
 
-TODAY = solar_day(BEGIN_UTC_S, SITE.longitude_deg)
+TODAY = int(solar_days(BEGIN_UTC_S, SITE.longitude_deg))
 
 
 def first_link(scan_every_s=15.0):
