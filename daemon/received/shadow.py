@@ -150,6 +150,8 @@ class Shadow:
         name = law.named.name
         self._file = StateFile(folder, f"shadow-{name}-day.json", Travel, log, f"the day of {name} in the shadow")
         self._travel = self._load() or Travel(day=received.day_of(utc_s))
+        # The count of a later day, as for the light of the day.
+        self._later: Travel | None = None
         self._axes = _Axes()
         self._due_s = self._moved_s = self._saved_s = self._heard_s = -math.inf
         self._used_before: Used | None = None
@@ -220,7 +222,7 @@ class Shadow:
             self._axes.stand(now_s, active.pose)
         self._count_moves(active)
         self._received.add(scan, self._axes.pose(utc_s), utc_s)
-        if now_s >= self._saved_s + _SAVE_EVERY_S:
+        if now_s >= self._saved_s + _SAVE_EVERY_S and self._later is None:
             self._saved_s = now_s
             self._file.save(self._travel)
 
@@ -268,14 +270,17 @@ class Shadow:
         if self._named.law.turn(utc_s):
             self._keep()
         day = self._received.day_of(utc_s)
-        if day == self._travel.day:
+        before, later = self._travel, self._later
+        if day == before.day:
             return
-        told = self._told(active.received.today)
+        self._later = before if day < before.day else None
+        told = self._told(active.received.today) if self._later is None else None
         if told:
             log.info("%s", told)
             self._publish(Event(utc_s, scan.time_monotonic_s, "shadow", told))
-        self._travel = Travel(day=day)
-        self._file.save(self._travel)
+        self._travel = later if later is not None and later.day == day else Travel(day=day)
+        # Saved with the next scan.
+        self._saved_s = -math.inf
 
     def _told(self, own: Insolation) -> str | None:
         state = self.state

@@ -91,6 +91,8 @@ class ReceivedToday:
         self._file = StateFile(folder, file_name, Insolation, log, "the light received today")
         self._today = self._load() or Insolation(day=self.day_of(utc_s))
         self._day = self._today.day
+        # The count of a later day: a machine whose battery is empty begins years ago, and is set then.
+        self._later: Insolation | None = None
         self._newest_s = -math.inf
         self._waiting: list[tuple[float, float, list[float]]] = []
         self._unsaved = 0
@@ -151,10 +153,14 @@ class ReceivedToday:
             asyncio.get_running_loop().call_later(self._phase.delay_s(_MEAN_S), work)
 
     def _end_day(self) -> None:
-        """Take in what waits of the day that has ended, and begin the next."""
-        if self._today.day != self._day:
-            self._take_in()
-            self._today = Insolation(day=self._day)
+        """Take in what waits of the day that has ended, and begin the next or go on with a later one."""
+        if self._today.day == self._day:
+            return
+        self._take_in()
+        before, later = self._today, self._later
+        self._later = before if self._day < before.day else None
+        # By a clock of years ago the sun was sought where it was not: what it counted is no part of this day.
+        self._today = later if later is not None and later.day == self._day else Insolation(day=self._day)
 
     def _take_in(self) -> None:
         """Add all means that wait, in one call: it costs little more than a single one."""
@@ -180,7 +186,7 @@ class ReceivedToday:
             best_kwh_m2=today.best_kwh_m2 + best,
         )
         self._unsaved += len(lasting_s)
-        if self._unsaved >= _MOST_WAITING:
+        if self._unsaved >= _MOST_WAITING and self._later is None:
             self._unsaved = 0
             self._file.save(self._today)
 

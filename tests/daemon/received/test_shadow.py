@@ -197,6 +197,33 @@ def test_what_it_has_learned_and_moved_outlives_a_restart(run_rig, tmp_path):
     assert 0 < json.loads((tmp_path / "shadow-optimal-received.json").read_text())["known_s"] < math.inf
 
 
+def test_a_start_with_a_clock_of_years_ago_forgets_nothing_of_the_day_it_is_set_to(run_rig, tmp_path):
+    files = ("received.json", "shadow-chronometric-received.json", "shadow-chronometric-day.json")
+
+    def kept():
+        return [json.loads((tmp_path / name).read_text()) for name in files]
+
+    async def before(rig):
+        await most_of_an_hour(rig)
+
+    async def again(rig):
+        await asyncio.sleep(1800)
+        assert 900 < seen(rig)["received"]["known_s"] < shadow["known_s"]
+        assert kept() == [own, shadow, day]
+        rig.synchronised = True
+        rig.clock.step_s = 3 * 365 * 86400.0
+        await asyncio.sleep(900)
+        assert 0 <= state_json(rig.see(Recent()))["received"]["known_s"] - own["known_s"] <= 1200
+        assert 0 <= seen(rig)["received"]["known_s"] - shadow["known_s"] <= 1200
+        assert seen(rig)["active_moves"] >= day["active_moves"] > 0
+
+    law = {"driver": "mu-prime", "shadow": "chronometric"}
+    given = {"store": {"directory": tmp_path}, "law": law, "weather": Flickering(), **SELDOM}
+    run_rig(before, start="2022-10-12T10:00", **given)
+    own, shadow, day = kept()
+    run_rig(again, start="2019-10-13T11:30", **given)
+
+
 @pytest.mark.parametrize("name", ["mu-prime", "nought"])
 def test_the_law_in_the_shadow_is_an_installed_one_and_another(tmp_path, name):
     file = tmp_path / "heliocube.toml"
