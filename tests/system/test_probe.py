@@ -108,7 +108,9 @@ def test_the_order_to_end_stops_the_move(start_bench, tmp_path):
         process = forks.start(words, told, told)
         wait_until(lambda: abs(bench.state()["pose"]["a_deg"] - begin_deg) > 0.5, 90.0, "A to move")
         process.send_signal(signal.SIGTERM)
-        assert process.wait(90) == 130
+        code = process.wait(90)
+        told.seek(0)
+        assert code == 130, told.read()
     pose = bench.state()["pose"]
     assert abs(pose["a_deg"] - begin_deg) < 15.0
     time.sleep(3.0)
