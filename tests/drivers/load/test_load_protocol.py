@@ -79,7 +79,7 @@ def test_a_sweep_measures_the_modules_curve_and_leaves_the_input_off(load_host, 
     async def scene():
         async with load_host(make) as host:
             # Voltage and current are one point only once the voltage stands, on a busy machine too.
-            load = load_on(host.port.link, make, settle_s=0.2)
+            load = load_on(host.port.link, make, settle_s=0.5)
             await load.open()
             swept = await load.sweep(lambda open_v: np.linspace(open_v - 0.5, 4.0, 15), never)
             assert not host.core.on
@@ -200,7 +200,7 @@ def test_a_protection_that_cannot_be_cleared_means_no_sweep(load_host):
 def test_a_voltage_below_the_minimum_ends_the_sweep(load_host):
     async def scene():
         async with load_host() as host:
-            load = load_on(host.port.link, least_v=12.0, settle_s=0.2)
+            load = load_on(host.port.link, least_v=12.0, settle_s=0.5)
             await load.open()
             swept = await load.sweep(steps(36.0, 20.0, 10.0, 5.0), never)
             await load.close()
