@@ -70,6 +70,7 @@ def test_exchanges_pass_in_order_and_the_lines_own_errors_come_back(gate):
     assert log == ["open", "drained 0.1", "close"]
 
 
+@pytest.mark.live
 def test_a_call_that_hangs_is_a_lost_link_and_the_next_opening_has_a_thread_of_its_own(gate):
     async def scene():
         line = ThreadedLine("voltmeter", lambda: EchoingLine(gate, []))

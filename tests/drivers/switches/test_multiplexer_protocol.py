@@ -101,6 +101,7 @@ def test_a_device_that_is_gone_is_a_lost_link_and_is_built_anew():
     asyncio.run(scene())
 
 
+@pytest.mark.live
 def test_a_server_that_ends_or_hangs_is_a_lost_link_within_the_deadline():
     async def scene():
         async with ni_server() as server:

@@ -52,6 +52,7 @@ async def mbpoll(*arguments):
 
 
 @needs_mbpoll
+@pytest.mark.live
 def test_mbpoll_reads_and_writes(tmp_path):
     async def work():
         async with served(tmp_path) as host:
@@ -100,6 +101,7 @@ def test_pymodbus_reads_and_writes(tmp_path):
     assert asyncio.run(work()) == ([0x10000 - 31], 2, False, [103], 0, 470.0)
 
 
+@pytest.mark.live
 def test_our_driver_on_the_same_line_and_the_cable_pulled(tmp_path):
     keys = {"line": str(tmp_path / "cube"), "serial_form": "8N1", "answer_within_s": 5.0}
     keys |= {"west": {"make": "hukseflux", "serial": 103}, "zenith": {"make": "apogee"}}
