@@ -91,7 +91,7 @@ def tracker_state_json(seen: Snapshot, name: str) -> dict[str, Any]:
 
 def _common(seen: Snapshot, alarms: Iterable[tuple[Alarm, str | None]]) -> dict[str, Any]:
     """Return what is not of one tracker."""
-    ordered = sorted(alarms, key=lambda item: item[0].raised_utc_s)
+    ordered = sorted(alarms, key=lambda item: item[0].order)
     return {
         "version": seen.version,
         "simulated": seen.simulated,

@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass
 
-from daemon.base.alarms.kinds import AlarmKind, kind_of_alarm
+from daemon.base.alarms.kinds import AlarmKind, Severity, kind_of_alarm
+
+_MOST_SEVERE_FIRST = tuple(Severity)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,3 +48,8 @@ class Alarm:
         if not self.on:
             return "cleared"
         return "raised" if self.acknowledged_utc_s is None else "acknowledged"
+
+    @property
+    def order(self) -> tuple[bool, int, float]:
+        """Sorts alarms as people are shown them: what is on, the most severe, the oldest first."""
+        return not self.on, _MOST_SEVERE_FIRST.index(self.kind.severity), self.raised_utc_s

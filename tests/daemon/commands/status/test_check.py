@@ -7,6 +7,7 @@ from daemon.base.errors import ExitCode
 from daemon.base.records import Mode
 from daemon.commands.status.check import page, verdict
 from tests.support.api import serve
+from tests.support.phases import under_way
 
 __all__ = ["serve"]
 
@@ -50,5 +51,24 @@ def test_all_is_well_a_person_s_stop_included_until_something_is_the_matter(serv
         assert found[0]["alarms"][0]["remedy"] in alarm
         assert page(*found)["alarms"] == ["stow-wanted"]
         assert page(*found)["modes"]["tracker"]["asked"] == "stop"
+
+    serve(scenario)
+
+
+def test_what_is_most_urgent_is_told_first_and_what_is_over_last(serve):
+    async def scenario(rig, call):
+        await under_way(rig)
+        rig.tracker.alarms.set("move-failed", "a move failed")
+        rig.tracker.alarms.set("move-failed", None)
+        await rig.control.stop("repair", "ana")
+        for name in ("day-budget", "store-down", "api-down"):
+            rig.service.cube_alarms.set(name, "of the process")
+            await asyncio.sleep(1)
+        rig.wind_m_s = 20.0
+        await asyncio.sleep(20)
+        found = await both(call)
+        told = [line.partition(" (")[0] for line in verdict(*found)[0][1:]]
+        assert told == ["stow-wanted", "store-down", "api-down", "day-budget", "move-failed"]
+        assert page(*found)["alarms"] == told
 
     serve(scenario)
