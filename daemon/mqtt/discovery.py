@@ -19,6 +19,17 @@ _PRESS = '{"why":"a button in Home Assistant"}'
 _DATED = '{{{}, "id": "{{{{ utcnow().timestamp() }}}}", "time": "{{{{ utcnow().isoformat() }}}}"}}'
 # Home Assistant takes the word None for "unknown".
 _ON_OFF = "{{{{ 'ON' if {} else 'OFF' }}}}"
+# Home Assistant takes no state of more than 255 letters: what is said of the others then is their names or number.
+_ALARM_TEXT = (
+    "{% set all = namespace(texts=[], names=[]) %}{% for alarm in value_json.alarms %}"
+    "{% set over = 'over: ' if alarm.state == 'cleared' else '' %}"
+    "{% set all.texts = all.texts + [over ~ alarm.text] %}{% set all.names = all.names + [over ~ alarm.name] %}"
+    "{% endfor %}"
+    "{% set texts = all.texts | join('; ') or 'none' %}{% set names = all.names[1:] | join(', ') %}"
+    "{% set rest = '; also ' ~ names if names | length <= 120 else '; and ' ~ (all.names | length - 1) ~ ' more' %}"
+    "{% set rest = rest if names else '' %}"
+    "{{ texts if texts | length <= 255 else all.texts[0][:255 - rest | length] ~ rest }}"
+)
 
 
 def discovery(
@@ -152,9 +163,7 @@ _CUBE = {
     "readings": _binary("Cube readings", "not value_json.scan or value_json.scan.stale", "problem"),
     "simulated": _binary("Simulated", "value_json.simulated", **_DIAGNOSTIC),
     "alarm": _binary("Alarm", "value_json.alarms", "problem"),
-    "alarm_text": _sensor(
-        "Alarm text", "value_json.alarms[0].text[:255] if value_json.alarms else 'none'", None, None, **_DIAGNOSTIC
-    ),
+    "alarm_text": {"platform": "sensor", "name": "Alarm text", "value_template": _ALARM_TEXT, **_DIAGNOSTIC},
     "alarm_remedy": _sensor(
         "Alarm remedy", "value_json.alarms[0].remedy[:255] if value_json.alarms else 'none'", None, None, **_DIAGNOSTIC
     ),

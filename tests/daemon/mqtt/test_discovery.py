@@ -5,6 +5,7 @@ import json
 import re
 
 import pytest
+from jinja2.nativetypes import NativeEnvironment
 
 from daemon.base.records import Mode
 from daemon.mqtt.discovery import discovery
@@ -161,6 +162,25 @@ def test_every_template_finds_its_value_in_the_state_and_every_button_is_a_comma
     scaled(scenario)
 
 
+ALARMS = [
+    {"name": "positioner-down", "state": "raised", "text": "the positioner has not answered: it is not plugged in"},
+    {"name": "cube-face", "state": "acknowledged", "text": "the south face reads next to nothing"},
+    {"name": "move-failed", "state": "cleared", "text": "a move failed"},
+]
+
+
+@pytest.mark.parametrize(("alarms", "shown"), [
+    ([], "none"),
+    (ALARMS, f"{ALARMS[0]['text']}; {ALARMS[1]['text']}; over: a move failed"),
+    ([{**ALARMS[0], "text": "a" * 300}], "a" * 255),
+    ([{**ALARMS[0], "text": "a" * 300}, *ALARMS[1:]], "a" * 220 + "; also cube-face, over: move-failed"),
+    ([{**ALARMS[0], "text": "a" * 300}, *ALARMS[1:] * 6], "a" * 242 + "; and 12 more"),
+])  # fmt: skip
+def test_the_text_of_the_alarms_has_all_of_them_as_far_as_home_assistant_has_room(alarms, shown):
+    assert _rendered(document()["components"]["alarm_text"], {"alarms": alarms}) == shown
+    assert len(shown) <= 255
+
+
 def _follow(found, path):
     for name in path.strip(".").split("."):
         assert name in found, path
@@ -168,17 +188,6 @@ def _follow(found, path):
     return found
 
 
-class _Dotted(dict):
-    """Lets Python read the templates, whose expressions are Python's as well but for dots and `none`."""
-
-    def __getattr__(self, name):
-        value = self[name]
-        return _Dotted(value) if isinstance(value, dict) else value
-
-
 def _rendered(component, state):
     template = component.get("value_template")
-    if template is None:
-        return None
-    expression = re.fullmatch(r"\{\{ (.*) \}\}", template)[1]
-    return eval(expression, {"value_json": _Dotted(state), "none": None})
+    return None if template is None else NativeEnvironment().from_string(template).render(value_json=state)
