@@ -1,32 +1,52 @@
 """What is the matter with a running service, for scripts: in a line each, and as an exit code."""
 
+from collections.abc import Iterator
 from typing import Any
 
 from daemon.base.errors import ExitCode
+from daemon.commands.status.times import moment
+
+_HELD = {"stop": "STOPPED by a person", "buttons": "a button was pressed at the unit"}
 
 
 def troubles(state: dict[str, Any], health: dict[str, Any]) -> list[str]:
-    """Return a sentence for each thing that is the matter, none twice.
+    """Return a sentence for each thing that is the matter, the most urgent first, none twice.
 
     Parameters
     ----------
     state, health
         The JSON of /api/state and of /healthz.
     """
-    found = [*health["troubles"], *health["down"]]
+    alarms = [
+        f"{_of(alarm['tracker'], state)}{alarm['name']} ({_state(alarm)}): {alarm['text']}; {alarm['remedy']}"
+        for alarm in state["alarms"]
+    ]
+    down = [text for text in health["down"] if not text.startswith(tuple(_told_better(state)))]
+    return list(dict.fromkeys([*health["troubles"], *_faults(state), *alarms, *down]))
+
+
+def _faults(state: dict[str, Any]) -> Iterator[str]:
+    """Yield the faults of which no alarm has every word."""
+    for name, own in _trackers(state).items():
+        why = own["mode"]["why"]
+        told = any(why in alarm["text"] for alarm in state["alarms"] if alarm["tracker"] == name)
+        if own["mode"]["name"] == "fault" and not told:
+            yield f"{_of(name, state)}fault: {why}"
+
+
+def _told_better(state: dict[str, Any]) -> Iterator[str]:
+    """Yield how the sentences of /healthz begin whose cause a fault or an alarm tells as well."""
     for name, own in _trackers(state).items():
         if own["mode"]["name"] == "fault":
-            found.append(f"{_of(name, state)}fault: {own['mode']['why']}")
-    for alarm in state["alarms"]:
-        of = _of(alarm["tracker"], state)
-        found.append(f"{of}{alarm['name']} ({_state(alarm)}): {alarm['text']}; {alarm['remedy']}")
-    return list(dict.fromkeys(found))
+            yield f"positioner of {name}: " if len(_trackers(state)) > 1 else "positioner: "
+    if any(alarm["name"] == "store-down" for alarm in state["alarms"]):
+        yield "store: "
 
 
 def verdict(state: dict[str, Any], health: dict[str, Any]) -> tuple[list[str], ExitCode]:
     """Return the lines of the answer, the first of them the sum, and what the program ends with."""
     found = troubles(state, health)
-    modes = [f"{_of(name, state)}{mode_words(own['mode'])}" for name, own in _trackers(state).items()]
+    modes = [f"{_of(name, state)}{mode_words(own)}" for name, own in _trackers(state).items()]
     doing = ", ".join(modes) or "reads the cube"
     simulated = "SIMULATED, " if state["simulated"] else ""
     if not found:
@@ -46,16 +66,16 @@ def page(state: dict[str, Any], health: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def mode_words(mode: dict[str, Any]) -> str:
-    """Return a mode's name, and for one that persons hold which it is: a stop is more than a hold."""
-    asked = mode.get("asked")
-    held = {"stop": "STOPPED by a person", "buttons": "a button was pressed at the unit"}.get(asked or "")
-    return mode["name"] if held is None else f"{mode['name']}, {held}"
+def mode_words(own: dict[str, Any]) -> str:
+    """Return the mode of a tracker's part of the state, and whether a person keeps it still in whatever mode."""
+    name: str = own["mode"]["name"]
+    held = next((words for wish, words in _HELD.items() if own["wishes"][wish]), None)
+    return name if held is None else f"{name}, {held}"
 
 
 def _state(alarm: dict[str, Any]) -> str:
     since = "raised" if alarm["state"] == "cleared" else "since"
-    return f"{alarm['state']}, {since} {alarm['since'][:19].replace('T', ' ')} UTC"
+    return f"{alarm['state']}, {since} {moment(alarm['since'])}"
 
 
 def _trackers(state: dict[str, Any]) -> dict[str, dict[str, Any]]:

@@ -8,6 +8,7 @@ from daemon.api.client import NoServiceError, find_unarmed
 from daemon.base.installation import release
 from daemon.base.records import Quality
 from daemon.commands.status.check import mode_words
+from daemon.commands.status.times import moment
 from daemon.commands.upgrade.finding import Finding
 from daemon.config.settings import Settings
 from daemon.service.rig import Role
@@ -42,7 +43,7 @@ def service(state: dict[str, Any], health: dict[str, Any]) -> Iterator[Finding]:
 
     `state` and `health` are the JSON of /api/state and of /healthz.
     """
-    modes = ", ".join(f"{_of(name, state)}{mode_words(own['mode'])}" for name, own in state["trackers"].items())
+    modes = ", ".join(f"{_of(name, state)}{mode_words(own)}" for name, own in state["trackers"].items())
     simulated = "SIMULATED, " if state["simulated"] else ""
     remedy = f"{'; '.join(health['troubles'])}: restart it" if health["troubles"] else ""
     yield Finding("service", f"runs as {state['role']}: {simulated}{modes or 'reads the cube'}", remedy)
@@ -56,7 +57,7 @@ def service(state: dict[str, Any], health: dict[str, Any]) -> Iterator[Finding]:
         if alarm["name"] in _TOLD_ALREADY:
             continue
         subject = f"alarm {_of(alarm['tracker'], state)}{alarm['name']}"
-        yield Finding(subject, f"{alarm['state']} since {alarm['since'][:19]}Z: {alarm['text']}", alarm["remedy"])
+        yield Finding(subject, f"{alarm['state']} since {moment(alarm['since'])}: {alarm['text']}", alarm["remedy"])
     if state["store"] is not None and state["store"]["down_why"]:
         yield Finding("store", state["store"]["down_why"], "disk full, rights")
 

@@ -3,13 +3,16 @@
 import asyncio
 import re
 
+import pytest
+
 from daemon.base.errors import ExitCode
 from daemon.base.records import Mode
 from daemon.commands.status.check import page, verdict
+from tests.daemon.commands.status.test_times import place
 from tests.support.api import serve
 from tests.support.phases import under_way
 
-__all__ = ["serve"]
+__all__ = ["place", "serve"]
 
 
 async def both(call):
@@ -46,7 +49,7 @@ def test_all_is_well_a_person_s_stop_included_until_something_is_the_matter(serv
         (alarm,) = (
             line
             for line in lines
-            if re.match(r"stow-wanted \(raised, since [-0-9]+ [0-9:]+ UTC\): stow is wanted", line)
+            if re.match(r"stow-wanted \(raised, since [-0-9]+ [0-9:]+ (\([-0-9: ]+ )?UTC\)?\): stow is wanted", line)
         )
         assert found[0]["alarms"][0]["remedy"] in alarm
         assert page(*found)["alarms"] == ["stow-wanted"]
@@ -70,5 +73,26 @@ def test_what_is_most_urgent_is_told_first_and_what_is_over_last(serve):
         told = [line.partition(" (")[0] for line in verdict(*found)[0][1:]]
         assert told == ["stow-wanted", "store-down", "api-down", "day-budget", "move-failed"]
         assert page(*found)["alarms"] == told
+
+    serve(scenario)
+
+
+@pytest.mark.parametrize("place", ["Europe/Paris"], indirect=True)
+@pytest.mark.usefixtures("place")
+def test_a_cause_is_told_once_with_its_local_time_and_a_stop_in_a_fault_as_well(serve):
+    async def scenario(rig, call):
+        await under_way(rig)
+        rig.cables.positioner.link_up = False
+        await asyncio.sleep(120)
+        lines, _ = verdict(*await both(call))
+        assert lines[0] == "works, but 1 to look at: SIMULATED, fault"
+        assert re.match(r"positioner-down \(raised, since 2022-10-12 12:01:\d\d \(10:01:\d\d UTC\)\): ", lines[1])
+        await call.post("stop")
+        await asyncio.sleep(20)
+        lines, _ = verdict(*await both(call))
+        assert lines[0] == "works, but 2 to look at: SIMULATED, fault, STOPPED by a person"
+        assert re.match(r"fault: positioner: .* plugged.*; stopped by HTTP since .*", lines[1])
+        assert "\n".join(lines).count("positioner-down") == 1
+        assert not any(line.startswith("positioner: ") for line in lines)
 
     serve(scenario)
