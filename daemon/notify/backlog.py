@@ -77,7 +77,7 @@ class Backlog:
         # A message that was not taken may have been too long for its way, which would keep the urgent ones with it.
         chosen = sorted(chosen, key=lambda notice: not notice.urgent)[: max(len(chosen) >> self._failures, 1)]
         self._lost_told = self._lost
-        return self._with_lost(gathered(chosen)), chosen
+        return self._with_lost(gathered(chosen, short=self._failures > 0)), chosen
 
     def _with_lost(self, notice: Notice) -> Notice:
         if not self._lost:

@@ -2,9 +2,11 @@
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import datetime
 from typing import Any
 
+from daemon.base.clock import local_time
 from daemon.notify.told import ToldAlarm, ToldService
 
 # Alarms by tracker (empty for the cube's) and name.
@@ -12,6 +14,8 @@ _Shown = dict[tuple[str, str], dict[str, Any]]
 
 SEVERITIES = ("notice", "warning", "critical")
 _NOTHING = ToldService()
+# What Pushover takes is 1024 letters; others take more.
+_LONGEST_WHOLE = 900
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,12 +30,18 @@ class Notice:
         One of `SEVERITIES`.
     good
         Whether it is the end of something.
+    since
+        Since when it is or was so, in words; empty where that is not known.
+    brief
+        What is the matter and what to do, in a line beside others.
     """
 
     title: str
     body: str
     severity: str
     good: bool = False
+    since: str = ""
+    brief: str = ""
 
     @property
     def urgent(self) -> bool:
@@ -143,15 +153,19 @@ class ServiceWatch:
         return SEVERITIES.index(alarm["severity"]) >= self._at_least
 
     def _raised(self, alarm: Mapping[str, Any]) -> Notice:
-        raised = f"Since {alarm['raised_at'][:19].replace('T', ' ')} UTC."
-        lines = (f"{alarm['text']}.", f"Effect: {alarm['effect']}.", f"Remedy: {alarm['remedy']}.", raised)
-        return self._notice(f"{_of(alarm)}{alarm['name']}", alarm["severity"], lines)
+        since = _local(alarm["raised_at"])
+        lines = (f"{alarm['text']}.", f"Effect: {alarm['effect']}.", f"Remedy: {alarm['remedy']}.", f"Since {since}.")
+        found = self._notice(f"{_of(alarm)}{alarm['name']}", alarm["severity"], lines)
+        brief = f"{alarm['text']}. Remedy: {alarm['remedy']}".replace("`", "'")
+        return replace(found, since=f"since {since}", brief=brief)
 
     def _over(self, alarm: Mapping[str, Any]) -> Notice:
-        lines = [f"Was: {alarm['text']}."]
+        since = f"it was on since {_local(alarm['raised_at'])}" if alarm["raised_at"] else ""
+        lines = [f"Was: {alarm['text']}.", *([f"{since.capitalize()}."] if since else [])]
         if alarm["latched"] and not alarm["acknowledged_at"]:
             lines.append(f"It stays shown until somebody acknowledges it: 'heliocube alarms ack {alarm['name']}'.")
-        return self._notice(f"over: {_of(alarm)}{alarm['name']}", alarm["severity"], lines, good=True)
+        found = self._notice(f"over: {_of(alarm)}{alarm['name']}", alarm["severity"], lines, good=True)
+        return replace(found, since=since, brief=alarm["text"].replace("`", "'"))
 
     def _notice(self, what: str, severity: str, lines: Iterable[str], *, good: bool = False) -> Notice:
         urgency = "" if good else f"{severity.upper()} "
@@ -170,12 +184,22 @@ def _of(alarm: Mapping[str, Any]) -> str:
     return f"{alarm['tracker']} " if alarm["tracker"] not in (None, "tracker") else ""
 
 
-def gathered(notices: list[Notice]) -> Notice:
-    """Return several notices as one: the worst severity, a line each."""
+def _local(iso_utc: str) -> str:
+    """Return an instant by this machine's clock on the wall, and how far that is from UTC."""
+    there = local_time(datetime.fromisoformat(iso_utc).timestamp())
+    offset = there.strftime("%z")
+    zone = f"(UTC{offset[:3]}:{offset[3:5]})" if there.utcoffset() else "UTC"
+    return f"{there:%Y-%m-%d %H:%M:%S} {zone}"
+
+
+def gathered(notices: list[Notice], *, short: bool = False) -> Notice:
+    """Return several notices as one: the worst severity, a line each; `short` leaves out all but names and times."""
     if len(notices) == 1:
         return notices[0]
     worst = max(notices, key=lambda notice: SEVERITIES.index(notice.severity))
-    lines = [notice.title.removeprefix("heliocube ") for notice in notices]
+    names = [", ".join(filter(None, (notice.title.removeprefix("heliocube "), notice.since))) for notice in notices]
+    whole = [": ".join(filter(None, (name, notice.brief))) for name, notice in zip(names, notices, strict=True)]
+    lines = names if short or sum(map(len, whole)) > _LONGEST_WHOLE else whole
     last = [line for line in notices[-1].body.splitlines()[-1:] if line.startswith("http")]
     good = all(notice.good for notice in notices)
     return Notice(f"heliocube: {len(notices)} changes of alarms", "\n".join([*lines, *last]), worst.severity, good)

@@ -5,10 +5,12 @@ from datetime import time
 
 import pytest
 
+from daemon.base.alarms.kinds import KINDS
 from daemon.notify.backlog import QuietHours
+from tests.daemon.commands.status.test_times import place
 from tests.daemon.notify.test_courier import lab, told
 
-__all__ = ["lab", "told"]
+__all__ = ["lab", "place", "told"]
 
 
 @pytest.mark.parametrize(
@@ -37,7 +39,9 @@ def test_in_quiet_hours_only_critical_ones_are_told_the_others_together_afterwar
         ((_, _, body),) = lab.told[1:]
         found = json.loads(body)
         assert found["title"] == "heliocube: 2 changes of alarms"
-        assert found["message"].splitlines() == ["roof SIMULATED: WARNING clock", "roof SIMULATED: WARNING cube-face"]
+        for line, name in zip(found["message"].splitlines(), ("clock", "cube-face"), strict=True):
+            told_in_a_line = f"{lab.alarm()['text']}. Remedy: {KINDS[name].remedy.replace('`', chr(39))}"
+            assert line == f"roof SIMULATED: WARNING {name}, since 2026-06-21 12:00:00 UTC: {told_in_a_line}"
 
     told(scenario, quiet_from="11:30", quiet_until="12:30")
 
@@ -65,7 +69,30 @@ def test_the_next_message_says_how_many_changes_were_lost_while_too_many_waited(
         for _ in range(3):
             await step(1800.0)
         lost = "Older changes that are lost, because more than 200 waited: 5."
-        assert [message.splitlines()[0] for message in lab.messages] == [lost, "roof SIMULATED: WARNING row-105 clock"]
+        assert [message.splitlines()[0] for message in lab.messages] == [
+            lost,
+            "roof SIMULATED: WARNING row-105 clock, since 2026-06-21 12:00:00 UTC",
+        ]
         assert sum(message.count("clock") for message in lab.messages) == 200
 
     told(scenario)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", ["Europe/Paris"], indirect=True)
+@pytest.mark.usefixtures("place")
+def test_in_the_morning_an_alarm_that_came_and_went_says_when_by_the_clock_on_the_wall(lab, told):
+    async def scenario(step):
+        lab.alarms = [lab.alarm("clock")]
+        await step()
+        lab.alarms = []
+        await step()
+        assert lab.told == []
+        await step(3600.0)
+        raised, over = lab.messages[0].splitlines()
+        since = "since 2026-06-21 14:00:00 (UTC+02:00)"
+        text = "stow is wanted (wind 20.0 m/s)"
+        assert raised.startswith(f"roof SIMULATED: WARNING clock, {since}: {text}. Remedy: check")
+        assert over == f"roof SIMULATED: over: clock, it was on {since}: {text}"
+
+    told(scenario, quiet_from="13:30", quiet_until="14:30")
