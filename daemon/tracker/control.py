@@ -178,18 +178,16 @@ class Control(Doors):
         if now_s >= self._foresee_from_s or (self._foreseen is not None and self._foreseen[0] != known):
             in_s = max(self._due_s - now_s, 0.0)
             self._foresee_from_s = self._phase.next_s(now_s, _FORESEE_EVERY_S)
-            self._foreseen = (
-                known,
-                foresee(
-                    self._deciding,
-                    self._readings.mean(now_s),
-                    self._whereabouts,
-                    self._clock.utc() + in_s,
-                    self._settings.motion.deadband_deg,
-                    sun_known=self._clock_watch.trusted,
-                    may_move=self.budget.waits_why(self._clock_watch.believed_utc_s + in_s) is None,
-                ),
+            ahead = foresee(
+                self._deciding,
+                self._readings.mean(now_s),
+                self._whereabouts,
+                self._clock.utc() + in_s,
+                self._settings.motion.deadband_deg,
+                sun_known=self._clock_watch.trusted,
+                may_move=self.budget.waits_why(self._clock_watch.believed_utc_s + in_s) is None,
             )
+            self._foreseen = known, ahead
         return None if self._foreseen is None else self._foreseen[1]
 
     @property
@@ -238,6 +236,9 @@ class Control(Doors):
         mode, why = next_mode(self.mode, situation, at_stow=at_stow)
         self._reminders.watch_stow(None if at_stow else situation.stow_why, self.wishes)
         if mode is not self.mode:
+            if self.mode is Mode.STOW and situation.stow_why is None:
+                # Where nothing is decided anew at once, the way to the stow position would go on.
+                self._motion.forget_order()
             self._enter(mode, why, now_s)
         self.why = why
         wind_known = self._stow_watch.waiting_why(now_s) is None
@@ -262,8 +263,7 @@ class Control(Doors):
         data, data_why, night_why = self._readings.judge(now_s, mean, sun_known=self._clock_watch.trusted)
         asked = self._orders.stow.reason(now_s)
         stow_why = "; ".join((*([asked] if asked else []), *self._stow_watch.reasons(now_s))) or None
-        waiting_why = self._stow_watch.waiting_why(now_s)
-        if waiting_why is not None:
+        if (waiting_why := self._stow_watch.waiting_why(now_s)) is not None:
             data, data_why = Data.WAITING, waiting_why
         wishes = self.wishes
         return Situation(

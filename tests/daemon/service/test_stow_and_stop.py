@@ -68,6 +68,32 @@ def test_a_hold_stops_what_is_left_of_a_stow_that_was_released_in_doubt(run_rig)
     run_rig(scenario, motion={"rehome": "operator"})
 
 
+@pytest.mark.parametrize("blows", [False, True])
+def test_auto_ends_the_way_to_a_stow_at_once_but_not_while_the_wind_blows(run_rig, blows):
+    async def scenario(rig):
+        await quiet(rig)
+        operator = Operator(rig.tracker, 1.0)
+        await operator.stow("a test", "ana")
+        if blows:
+            rig.wind_m_s = 20.0
+        await asyncio.sleep(5)
+        assert rig.motion.moving
+        await operator.auto("a test", "ana")
+        if blows:
+            assert rig.motion.moving
+            await at_rest(rig)
+            assert (rig.mode, rig.truth().b_deg) == (Mode.STOW, pytest.approx(90.0, abs=1.0))
+        else:
+            await rig.until(lambda: not rig.motion.moving, 2, "rest")
+            assert rig.mode is Mode.TRACKING
+            assert rig.truth().b_deg < 80.0
+            await rig.until(lambda: rig.motion.moving, 300, "the next move of the law")
+
+    rig = run_rig(scenario)
+    stow = next(move for move in rig.of(Move) if (move.target_a_deg, move.target_b_deg) == (0.0, 90.0))
+    assert stow.outcome is (MoveOutcome.ARRIVED if blows else MoveOutcome.INTERRUPTED)
+
+
 def test_stow_ends_a_homing_run_and_leaves_a_doubt(run_rig):
     async def scenario(rig):
         await tracking(rig)
