@@ -126,7 +126,11 @@ def _motor(axis: str) -> dict[str, Any]:
 
 def _commands(topics: Topics, *, dated: bool) -> dict[str, dict[str, Any]]:
     kept = [mode for mode in MODES if mode != "auto"]
-    chosen = f"value_json.mode.name if value_json.mode.name in {kept} else 'auto'"
+    # In a fault, and at the start, a person's wish is in force all the same.
+    mode, wishes = "value_json.mode.name", "value_json.wishes"
+    held = f"'hold' if {wishes}.stop or {wishes}.buttons or {wishes}.hold"
+    wished = f"{held} else 'stow' if {wishes}.stow else 'snow' if {wishes}.snow else 'auto'"
+    chosen = f"{mode} if {mode} in {kept} else {wished}"
     select = {
         "platform": "select",
         "name": "Command",

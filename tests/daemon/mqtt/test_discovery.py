@@ -10,6 +10,7 @@ from jinja2.nativetypes import NativeEnvironment
 from daemon.base.records import Mode
 from daemon.mqtt.discovery import discovery
 from daemon.mqtt.topics import Topics
+from daemon.tracker.wishes import Wishes
 from tests.support import home_assistant
 from tests.support.mqtt import SPEED, BrokerRig, observer, serving, settings_for
 
@@ -179,6 +180,22 @@ ALARMS = [
 def test_the_text_of_the_alarms_has_all_of_them_as_far_as_home_assistant_has_room(alarms, shown):
     assert _rendered(document()["components"]["alarm_text"], {"alarms": alarms}) == shown
     assert len(shown) <= 255
+
+
+@pytest.mark.parametrize(("mode", "wish", "shown"), [
+    ("fault", "stop", "hold"),
+    ("fault", "buttons", "hold"),
+    ("starting", "hold", "hold"),
+    ("fault", "stow", "stow"),
+    ("fault", "snow", "snow"),
+    ("stow", "hold", "stow"),
+    ("fault", None, "auto"),
+    ("tracking", None, "auto"),
+])  # fmt: skip
+def test_the_command_is_what_a_person_asked_for_also_while_a_fault_stands_in_its_way(mode, wish, shown):
+    wishes = {name: {"why": "x"} if name == wish else None for name in Wishes.model_fields}
+    state = {"mode": {"name": mode}, "wishes": wishes}
+    assert _rendered(document()["components"]["command"], state) == shown
 
 
 def _follow(found, path):
