@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
+from daemon.base.alarms.kinds import as_typed
 from daemon.base.errors import ExitCode
 from daemon.commands.status.times import moment
 
@@ -18,7 +19,7 @@ def troubles(state: dict[str, Any], health: dict[str, Any]) -> list[str]:
         The JSON of /api/state and of /healthz.
     """
     alarms = [
-        f"{_of(alarm['tracker'], state)}{alarm['name']} ({_state(alarm)}): {alarm['text']}; {alarm['remedy']}"
+        f"{_of(alarm['tracker'], state)}{alarm['name']} ({_state(alarm)}): {alarm['text']}; {_remedy(alarm, state)}"
         for alarm in state["alarms"]
     ]
     down = [text for text in health["down"] if not text.startswith(tuple(_told_better(state)))]
@@ -74,8 +75,17 @@ def mode_words(own: dict[str, Any]) -> str:
 
 
 def _state(alarm: dict[str, Any]) -> str:
-    since = "raised" if alarm["state"] == "cleared" else "since"
-    return f"{alarm['state']}, {since} {moment(alarm['since'])}"
+    if alarm["state"] == "cleared":
+        return f"raised {moment(alarm['since'])}, over since {moment(alarm['cleared_at'])}"
+    return f"{alarm['state']}, since {moment(alarm['since'])}"
+
+
+def _remedy(alarm: dict[str, Any], state: dict[str, Any]) -> str:
+    remedy: str = alarm["remedy"]
+    if alarm["state"] != "cleared":
+        return remedy
+    whose = alarm["tracker"] if len(_trackers(state)) > 1 else None
+    return as_typed(f"look what it was, then `heliocube alarms ack {alarm['name']}`", whose)
 
 
 def _trackers(state: dict[str, Any]) -> dict[str, dict[str, Any]]:

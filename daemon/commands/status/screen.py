@@ -154,11 +154,12 @@ def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
 
 
 def alarm_state(alarm: dict[str, Any], state: dict[str, Any]) -> str:
-    """Return since when an alarm is on, or that it is over, and who has acknowledged it."""
+    """Return since when an alarm is on, or since when it is over, and who has acknowledged it."""
     since = _since(alarm["since"], state["time"])
     if alarm["state"] == "cleared":
         remedy = f"acknowledge it with 'heliocube alarms ack {alarm['name']}'"
-        return f"{since}; over: {as_typed(remedy, _whose(alarm, state))}"
+        ended = _since(alarm["cleared_at"], state["time"])
+        return f"{since}; over {ended}: {as_typed(remedy, _whose(alarm, state))}"
     return f"{since}; acknowledged by {alarm['acknowledged_by']}" if alarm["state"] == "acknowledged" else since
 
 

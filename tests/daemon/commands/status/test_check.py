@@ -8,6 +8,7 @@ import pytest
 from daemon.base.errors import ExitCode
 from daemon.base.records import Mode
 from daemon.commands.status.check import page, verdict
+from daemon.commands.status.screen import alarm_state
 from tests.daemon.commands.status.test_times import place
 from tests.support.api import serve
 from tests.support.phases import under_way
@@ -96,3 +97,28 @@ def test_a_cause_is_told_once_with_its_local_time_and_a_stop_in_a_fault_as_well(
         assert not any(line.startswith("positioner: ") for line in lines)
 
     serve(scenario)
+
+
+@pytest.mark.parametrize("place", ["Europe/Paris"], indirect=True)
+@pytest.mark.usefixtures("place")
+def test_an_alarm_that_came_and_went_in_the_night_says_from_when_to_when_and_how_it_goes(serve):
+    async def scenario(rig, call):
+        await rig.until_mode(Mode.TRACKING, 120)
+        rig.tracker.alarms.set("motor-current", "axis A draws 5 A")
+        await asyncio.sleep(7200)
+        rig.tracker.alarms.set("motor-current", None)
+        await asyncio.sleep(60)
+        state, health = await both(call)
+        raised, over = r"12:0\d:\d\d \(10:0\d:\d\d UTC\)", r"14:0\d:\d\d \(12:0\d:\d\d UTC\)"
+        (line,) = verdict(state, health)[0][1:]
+        assert re.fullmatch(
+            rf"motor-current \(raised 2022-10-12 {raised}, over since 2022-10-12 {over}\): axis A draws 5 A;"
+            r" look what it was, then `heliocube alarms ack motor-current`",
+            line,
+        )
+        assert re.fullmatch(
+            rf"since {raised}; over since {over}: acknowledge it with 'heliocube alarms ack motor-current'",
+            alarm_state(state["alarms"][0], state),
+        )
+
+    serve(scenario, rest_look_s=60.0)
