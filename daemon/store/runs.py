@@ -49,6 +49,38 @@ def runs_of(path: Path) -> list[StoredRun]:
     ]
 
 
+class ToldBefore(NamedTuple):
+    """What a run of the service had told before an instant; each with its time [s UTC] and its tracker.
+
+    Attributes
+    ----------
+    alarms
+        The texts of the events of alarms, in their order.
+    modes
+        The modes that its trackers changed to, in their order.
+    """
+
+    alarms: tuple[tuple[float, str, str], ...] = ()
+    modes: tuple[tuple[float, str, str], ...] = ()
+
+
+def told_before(path: Path, run: int, utc_s: float) -> ToldBefore:
+    """Return what a run had told before an instant [s UTC]; raises `StoreError`."""
+    found: list[tuple[tuple[float, str, str], ...]] = []
+    with closing(open_for_reading(path)) as connection:
+        try:
+            for kind, word, which in (("events", "text", "AND subject = 'alarm'"), ("modes", "after", "")):
+                whose = "COALESCE(tracker, '')" if "tracker" in columns_of(connection, kind) else "''"
+                query = (
+                    f"SELECT time, {whose}, {word} FROM {kind} "  # noqa: S608 - our own names
+                    f"WHERE run = ? AND time < ? {which} ORDER BY time, number"
+                )
+                found.append(tuple(connection.execute(query, (run, utc_s)).fetchall()))
+        except sqlite3.Error as error:
+            raise unreadable(path, error) from None
+    return ToldBefore(*found)
+
+
 def reach_of(path: Path) -> tuple[float, float] | None:
     """Return the times [s UTC] of a store's first and last record, None without one; raises `StoreError`."""
     ends: list[float] = []

@@ -11,7 +11,7 @@ import pandas as pd
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Quality
 from daemon.store.export import KINDS, export
-from daemon.store.runs import StoredRun, nothing_in, reach_of, runs_of
+from daemon.store.runs import StoredRun, ToldBefore, nothing_in, reach_of, runs_of, told_before
 from daemon.store.schema import FILE_NAME
 from daemon.studies.report.span import ReportSpan, Wanted, times
 from solar.ephemeris import Site
@@ -21,6 +21,7 @@ from solar.frames import Array, Limits
 _LEFT_OUT = {"session", "source", "sequence", "calibration", "curve", "ghi", *(f"{face}_time" for face in FACES)}
 # The last record belongs to the span.
 _LAST_S = 1.0
+_NOTHING = ToldBefore()
 _WORDS_AGAIN = {"mode", "law", "tracker", *(f"{face}_quality" for face in FACES)}
 
 
@@ -44,6 +45,8 @@ class Material:
         Of the service, as far as the records know them.
     tables
         By kind, a frame with a UTC index and the columns of docs/data.md; empty without a record.
+    before
+        What the run that the span begins in had told before it.
     budget_deg, budget_moves
         Of a day, as far as they are known.
     stow_wind_m_s
@@ -59,6 +62,7 @@ class Material:
     source: str
     runs: tuple[StoredRun, ...]
     tables: dict[str, pd.DataFrame]
+    before: ToldBefore = _NOTHING
     budget_deg: float | None = None
     budget_moves: int | None = None
     stow_wind_m_s: float | None = None
@@ -136,7 +140,9 @@ def from_store(
     there = [run for run in runs if run.run in with_records]
     last = there[-1].origin
     site = Site(last.latitude_deg, last.longitude_deg, last.altitude_m)
-    found = of_tables(tables, span, site, last.site, called, runs=tuple(there))
+    # Each run raises anew what lasts.
+    before = told_before(path, there[0].run, span.start_utc_s)
+    found = of_tables(tables, span, site, last.site, called, runs=tuple(there), before=before)
     chosen = [material for material in found if tracker in (None, material.tracker)]
     if not chosen:
         names = ", ".join(material.tracker for material in found)
@@ -152,6 +158,7 @@ def of_tables(
     source: str,
     *,
     runs: tuple[StoredRun, ...] = (),
+    before: ToldBefore = _NOTHING,
 ) -> list[Material]:
     """Return the material of every tracker in tables; `UserError` for tables without a record in the span."""
     inside = within(tables, span)
@@ -168,6 +175,7 @@ def of_tables(
             source=source,
             runs=runs,
             tables={kind: _of_tracker(table, name) for kind, table in inside.items()},
+            before=ToldBefore(*(tuple(said for said in kind if said[1] in ("", name)) for kind in before)),
         )
         for name in _trackers(inside.values()) or ["tracker"]
     ]

@@ -168,7 +168,9 @@ def _modes_between(material: Material, start: float, end: float) -> list[Stretch
 
 
 def _mode_before(material: Material, start: float) -> str:
-    """Return the mode of a stretch without a change, as its decisions have it."""
+    """Return the mode of a stretch without a change, by the last change before the span or by its decisions."""
+    if material.before.modes and start == material.span.start_utc_s:
+        return material.before.modes[-1][2]
     decisions = material.tables["decisions"]
     later = np.flatnonzero(material.times_of("decisions") >= start)
     return str(decisions["mode"].iloc[int(later[0])]) if later.size else "no change of mode recorded"

@@ -279,10 +279,16 @@ def _quality(found: Findings) -> Iterator[Part]:
 def _outages(found: Findings) -> Iterator[Part]:
     yield element("h2", "Outages and alarms")
     if not found.alarms:
-        yield element("p", "No alarm was raised.")
+        yield element("p", "No alarm was raised, and none was on.")
         return
+    begins_s = found.material.span.start_utc_s
     rows = [
-        (*_when(alarm.start_utc_s, found), _lasted(alarm, found), alarm.text, alarm.acknowledged or NO_FIGURE)
+        (
+            *_when(alarm.start_utc_s, found, day=(alarm.start_utc_s or begins_s) < begins_s),
+            _lasted(alarm, found),
+            alarm.text,
+            alarm.acknowledged or NO_FIGURE,
+        )
         for alarm in found.alarms[:_MOST_LINES]
     ]
     yield table(

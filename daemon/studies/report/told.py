@@ -21,7 +21,7 @@ class AlarmSpan:
     name, text
         Its kind, empty in older records, and what was wrong.
     start_utc_s, end_utc_s
-        None for one that was on before the span, and for one that is on at its end.
+        None for one that was on before anything that is known, and for one that is on at the end of the span.
     acknowledged
         By whom, with the reason if there was one; empty for nobody.
     """
@@ -43,10 +43,11 @@ class Note:
 
 
 def alarms_of(material: Material) -> list[AlarmSpan]:
-    """Return the alarms of a span, the first raised first."""
+    """Return the alarms of a span, those included that were on when it began, the first raised first."""
     latest: dict[str, AlarmSpan] = {}
     over: list[AlarmSpan] = []
-    for note in _notes(material):
+    before_it = [Note(at, _ALARM, text) for at, _, text in material.before.alarms]
+    for note in (*before_it, *_notes(material)):
         if note.subject != _ALARM:
             continue
         acknowledged = _ACKNOWLEDGED.match(note.text)
@@ -69,7 +70,9 @@ def alarms_of(material: Material) -> list[AlarmSpan]:
             latest[name or text] = AlarmSpan(name, text, None, note.utc_s)
         else:
             latest[name or text] = replace(before, end_utc_s=note.utc_s)
-    return sorted([*over, *latest.values()], key=lambda alarm: alarm.start_utc_s or 0.0)
+    begins_s = material.span.start_utc_s
+    inside = [each for each in (*over, *latest.values()) if each.end_utc_s is None or each.end_utc_s >= begins_s]
+    return sorted(inside, key=lambda alarm: alarm.start_utc_s or 0.0)
 
 
 def notes_of(material: Material) -> list[Note]:

@@ -1,14 +1,18 @@
 """Alarms, put together from what the service told of them."""
 
+import re
+from zoneinfo import ZoneInfo
+
 import pandas as pd
 import pytest
 
-from daemon.studies.report.material import of_tables
-from daemon.studies.report.span import ReportSpan
+from daemon.base.records import Event, Mode, ModeChange, Pose
+from daemon.studies.report.material import from_store, of_tables
+from daemon.studies.report.page import findings_of, page_of
+from daemon.studies.report.span import ReportSpan, Wanted
 from daemon.studies.report.told import AlarmSpan, alarms_of
 from solar.ephemeris import Site
-
-T0 = 1665705600.0
+from tests.support.stored_day import DAY_S, T0, opened
 
 
 @pytest.fixture
@@ -52,3 +56,44 @@ def test_what_older_services_wrote_is_paired_by_its_text(alarms):
     assert alarms("the store is full", "over: the store is full") == [
         AlarmSpan("", "the store is full", T0, T0 + 60.0),
     ]
+
+
+def page_of_the_second_day(directory):
+    (material,) = from_store(directory, Wanted(day="2022-10-15"), None, T0 + 3 * DAY_S, lambda _: None)
+    return re.sub(r"<[^>]+>", " ", page_of(findings_of(material, ZoneInfo("Europe/Paris"))))
+
+
+def night(store, start):
+    """Keep the poses of a tracker that stands still for a day."""
+    for minute in range(0, 1440, 5):
+        store.keep(Pose(start + 60.0 * minute, 0.0, 0.0, 90.0, False, "roof"))
+
+
+def test_what_was_on_when_the_day_began_is_told_with_its_date_and_a_stop_of_the_day_before_as_its_mode(tmp_path):
+    store = opened(tmp_path)
+    for hour, text in (
+        (8.0, "raised cube-face: the south face is dead"),
+        (8.5, "acknowledged cube-face by ana"),
+        (9.0, "raised clock: not synchronised"),
+        (10.0, "cleared clock: not synchronised"),
+    ):
+        store.keep(Event(T0 + hour * 3600.0, 0.0, "alarm", text, ""))
+    store.keep(ModeChange(T0 + 16.0 * 3600.0, 0.0, Mode.TRACKING, Mode.HOLD, "stopped by ana", "roof"))
+    night(store, T0 + DAY_S)
+    store.close()
+    page = page_of_the_second_day(tmp_path)
+    assert "the records have 1 alarm, no stows" in page
+    row = r"2022-10-14 08:00:00\s+2022-10-14 10:00:00\s+40 h 00 min, still on\s+the south face is dead\s+ana"
+    assert re.search(row, page)
+    assert "not synchronised" not in page
+    assert re.search(r"hold\s+23\.9\s+99\.7", page)
+
+
+def test_what_an_earlier_run_of_the_service_had_told_is_not_taken_for_lasting(tmp_path):
+    store = opened(tmp_path)
+    store.keep(Event(T0 + 8.0 * 3600.0, 0.0, "alarm", "raised cube-face: the south face is dead", ""))
+    store.close()
+    store = opened(tmp_path)
+    night(store, T0 + DAY_S)
+    store.close()
+    assert "No alarm was raised, and none was on." in page_of_the_second_day(tmp_path)
