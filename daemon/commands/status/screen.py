@@ -89,15 +89,28 @@ def line(state: dict[str, Any]) -> str:
     if state["simulated"]:
         parts.append("SIMULATED")
     if state["scan"] is not None:
-        faces = state["scan"]["faces"].items()
-        parts.append(" ".join(f"{name[0].upper()} {_number(face['irradiance_w_m2'], '.1f')}" for name, face in faces))
+        parts.append(" ".join(_face(name, face) for name, face in state["scan"]["faces"].items()))
     for name, own in _trackers(state).items():
         of = f"{name}: " if name else ""
-        parts += [f"{of}{_where(own['tracker'])}", f"{of}{own['mode']['name']}: {own['mode']['why']}"]
+        parts += [
+            f"{of}{_where(own['tracker'])}{_stale(own['tracker'])}",
+            f"{of}{own['mode']['name']}: {own['mode']['why']}",
+        ]
     parts += [f"ALARM {_named(alarm['name'], alarm, state)}" for alarm in state["alarms"]]
     if state["cube_down_why"]:
         parts.append(state["cube_down_why"])
     return " | ".join(parts)
+
+
+def _face(name: str, face: dict[str, Any]) -> str:
+    worth = "" if face["quality"] == "ok" else f" {face['quality']}"
+    return f"{name[0].upper()} {_number(face['irradiance_w_m2'], '.1f')}{worth}"
+
+
+def _stale(tracker: dict[str, Any]) -> str:
+    """Return how old a pose is that is not known to be true any more, to stand behind it."""
+    pose = tracker["pose"]
+    return f"  STALE, {_age(pose['age_s'])} old" if pose is not None and pose["stale"] else ""
 
 
 def _trackers(state: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -220,8 +233,7 @@ def _tracker(tracker: dict[str, Any]) -> Text:
     currents = [_number(tracker["motor_current_a"][axis], ".2f") for axis in ("a", "b")]
     if currents != ["-", "-"]:
         text.append(f", motors {currents[0]} and {currents[1]} A")
-    if pose["stale"]:
-        text.append(f"  STALE, {_age(pose['age_s'])} old", style=_BAD)
+    text.append(_stale(tracker), style=_BAD)
     for why in (tracker["down_why"], tracker["blocked_why"], tracker["doubt_why"]):
         if why:
             text.append(f"  {why}", style=_BAD)

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from daemon.base.records import Event, Mode
 from daemon.commands.status.live import LiveView
-from daemon.commands.status.screen import live_screen, render
+from daemon.commands.status.screen import line, live_screen, render
 from daemon.service.recent import Recent
 from daemon.service.state import state_json
 from tests.support.phases import under_way
@@ -65,6 +65,25 @@ def test_a_terminal_shows_what_is_wrong(run_rig):
     assert "fault" in text
     assert "positioner: is unplugged" in text
     assert "voltmeter: is unplugged" in text
+
+
+def test_a_line_says_of_a_face_that_it_is_not_good_and_of_a_pose_that_it_is_old(run_rig):
+    async def scenario(rig):
+        await under_way(rig)
+        await asyncio.sleep(600)
+        rig.scene.break_sensor(1, 0.0)
+        rig.cables.positioner.link_up = False
+        await asyncio.sleep(600)
+        told = line(state_json(rig.see(rig.recent)))
+        assert re.search(r"E \d+\.\d S 0\.0 implausible W \d+\.\d Z \d+\.\d \|", told)
+        assert re.search(r"A [-+]\d+\.\d, B \d+\.\d deg  STALE, 10 min old \|", told)
+
+    def prepare(rig):
+        rig.recent = Recent()
+        rig.bus.subscribe(rig.recent.note)
+        return scenario(rig)
+
+    run_rig(prepare)
 
 
 def test_alarms_are_in_plain_sight_on_every_display(run_rig):
