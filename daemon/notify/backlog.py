@@ -47,6 +47,7 @@ class Backlog:
         self._waiting: list[Notice] = []
         self._lost = self._lost_told = 0
         self._failures = 0
+        self._short = False
         self._not_before_s = 0.0
 
     @property
@@ -77,7 +78,7 @@ class Backlog:
         # A message that was not taken may have been too long for its way, which would keep the urgent ones with it.
         chosen = sorted(chosen, key=lambda notice: not notice.urgent)[: max(len(chosen) >> self._failures, 1)]
         self._lost_told = self._lost
-        return self._with_lost(gathered(chosen, short=self._failures > 0)), chosen
+        return self._with_lost(gathered(chosen, short=self._short)), chosen
 
     def _with_lost(self, notice: Notice) -> Notice:
         if not self._lost:
@@ -93,10 +94,13 @@ class Backlog:
         self._lost -= self._lost_told + on_the_way
         self._lost_told = 0
         self._waiting = [notice for notice in self._waiting if all(notice is not each for each in notices)]
+        # What is left of many would be too long again.
+        self._short = self._short and bool(self._waiting)
 
     def failed(self, now_s: float) -> float:
         """Note that it could not be sent, and return the pause [s] until the next try."""
         pause_s = _AGAIN_S[min(self._failures, len(_AGAIN_S) - 1)]
         self._failures += 1
+        self._short = True
         self._not_before_s = now_s + pause_s
         return pause_s

@@ -193,13 +193,20 @@ def _local(iso_utc: str) -> str:
 
 
 def gathered(notices: list[Notice], *, short: bool = False) -> Notice:
-    """Return several notices as one: the worst severity, a line each; `short` leaves out all but names and times."""
+    """Return several notices as one: the worst severity, a line each; all but names and times as far as there is room.
+
+    `short` leaves the rest out anyway.
+    """
     if len(notices) == 1:
         return notices[0]
     worst = max(notices, key=lambda notice: SEVERITIES.index(notice.severity))
     names = [", ".join(filter(None, (notice.title.removeprefix("heliocube "), notice.since))) for notice in notices]
-    whole = [": ".join(filter(None, (name, notice.brief))) for name, notice in zip(names, notices, strict=True)]
-    lines = names if short or sum(map(len, whole)) > _LONGEST_WHOLE else whole
+    room = 0 if short else _LONGEST_WHOLE - sum(map(len, names))
+    lines = []
+    for name, notice in zip(names, notices, strict=True):
+        fits = 0 < len(notice.brief) <= room
+        room -= len(notice.brief) if fits else 0
+        lines.append(f"{name}: {notice.brief}" if fits else name)
     last = [line for line in notices[-1].body.splitlines()[-1:] if line.startswith("http")]
     good = all(notice.good for notice in notices)
     return Notice(f"heliocube: {len(notices)} changes of alarms", "\n".join([*lines, *last]), worst.severity, good)

@@ -96,3 +96,16 @@ def test_in_the_morning_an_alarm_that_came_and_went_says_when_by_the_clock_on_th
         assert over == f"roof SIMULATED: over: clock, it was on {since}: {text}"
 
     told(scenario, quiet_from="13:30", quiet_until="14:30")
+
+
+@pytest.mark.slow
+def test_of_many_changes_the_first_say_everything_and_the_others_name_and_time_within_900_letters(lab, told):
+    async def scenario(step):
+        lab.alarms = [lab.alarm("clock") | {"tracker": f"row-{number}"} for number in range(6)]
+        await step()
+        lines = lab.messages[0].splitlines()
+        assert [". Remedy: " in line for line in lines] == [True, True, False, False, False, False]
+        assert all(", since 2026-06-21 12:00:00 UTC" in line for line in lines)
+        assert 700 < sum(map(len, lines)) <= 912
+
+    told(scenario)
