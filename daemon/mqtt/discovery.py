@@ -22,9 +22,9 @@ _ON_OFF = "{{{{ 'ON' if {} else 'OFF' }}}}"
 # Home Assistant takes no state of more than 255 letters: what is said of the others then is their names or number.
 _ALARM_TEXT = (
     "{% set all = namespace(texts=[], names=[]) %}{% for alarm in value_json.alarms %}"
-    "{% set over = 'over: ' if alarm.state == 'cleared' else '' %}"
+    "{% set over = 'over: ' if alarm.state == 'cleared' else '' %}{% if over ~ alarm.text not in all.texts %}"
     "{% set all.texts = all.texts + [over ~ alarm.text] %}{% set all.names = all.names + [over ~ alarm.name] %}"
-    "{% endfor %}"
+    "{% endif %}{% endfor %}"
     "{% set texts = all.texts | join('; ') or 'none' %}{% set names = all.names[1:] | join(', ') %}"
     "{% set rest = '; also ' ~ names if names | length <= 120 else '; and ' ~ (all.names | length - 1) ~ ' more' %}"
     "{% set rest = rest if names else '' %}"

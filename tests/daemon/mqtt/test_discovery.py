@@ -168,14 +168,16 @@ ALARMS = [
     {"name": "cube-face", "state": "acknowledged", "text": "the south face reads next to nothing"},
     {"name": "move-failed", "state": "cleared", "text": "a move failed"},
 ]
+MANY = [{"name": "cube-face", "state": "raised", "text": f"{number} more"} for number in range(12)]
 
 
 @pytest.mark.parametrize(("alarms", "shown"), [
     ([], "none"),
     (ALARMS, f"{ALARMS[0]['text']}; {ALARMS[1]['text']}; over: a move failed"),
+    ([ALARMS[0], {**ALARMS[0], "name": "reference"}], ALARMS[0]["text"]),
     ([{**ALARMS[0], "text": "a" * 300}], "a" * 255),
     ([{**ALARMS[0], "text": "a" * 300}, *ALARMS[1:]], "a" * 220 + "; also cube-face, over: move-failed"),
-    ([{**ALARMS[0], "text": "a" * 300}, *ALARMS[1:] * 6], "a" * 242 + "; and 12 more"),
+    ([{**ALARMS[0], "text": "a" * 300}, *MANY], "a" * 242 + "; and 12 more"),
 ])  # fmt: skip
 def test_the_text_of_the_alarms_has_all_of_them_as_far_as_home_assistant_has_room(alarms, shown):
     assert _rendered(document()["components"]["alarm_text"], {"alarms": alarms}) == shown
