@@ -50,7 +50,8 @@ class Retries:
 
     def _tell(self, text: str, *, stow: bool) -> None:
         self.text = text
-        self._alarms.set("move-failed", f"{'the stow' if stow else 'a move'} failed and is tried again: {text}")
+        what = "the stow" if stow else "a move"
+        self._alarms.set("move-failed", f"{what} failed and waits to be tried again: {text}")
 
     def forget(self) -> None:
         """Begin anew: a move has arrived, or a person has looked."""

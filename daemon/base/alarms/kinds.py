@@ -79,8 +79,8 @@ _ALL = (
         Severity.CRITICAL,
         "a move or a stow was given up after `motion.attempts` attempts, or the link was lost in three moves in a row; "
         "ends with a move that arrives",
-        "the tracker is not where it should be, and may not be stowed; the move is tried again after longer and longer"
-        " pauses",
+        "the tracker is not where it should be, and may not be stowed; unless a fault or a person forbids it, the move"
+        " is tried again after longer and longer pauses",
         "check for ice, an obstacle, a slack cable, and the unit's supply; the alarm's text says how the move failed",
         latched=True,
     ),

@@ -109,7 +109,9 @@ def test_a_stow_that_fails_is_an_alarm_and_is_tried_again_with_growing_pauses(ru
         start_s = now(rig)
         rig.wind_m_s = 20.0
         await rig.until(lambda: "move-failed" in alarms(rig), 30, "the alarm")
-        assert "the stow failed and is tried again: the last move failed (refused)" in alarms(rig)["move-failed"]
+        assert (
+            "the stow failed and waits to be tried again: the last move failed (refused)" in alarms(rig)["move-failed"]
+        )
         await asyncio.sleep(1300)
         tries = [at - start_s for at, data in sent if data[:2] == B_PACKET][::3]
         pauses = [round((b - a) / 60) for a, b in itertools.pairwise(tries)]

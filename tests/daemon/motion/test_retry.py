@@ -39,9 +39,10 @@ def test_the_failure_is_an_alarm_until_it_is_forgotten():
     ours, alarms = retries()
     ours.failed(1.0, "no movement for 7 s", stow=True)
     assert ours.text == "no movement for 7 s"
-    assert alarms.active[0].text == "the stow failed and is tried again: no movement for 7 s"
+    again = "failed and waits to be tried again"
+    assert alarms.active[0].text == f"the stow {again}: no movement for 7 s"
     ours.failed(2.0, "refused", stow=False)
-    assert alarms.active[0].text == "a move failed and is tried again: refused"
+    assert alarms.active[0].text == f"a move {again}: refused"
     ours.forget()
     assert ours.text is None
     assert not alarms.active
@@ -56,9 +57,9 @@ def test_the_third_link_lost_in_a_row_is_an_alarm_and_the_next_move_has_no_pause
         ours.lost("link lost", stow=stow)
     assert (ours.text, alarms.active) == (None, ())
     ours.lost("link lost", stow=True)
-    assert alarms.active[0].text == "the stow failed and is tried again: link lost"
+    assert alarms.active[0].text == "the stow failed and waits to be tried again: link lost"
     ours.lost("link lost", stow=False)
-    assert alarms.active[0].text == "a move failed and is tried again: link lost"
+    assert alarms.active[0].text == "a move failed and waits to be tried again: link lost"
     assert ours.due_s(stow=True) == ours.due_s(stow=False) == -math.inf
     ours.forget()
     ours.lost("link lost", stow=False)

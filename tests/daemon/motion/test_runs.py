@@ -72,7 +72,7 @@ def test_a_refused_target_is_tried_again_after_a_second_each_time_from_rest(atte
         assert sum(pose.moving for pose in rig.poses) == 2 * pauses, "each second of them is watched like a move"
         assert (rig.moves[-1].outcome, rig.moves[-1].why) == (MoveOutcome.REFUSED, "not taken")
         assert rig.raised["move-failed"] == (
-            "a move failed and is tried again: the last move failed (refused): not taken"
+            "a move failed and waits to be tried again: the last move failed (refused): not taken"
         )
         assert rig.motion.doubt == "the last move failed (refused): not taken"
 
@@ -344,7 +344,7 @@ def test_a_link_that_drops_at_every_move_is_a_failed_move_from_the_third_on():
             await rig.until(lambda count=count: len(rig.moves) == count)
         assert [move.outcome for move in rig.moves] == [MoveOutcome.LINK_LOST] * 3
         text = "the last move failed (link-lost): does not answer"
-        assert rig.raised["move-failed"] == f"a move failed and is tried again: {text}"
+        assert rig.raised["move-failed"] == f"a move failed and waits to be tried again: {text}"
         await rig.until(lambda: rig.motion.connected)
         assert rig.motion.doubt is None, "the next one has no pause"
 
