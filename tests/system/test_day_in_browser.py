@@ -270,6 +270,21 @@ def test_what_lasts_over_midnight_gets_its_date_then(context, tmp_path):
         assert "since 2022-09-21 23:10 local" in after
 
 
+def test_a_stop_from_the_day_before_is_told_since_then_after_a_restart_too(context, tmp_path):
+    page = MadeSite(tmp_path).open(context, MIDNIGHT)
+    said = page.page.evaluate("""async () => {
+      const { hero } = await import("/static/js/views/hero.js");
+      const card = hero(null);
+      const wishes = { stop: { since: "2022-09-20T18:12:00Z", why: "x" } };
+      const mode = { name: "hold", asked: "stop", since: "2022-09-21T05:00:00Z", why: "x" };
+      const tracker = { mode, wishes, tracker: { name: "roof" } };
+      card.update({ state: { alarms: [] }, entry: { key: "made" }, tracker, now: Date.parse("2022-09-21T06:12:00Z") });
+      return card.node.querySelector(".since").textContent;
+    }""")
+    assert said.startswith("since 2022-09-20 ")
+    assert said.endswith(", for 12 h 0 min")
+
+
 def test_a_tracker_of_several_has_its_own_news_and_those_of_the_cube(context, tmp_path):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     said = page.page.evaluate("""async () => {

@@ -193,11 +193,13 @@ def _mode(own: dict[str, Any], time: str, tracker: str | None = None) -> tuple[s
     text = Text.assemble((mode["name"], _STOP_STYLE if asked == "stop" else by_itself))
     if asked in _HELD:
         text.append(f" {_HELD[asked]}", style=_STOP_STYLE)
-    text.append(f" {_since(mode['since'], time)}")
     if asked is None:
-        return "mode", text.append(f": {mode['why']}")
+        return "mode", text.append(f" {_since(mode['since'], time)}: {mode['why']}")
+    wish = own["wishes"][asked]
+    # The mode begins anew at each restart and after each fault; the wish does not.
+    text.append(f" {_since(wish['since'] or mode['since'], time)}")
     # Who asked, and why, has a line of its own; what came after it in the reason has not.
-    more = mode["why"].partition(own["wishes"][asked]["why"])[2]
+    more = mode["why"].partition(wish["why"])[2]
     return "mode", text.append(as_typed(f"{more}; ends with 'heliocube auto'", tracker))
 
 

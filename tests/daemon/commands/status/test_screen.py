@@ -3,6 +3,7 @@
 import asyncio
 import errno
 import io
+import json
 import math
 import re
 from dataclasses import replace
@@ -13,6 +14,7 @@ from rich.console import Console
 from daemon.base.records import Event, Mode
 from daemon.commands.status.live import LiveView
 from daemon.commands.status.screen import line, live_screen, render
+from daemon.commands.status.times import moment
 from daemon.service.recent import Recent
 from daemon.service.state import state_json
 from tests.support.phases import under_way
@@ -193,6 +195,21 @@ def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig)
         assert next(line for line in own if line.startswith("mode")).endswith("'heliocube auto --tracker west'")
 
     run_rig(scenario, tracker=[{"name": "east"}, {"name": "west"}])
+
+
+def test_a_stop_from_the_day_before_is_told_since_then_after_a_restart_too(run_rig, tmp_path):
+    wish = {"why": "grease the joint", "by": "ana@lab", "since_utc_s": 1665504720.0}
+    (tmp_path / "operator.json").write_text(json.dumps({"stop": wish}))
+
+    async def scenario(rig):
+        await rig.until_mode(Mode.HOLD, 60)
+        console = Console(file=io.StringIO(), width=160)
+        console.print(render(state_json(rig.see())))
+        rows = [line for line in console.file.getvalue().splitlines() if line.startswith(("mode", "stop"))]
+        assert len(rows) == 2
+        assert all(moment("2022-10-11T16:12:00.000Z", "2022-10-12T10:00:00.000Z") in row for row in rows)
+
+    run_rig(scenario, store={"directory": tmp_path})
 
 
 def test_the_newest_news_stand_on_a_small_terminal_and_the_oldest_are_left_out(run_rig):

@@ -36,8 +36,9 @@ export function hero(orders) {
     setText(whose, entry.label);
     setText(title, headline(service, state, tracker, old));
     setText(why, sentence(explain(service, state, tracker, old)));
-    const sinceMs = tracker ? Date.parse(tracker.mode.since) : NaN;
-    setText(since, tracker ? `since ${at(tracker.mode.since, now)}, for ${duration((now - sinceMs) / 1000)}` : "");
+    // The mode begins anew at each restart and after each fault; what a person asked for does not.
+    const begun = tracker?.wishes[tracker.mode.asked]?.since ?? tracker?.mode.since;
+    setText(since, tracker ? `since ${at(begun, now)}, for ${duration((now - Date.parse(begun)) / 1000)}` : "");
     simulated.hidden = !state?.simulated;
     setText(simulated.lastChild, state?.speed > 1 ? ` at ${state.speed} times real speed: nothing is moved` : ": no hardware is moved");
     const own = (state?.alarms ?? []).filter((alarm) => alarm.tracker === null || tracker === null || alarm.tracker === tracker.tracker.name);
