@@ -113,7 +113,8 @@ class Readings:
         age_s = now_s - self.good_s
         covered = mean is not None and mean.coverage >= self._minimum_coverage
         if age_s <= self._safety.scan_stale_s and covered:
-            return Data.FRESH, "the cube's readings are good"
+            bad = self._bad_faces()
+            return Data.FRESH, f"the cube's readings are good{f', but not all of them{bad}' if bad else ''}"
         since_s = now_s - max(self.good_s, self._started_s)
         if since_s > self._safety.fallback_after_s:
             return Data.BAD, f"no good scan for {since_s:.0f} s{self._bad_faces()}{self._refusals()}"

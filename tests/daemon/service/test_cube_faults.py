@@ -140,6 +140,8 @@ def test_one_bad_face_is_named_and_never_steers(run_rig, stuck_at_v, quality):
         await asyncio.sleep(400)
         (told,) = rig.service.cube_alarms.active
         assert (told.name, "west" in told.text) == ("face-unread" if quality == "over-range" else "cube-face", True)
+        assert rig.mode is Mode.TRACKING
+        assert rig.control.why == f"the cube's readings are good, but not all of them (west {quality})"
         rig.scene.break_sensor(0, stuck_at_v)
         await rig.until_mode(Mode.FALLBACK, 90)
         assert f"east {quality}, west {quality}" in rig.control.why
