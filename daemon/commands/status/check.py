@@ -22,7 +22,12 @@ def troubles(state: dict[str, Any], health: dict[str, Any]) -> list[str]:
         f"{_of(alarm['tracker'], state)}{alarm['name']} ({_state(alarm)}): {alarm['text']}; {_remedy(alarm, state)}"
         for alarm in state["alarms"]
     ]
-    down = [text for text in health["down"] if not text.startswith(tuple(_told_better(state)))]
+    cube = f"{_last_scan(state)}; check supply, cables and adapters of the cube, and the way from its process"
+    down = [
+        f"{text}{cube if text.startswith('cube: ') else ''}"
+        for text in health["down"]
+        if not text.startswith(tuple(_told_better(state)))
+    ]
     return list(dict.fromkeys([*health["troubles"], *_faults(state), *alarms, *down]))
 
 
@@ -72,6 +77,11 @@ def mode_words(own: dict[str, Any]) -> str:
     name: str = own["mode"]["name"]
     held = next((words for wish, words in _HELD.items() if own["wishes"][wish]), None)
     return name if held is None else f"{name}, {held}"
+
+
+def _last_scan(state: dict[str, Any]) -> str:
+    scan = state["scan"]
+    return "" if scan is None else f"; the last scan is of {moment(scan['time'])}"
 
 
 def _state(alarm: dict[str, Any]) -> str:

@@ -9,6 +9,7 @@ from daemon.base.errors import ExitCode
 from daemon.base.records import Mode
 from daemon.commands.status.check import page, verdict
 from daemon.commands.status.screen import alarm_state
+from daemon.commands.status.times import moment
 from tests.daemon.commands.status.test_times import place
 from tests.support.api import serve
 from tests.support.phases import under_way
@@ -46,7 +47,8 @@ def test_all_is_well_a_person_s_stop_included_until_something_is_the_matter(serv
         lines, code = verdict(*found)
         assert code == ExitCode.ALARMS
         assert lines[0] == "works, but 2 to look at: SIMULATED, hold, STOPPED by a person"
-        assert any(line.startswith("cube: voltmeter") for line in lines)
+        cube = next(line for line in lines if line.startswith("cube: voltmeter"))
+        assert f"; the last scan is of {moment(found[0]['scan']['time'])}; check supply, cables and adapters" in cube
         (alarm,) = (
             line
             for line in lines
