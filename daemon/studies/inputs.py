@@ -1,5 +1,7 @@
 """What people give to the studies and commands as text: sites, instants, weather."""
 
+import gzip
+import zlib
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
 YEARS = range(2, 9999)
 _SKIES = get_args(WeatherName)
 _PACKED = (".bz2", ".tar", ".tar.gz", ".xz", ".zip", ".zst")
+_LONGEST_LINE = 20_000
 
 
 def parse_site(text: str, where: str = "--site") -> tuple[float, float, float]:
@@ -69,15 +72,32 @@ def check_weather_file(path: Path, built_in: Sequence[str] = _SKIES) -> None:
         known = f"{path} is a built-in sky that this command does not take"
         what = known if str(path) in _SKIES else f"there is no weather file at {path}"
         raise UserError(f"{what}: name {' or '.join(('a file of measured weather', *built_in))}")
-    check_packing(path)
+    check_table(path)
 
 
-def check_packing(path: Path) -> None:
-    """Raise `UserError` for a table that is packed otherwise than with gzip, of which pandas would read some."""
+def check_table(path: Path) -> None:
+    """Raise `UserError` for a table that is packed otherwise than with gzip, or whose first lines are no table's.
+
+    What cannot be opened is left to the reader, which tells the reason.
+    """
     if path.name.lower().endswith(_PACKED):
         raise UserError(
             f"{path} is packed in a way that cannot be read: unpack it, or pack the table alone with gzip (.gz)"
         )
+    if path.suffix.lower() == ".parquet" or not path.is_file():
+        return
+    try:
+        with gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb") as file:
+            lines = [file.readline(_LONGEST_LINE) for _ in range(2)]
+    except (OSError, EOFError, zlib.error):
+        return
+    for number, line in enumerate(lines, 1):
+        # Thousands of columns take pandas minutes.
+        if len(line) == _LONGEST_LINE:
+            raise UserError(
+                f"{path}, line {number} is longer than {_LONGEST_LINE} characters: name a table with one line for each"
+                " time, and leave in the columns that are needed"
+            )
 
 
 def check_ordinary(path: Path, what: str) -> None:

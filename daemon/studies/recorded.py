@@ -17,6 +17,7 @@ import numpy as np
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Quality
 from daemon.store.schema import FILE_NAME, open_for_reading
+from daemon.studies.inputs import check_table
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
 
@@ -79,6 +80,7 @@ def read_csv(path: Path) -> Recording:
     UserError
         One sentence with the file, the line, the value and what is expected.
     """
+    check_table(path)
     impossible: list[str] = []
     try:
         with _opened(path) as file:

@@ -16,7 +16,7 @@ from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.store.schema import FILE_NAME, columns_of, open_for_reading
-from daemon.studies.inputs import check_packing, impossible_note
+from daemon.studies.inputs import check_table, impossible_note
 from daemon.studies.recorded import stored_faces
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
@@ -149,7 +149,7 @@ def span_text(utc_s: Array) -> str:
 
 
 def _table(path: Path) -> tuple[pd.DataFrame, Array]:
-    check_packing(path)
+    check_table(path)
     try:
         frame = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig", skipinitialspace=True)
     except FileNotFoundError:

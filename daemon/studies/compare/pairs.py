@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.studies.compare.measurements import OPTIONAL, REQUIRED, SIMULATED, Measurement
-from daemon.studies.inputs import check_packing, impossible_note
+from daemon.studies.inputs import check_table, impossible_note
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, possible
 
@@ -148,7 +148,7 @@ def pair(frame: pd.DataFrame, names: tuple[str, str], within_s: float = TOGETHER
 
 
 def _read(path: Path) -> pd.DataFrame:
-    check_packing(path)
+    check_table(path)
     try:
         table = pd.read_parquet(path).reset_index() if path.suffix == ".parquet" else pd.read_csv(path)
     except FileNotFoundError:

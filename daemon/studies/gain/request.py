@@ -8,6 +8,7 @@ import numpy as np
 
 from daemon.base.errors import UserError
 from daemon.studies.gain.choices import Device
+from daemon.studies.inputs import check_table
 from solar.frames import Array
 
 LARGEST_GRID = 20_000_000
@@ -110,6 +111,7 @@ def read_points(path: Path) -> dict[str, Array]:
 
     Blank lines are passed over. `UserError` names the file, the line, the column and the value that is wrong.
     """
+    check_table(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file, skipinitialspace=True)

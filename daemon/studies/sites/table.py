@@ -8,7 +8,7 @@ from typing import get_args
 
 from daemon.base.errors import UserError
 from daemon.config.simulation import WeatherName
-from daemon.studies.inputs import parse_site
+from daemon.studies.inputs import check_table, parse_site
 
 REQUIRED = ("name", "latitude", "longitude")
 OPTIONAL = ("altitude", "weather", "year")
@@ -58,6 +58,7 @@ def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
     UserError
         With the line and what to write there.
     """
+    check_table(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)

@@ -1,14 +1,28 @@
 """Files that people give to the studies and commands."""
 
+import gzip
+
 import pytest
 
 from daemon.base.errors import UserError
 from daemon.studies.calibrate.readings import read_reference
 from daemon.studies.compare.pairs import read_tables
+from daemon.studies.gain.request import read_points
 from daemon.studies.inputs import check_weather_file
+from daemon.studies.recorded import read_csv
+from daemon.studies.sites.table import read_sites
+
+READERS = [
+    check_weather_file,
+    read_csv,
+    read_points,
+    read_reference,
+    lambda path: read_sites(path, None),
+    lambda path: read_tables([path]),
+]
 
 
-@pytest.mark.parametrize("read", [read_reference, check_weather_file, lambda path: read_tables([path])])
+@pytest.mark.parametrize("read", READERS)
 @pytest.mark.parametrize("ending", ["csv.xz", "csv.ZIP", "tar.gz", "csv.zst"])
 def test_a_table_that_is_packed_otherwise_than_with_gzip_is_refused_with_what_to_do(tmp_path, read, ending):
     path = tmp_path / f"table.{ending}"
@@ -17,3 +31,15 @@ def test_a_table_that_is_packed_otherwise_than_with_gzip_is_refused_with_what_to
         read(path)
     remedy = "is packed in a way that cannot be read: unpack it, or pack the table alone with gzip (.gz)"
     assert str(refused.value) == f"{path} {remedy}"
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize("columns", ["time", "time" + ",1" * 1_000_000])
+@pytest.mark.parametrize("ending", [".csv", ".csv.gz"])
+def test_a_line_of_a_million_columns_is_refused_at_once(tmp_path, read, columns, ending):
+    path = tmp_path / f"table{ending}"
+    content = f"{columns}\n2022-10-14T10:00Z{',1' * 1_000_000}\n".encode()
+    path.write_bytes(gzip.compress(content, 1) if ending == ".csv.gz" else content)
+    with pytest.raises(UserError, match=rf"{path}, line [12] is longer than 20000 characters: name a table with one"):
+        read(path)

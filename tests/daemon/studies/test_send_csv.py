@@ -145,7 +145,7 @@ def test_a_number_that_no_face_can_read_is_a_missing_reading_and_is_counted(tmp_
             HEADER + f"{START},1,2,3,4\n2022-10-14T10:19:59Z,1,2,3,4\n",
             "line 3: the time 2022-10-14T10:19:59Z is not later",
         ),
-        (HEADER + f'{START},"' + "x" * 200_000 + '",2,3,4\n', "line 2: not CSV"),
+        (HEADER + f'{START},1,2,3,4\n{START},"' + "x" * 200_000 + '",2,3,4\n', "line 3: not CSV"),
     ],
 )
 def test_a_wrong_file_is_one_sentence_with_the_line_and_nothing_is_sent(tmp_path, text, words):
