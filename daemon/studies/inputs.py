@@ -1,5 +1,6 @@
 """What people give to the studies and commands as text: sites, instants, weather."""
 
+import codecs
 import gzip
 import zlib
 from collections.abc import Mapping, Sequence
@@ -91,12 +92,19 @@ def check_table(path: Path) -> None:
             lines = [file.readline(_LONGEST_LINE) for _ in range(2)]
     except (OSError, EOFError, zlib.error):
         return
+    if lines[0].startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise UserError(f"{path} is text in UTF-16: save it as a CSV file in UTF-8 ('CSV UTF-8' in a spreadsheet)")
     for number, line in enumerate(lines, 1):
         # Thousands of columns take pandas minutes.
         if len(line) == _LONGEST_LINE:
             raise UserError(
                 f"{path}, line {number} is longer than {_LONGEST_LINE} characters: name a table with one line for each"
                 " time, and leave in the columns that are needed"
+            )
+    for separator, name in ((b";", "semicolons"), (b"\t", "tabs")):
+        if separator in lines[0] and b"," not in lines[0]:
+            raise UserError(
+                f"{path} has {name} between its columns: save it with commas there, and with points in its numbers"
             )
 
 

@@ -43,3 +43,22 @@ def test_a_line_of_a_million_columns_is_refused_at_once(tmp_path, read, columns,
     path.write_bytes(gzip.compress(content, 1) if ending == ".csv.gz" else content)
     with pytest.raises(UserError, match=rf"{path}, line [12] is longer than 20000 characters: name a table with one"):
         read(path)
+
+
+@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (
+            b"\xef\xbb\xbftime;name;ghi\n2022-10-14T10:00Z;500,5\n",
+            "semicolons between its columns: save it with commas",
+        ),
+        (b"time\tname\tghi\n2022-10-14T10:00Z\t500.5\n", "tabs between its columns: save it with commas"),
+        ("time\tghi\n2022-10-14T10:00Z\t500.5\n".encode("utf-16"), "UTF-16: save it as a CSV file in UTF-8"),
+    ],
+)
+def test_a_table_of_a_spreadsheet_that_is_no_csv_is_refused_with_how_to_save_it(tmp_path, read, content, sentence):
+    path = tmp_path / "table.csv"
+    path.write_bytes(content)
+    with pytest.raises(UserError, match=rf"^{path} (has|is text in) {sentence}"):
+        read(path)
