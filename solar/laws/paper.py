@@ -5,11 +5,14 @@ Faces come as arrays of shape (..., 4) in the order east, south, west, zenith [W
 Reference: Andriamahefa et al., EPJ Photovoltaics 14, 35 (2023).
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from solar.frames import Array
 
+_FACES = ("east", "south", "west", "zenith")
 _ABSURD_W_M2 = 1e6
 _EXPLAINED_SIGMAS = 2.0
 
@@ -22,7 +25,7 @@ def mu_prime(faces: ArrayLike, *, uniform_threshold: float = 0.01) -> Array:
     Parameters
     ----------
     faces
-        Irradiances [W/m2], shape (..., 4).
+        Irradiances [W/m2], shape (..., 4); of a frame with the columns east, south, west and zenith these, by name.
     uniform_threshold
         I_S - I_min counts as zero (B = 90 deg) unless it is more than this share of I_Z: under a uniform sky it is
         noise about zero. The jump of B at the threshold is atan(uniform_threshold).
@@ -34,7 +37,7 @@ def mu_prime(faces: ArrayLike, *, uniform_threshold: float = 0.01) -> Array:
     Raises
     ------
     ValueError
-        The last axis has not four faces, or the threshold is no share.
+        The last axis has not four faces, one is no number, or the threshold is no share.
     """
     _check_share("uniform threshold", uniform_threshold)
     east, south, west, zenith, valid = _split(faces)
@@ -58,7 +61,7 @@ def sun_vector(
     Parameters
     ----------
     faces
-        Irradiances [W/m2], shape (..., 4).
+        Irradiances [W/m2], shape (..., 4); of a frame with the columns east, south, west and zenith these, by name.
     albedo
         Of the ground around the cube.
     uniform_threshold
@@ -73,7 +76,7 @@ def sun_vector(
     Raises
     ------
     ValueError
-        The last axis has not four faces, or the albedo, the threshold or the uncertainty is no share.
+        The last axis has not four faces, one is no number, or the albedo, the threshold or the uncertainty is no share.
     """
     for name, value in (
         ("albedo", albedo),
@@ -129,7 +132,7 @@ def _check_share(name: str, value: float) -> None:
 
 
 def _split(faces: ArrayLike) -> tuple[Array, Array, Array, Array, np.ndarray]:
-    readings = np.asarray(faces, dtype=np.float64)
+    readings = _readings(faces)
     if readings.shape[-1:] != (4,):
         raise ValueError(
             f"the faces are East, South, West, Zenith along the last axis, not an array of {readings.shape}"
@@ -138,6 +141,18 @@ def _split(faces: ArrayLike) -> tuple[Array, Array, Array, Array, np.ndarray]:
     valid = (np.abs(readings) < _ABSURD_W_M2).all(axis=-1) & (readings[..., 3] > 0)
     clean = np.where(valid[..., None], readings, 0.0)
     return clean[..., 0], clean[..., 1], clean[..., 2], clean[..., 3], valid
+
+
+def _readings(faces: Any) -> Array:
+    try:
+        # numpy would take the columns of a frame in the order in which they stand.
+        if hasattr(faces, "iloc"):
+            names = faces.columns if hasattr(faces, "columns") else faces.index
+            named = faces[list(_FACES)] if set(_FACES) <= set(names) else faces
+            return np.asarray(named.to_numpy(dtype=np.float64, na_value=np.nan))
+        return np.asarray(faces, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"the faces must be numbers [W/m2], NaN where one is missing ({error})") from None
 
 
 def _beyond(difference: Array, threshold: Array) -> Array:

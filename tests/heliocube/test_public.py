@@ -5,6 +5,7 @@ from importlib import import_module
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import heliocube
@@ -74,6 +75,25 @@ def test_limits_that_permit_no_angle_are_refused(ends):
 def test_an_albedo_that_is_no_share_is_refused(albedo):
     with pytest.raises(ValueError, match=f"the albedo must be a share from 0 to 1, not {albedo}"):
         heliocube.sun_vector(SOUTH_AT_45_DEG, albedo=albedo)
+
+
+@pytest.mark.parametrize("law", ["mu_prime", "sun_vector"])
+def test_a_frame_gives_its_faces_by_name(law):
+    direction = getattr(heliocube, law)
+    frame = pd.DataFrame({"zenith": [540.0, None], "ghi": 1.0, "west": 150, "south": 620.0, "east": 310.0})
+    expected = direction([[310.0, 620.0, 150.0, 540.0], [310.0, 620.0, 150.0, np.nan]])
+    np.testing.assert_array_equal(direction(frame), expected)
+    np.testing.assert_array_equal(direction(frame.convert_dtypes()), expected)
+    np.testing.assert_array_equal(direction(frame.iloc[0]), expected[0])
+
+
+@pytest.mark.parametrize(
+    "wrong", [["a", 1, 2, 3], {"east": 1.0}, [[1, 2, 3, 4], [1, 2]], pd.DataFrame([["x", 1, 2, 3]])]
+)
+def test_faces_that_are_no_numbers_are_refused(wrong):
+    for law in (heliocube.mu_prime, heliocube.sun_vector):
+        with pytest.raises(ValueError, match=r"the faces must be numbers \[W/m2\], NaN where one is missing"):
+            law(wrong)
 
 
 @pytest.mark.parametrize("wrong", [-1.0, np.nan])
