@@ -12,6 +12,7 @@ refusing a configuration, which knows sites and laws from here.
 import math
 from datetime import UTC, datetime
 from functools import lru_cache
+from numbers import Real
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Self, TypeAlias, TypeVar, overload
 
 import numpy as np
@@ -308,10 +309,12 @@ def _delta_t_s(utc_s: Array) -> Array:
 
 
 def _check_place(latitude_deg: float, longitude_deg: float, altitude_m: float) -> None:
-    # NaN is within no limit.
-    if not (-90.0 <= latitude_deg <= 90.0 and math.isfinite(longitude_deg) and math.isfinite(altitude_m)):
+    # NaN is within no limit; the air's pressure is a complex number above 44 km.
+    numbers = all(isinstance(number, Real) for number in (latitude_deg, longitude_deg, altitude_m))
+    on_earth = numbers and -90.0 <= latitude_deg <= 90.0 and -430.0 <= altitude_m <= 9000.0
+    if not (on_earth and math.isfinite(longitude_deg)):
         raise ValueError(
-            "a site is -90 to 90 degrees north, degrees east and metres above sea level, and not"
+            "a site is -90 to 90 degrees north, degrees east and -430 to 9000 metres above sea level, and not"
             f" {latitude_deg}, {longitude_deg}, {altitude_m}"
         )
 

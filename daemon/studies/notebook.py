@@ -236,7 +236,7 @@ def _place(site: Place | None) -> dict[str, object] | None:
         return None
     try:
         place = Site(*site)
-    except TypeError:
+    except (TypeError, ValueError):
         raise UserError(f"site: {site!r} is not a place; write heliocube.Site(48.7176, 2.2090, 156.0)") from None
     return {"name": f"{place.latitude_deg:g}, {place.longitude_deg:g}", **place._asdict()}
 

@@ -49,7 +49,7 @@ def test_faces_become_angles_all_at_once():
     assert np.isnan([a_deg[1], b_deg[1]]).all()
 
 
-@pytest.mark.parametrize("latitude_deg", [148.0, -90.001, np.nan, np.inf])
+@pytest.mark.parametrize("latitude_deg", [148.0, -90.001, np.nan, np.inf, "48.7", None, np.array([48.0, 49.0])])
 def test_a_place_that_is_not_on_earth_is_refused(latitude_deg):
     place = (latitude_deg, 2.0, 0.0)
     for asked in (heliocube.sun_position, heliocube.sun_direction, heliocube.sun_day):
@@ -59,9 +59,9 @@ def test_a_place_that_is_not_on_earth_is_refused(latitude_deg):
         heliocube.Site(*place)
 
 
-@pytest.mark.parametrize("place", [(90.0, np.nan, 0.0), (90.0, 2.0, -np.inf)])
+@pytest.mark.parametrize("place", [(90.0, np.nan, 0.0), (90.0, 2.0, -np.inf), (48.0, 2.0, 50000.0), (48.0, "2", "0")])
 def test_a_site_has_a_longitude_and_an_altitude(place):
-    with pytest.raises(ValueError, match="degrees east and metres above sea level"):
+    with pytest.raises(ValueError, match="degrees east and -430 to 9000 metres above sea level"):
         heliocube.Site(*place)
 
 
