@@ -7,6 +7,7 @@ elevation of the secondary axis' normal (90 deg: secondary axis horizontal).
 """
 
 from dataclasses import dataclass
+from numbers import Real
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ class Angles(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The permitted range of each angle [deg], ends included; raises `ValueError` for one that permits no angle."""
+    """The permitted range of each angle [deg], ends included; `ValueError` for no numbers or what permits no angle."""
 
     a_min_deg: float = -50.0
     a_max_deg: float = 50.0
@@ -35,7 +36,10 @@ class Limits:
     b_max_deg: float = 90.0
 
     def __post_init__(self) -> None:
-        """Refuse a range whose ends are exchanged."""
+        """Refuse a range whose ends are exchanged, and ends that are no numbers."""
+        ends = (self.a_min_deg, self.a_max_deg, self.b_min_deg, self.b_max_deg)
+        if not all(isinstance(end, Real) for end in ends):
+            raise ValueError(f"limits are four numbers, a_min_deg, a_max_deg, b_min_deg and b_max_deg, and not {ends}")
         # NaN is below nothing.
         if not (self.a_min_deg <= self.a_max_deg and self.b_min_deg <= self.b_max_deg):
             raise ValueError(f"the lowest angle must not be above the highest, as in {self}")
@@ -57,9 +61,9 @@ class Limits:
 def normal_from_angles(a_deg: ArrayLike, b_deg: ArrayLike) -> Array:
     """Return the module's unit normal(s), shape (..., 3), for tracker angles [deg] that broadcast together.
 
-    Andriamahefa et al. (2023), equation (13).
+    Andriamahefa et al. (2023), equation (13). What is no number is a `ValueError`.
     """
-    a, b = np.radians(a_deg), np.radians(b_deg)
+    a, b = np.radians(_numbers(a_deg)), np.radians(_numbers(b_deg))
     components = np.broadcast_arrays(np.cos(a) * np.cos(b), -np.sin(a), np.cos(a) * np.sin(b))
     return np.stack(components, axis=-1)
 
@@ -71,7 +75,7 @@ def angles_from_direction(direction: ArrayLike) -> tuple[Array, Array]:
     B runs from 0 to 180 deg here; limits are not applied. A direction that is zero, NaN or infinite gives NaN, and
     another shape `ValueError`, here and below.
     """
-    vector = _vectors(direction)
+    vector = vectors(direction)
     south, east, up = vector[..., 0], vector[..., 1], vector[..., 2]
     with np.errstate(invalid="ignore", over="ignore"):
         length = np.sqrt(south * south + east * east + up * up)
@@ -87,8 +91,13 @@ def angles_within(direction: ArrayLike, limits: Limits) -> tuple[Array, Array]:
 
     B is that of equation (14), clipped; A is then the best for that B, atan2(-j, i cos B + k sin B), which is (14)
     itself wherever B was inside. A direction that is zero, NaN or infinite gives NaN.
+    What is no `Limits` is a `ValueError`.
     """
-    vector = _vectors(direction)
+    given: object = limits
+    if not isinstance(given, Limits):
+        wanted = "Limits(a_min_deg, a_max_deg, b_min_deg, b_max_deg)"
+        raise ValueError(f"the limits must be {wanted}, and not {given!r}")  # noqa: TRY004 - as for all bad numbers
+    vector = vectors(direction)
     _, free_b_deg = angles_from_direction(vector)
     b_deg = np.clip(free_b_deg, limits.b_min_deg, limits.b_max_deg)
     b = np.radians(b_deg)
@@ -108,7 +117,7 @@ def direction_from_azimuth(azimuth_deg: ArrayLike, elevation_deg: ArrayLike, lat
 
 def azimuth_from_direction(direction: ArrayLike, latitude_deg: float) -> tuple[Array, Array]:
     """Return (azimuth_deg from North clockwise, elevation_deg) of vector(s) of shape (..., 3)."""
-    vector = _vectors(direction)
+    vector = vectors(direction)
     north = -_hemisphere(latitude_deg) * vector[..., 0]
     azimuth = np.degrees(np.arctan2(vector[..., 1], north)) % 360.0
     elevation = np.degrees(np.arctan2(vector[..., 2], np.hypot(vector[..., 0], vector[..., 1])))
@@ -122,17 +131,27 @@ def equator_azimuth_deg(latitude_deg: float) -> float:
 
 def separation_deg(first: ArrayLike, second: ArrayLike) -> Array:
     """Return the angle(s) [deg] between vectors of shape (..., 3); exact for small angles too."""
-    u, v = _vectors(first), _vectors(second)
+    u, v = vectors(first), vectors(second)
     across: Array = np.linalg.norm(np.cross(u, v), axis=-1)
     along: Array = np.sum(u * v, axis=-1)
     return np.degrees(np.arctan2(across, along))
 
 
-def _vectors(given: ArrayLike) -> Array:
-    vectors = np.asarray(given, dtype=np.float64)
-    if vectors.shape[-1:] != (3,):
-        raise ValueError(f"directions are south, east, up along the last axis, not an array of {vectors.shape}")
-    return vectors
+def vectors(given: ArrayLike) -> Array:
+    """Return directions as an array of shape (..., 3); `ValueError` for another shape and for what is no number."""
+    if hasattr(given, "azimuth_deg"):
+        raise ValueError("directions are south, east, up, and not a SunPosition: take them from sun_direction")
+    components = _numbers(given)
+    if components.shape[-1:] != (3,):
+        raise ValueError(f"directions are south, east, up along the last axis, not an array of {components.shape}")
+    return components
+
+
+def _numbers(given: ArrayLike) -> Array:
+    try:
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"angles and directions must be numbers, NaN where one is missing ({error})") from None
 
 
 def _hemisphere(latitude_deg: float) -> float:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from solar.frames import Array
+from solar.frames import Array, vectors
 
 _FACES = ("east", "south", "west", "zenith")
 _ABSURD_W_M2 = 1e6
@@ -120,8 +120,8 @@ def complete_poleward(vector: ArrayLike, sun_direction: ArrayLike) -> Array:
 
 
 def chronometric(sun_direction: ArrayLike) -> Array:
-    """Return the sun's direction(s), shape (..., 3), and NaN where the sun is below the horizon."""
-    sun = np.asarray(sun_direction, dtype=np.float64)
+    """Return the sun's direction(s), shape (..., 3), NaN where it is below the horizon; `ValueError` for others."""
+    sun = vectors(sun_direction)
     return np.where(sun[..., 2:] > 0, sun, np.nan)
 
 

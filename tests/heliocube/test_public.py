@@ -12,6 +12,12 @@ import heliocube
 
 SOUTH_AT_45_DEG = [100.0, 600.0, 100.0, 600.0]
 EAST_AND_UP = [500.0, 100.0, 100.0, 400.0]
+TAKE_DIRECTIONS = (
+    heliocube.angles_from_direction,
+    heliocube.chronometric,
+    lambda vector: heliocube.angles_within(vector, heliocube.Limits()),
+    lambda vector: heliocube.separation_deg(vector, vector),
+)
 
 
 def test_every_public_name_is_there_and_documented():
@@ -71,6 +77,18 @@ def test_limits_that_permit_no_angle_are_refused(ends):
         heliocube.Limits(**ends)
 
 
+@pytest.mark.parametrize("ends", [("-50", "50"), ((-50.0, 50.0), (15.0, 90.0)), (None,), ([-50.0, 50.0],)])
+def test_limits_that_are_no_numbers_are_refused(ends):
+    with pytest.raises(ValueError, match="limits are four numbers, a_min_deg, a_max_deg, b_min_deg and b_max_deg"):
+        heliocube.Limits(*ends)
+
+
+@pytest.mark.parametrize("limits", [None, (-50.0, 50.0, 15.0, 90.0), heliocube.Limits])
+def test_angles_within_what_is_no_limits_are_refused(limits):
+    with pytest.raises(ValueError, match=r"the limits must be Limits\(a_min_deg, a_max_deg, b_min_deg, b_max_deg\)"):
+        heliocube.angles_within([1.0, 2.0, 3.0], limits)
+
+
 @pytest.mark.parametrize("albedo", [2.0, -0.1, np.nan])
 def test_an_albedo_that_is_no_share_is_refused(albedo):
     with pytest.raises(ValueError, match=f"the albedo must be a share from 0 to 1, not {albedo}"):
@@ -106,13 +124,29 @@ def test_a_threshold_that_is_no_share_is_refused_by_both_laws_of_the_paper(wrong
 @pytest.mark.parametrize("wrong", [[1.0, 2.0], np.ones((3, 5))], ids=["two", "turned"])
 def test_directions_of_another_shape_are_refused_and_not_read_by_their_first_three(wrong):
     sentence = "directions are south, east, up along the last axis, not an array of"
-    for call in (
-        heliocube.angles_from_direction,
-        lambda vector: heliocube.angles_within(vector, heliocube.Limits()),
-        lambda vector: heliocube.separation_deg(vector, vector),
-    ):
+    for call in TAKE_DIRECTIONS:
         with pytest.raises(ValueError, match=sentence):
             call(wrong)
+
+
+@pytest.mark.parametrize("times", [1.6e9, [1.6e9, 1.61e9, 1.62e9]])
+def test_angles_of_the_sun_are_refused_as_a_direction(times):
+    for call in TAKE_DIRECTIONS:
+        with pytest.raises(ValueError, match="not a SunPosition: take them from sun_direction"):
+            call(heliocube.sun_position(times, 48.7, 2.2))
+
+
+def test_angles_and_directions_that_are_no_numbers_are_refused():
+    for call in (*TAKE_DIRECTIONS, lambda angle: heliocube.normal_from_angles(angle, 30.0)):
+        for wrong in (["a", "b", "c"], {"south": 1.0}):
+            with pytest.raises(ValueError, match="angles and directions must be numbers, NaN where one is missing"):
+                call(wrong)
+
+
+def test_angles_of_two_series_go_together_by_their_place():
+    a_deg, b_deg = pd.Series([10.0, 40.0], index=[1, 0]), pd.Series([30.0, 60.0], index=[0, 1])
+    expected = heliocube.normal_from_angles([10.0, 40.0], [30.0, 60.0])
+    np.testing.assert_array_equal(heliocube.normal_from_angles(a_deg, b_deg), expected)
 
 
 def test_a_kind_that_no_store_has_is_refused_with_those_that_are_there(tmp_path):
