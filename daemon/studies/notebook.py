@@ -21,6 +21,7 @@ from daemon.studies.recorded import RecordedScan, read_csv
 from daemon.studies.replay import replay as run_replay
 from daemon.studies.simulate import simulate as run_simulation
 from solar.ephemeris import Site
+from solar.irradiance import possible
 
 __all__ = ["UserError", "read_faces", "read_store", "replay", "simulate"]
 
@@ -151,7 +152,8 @@ def replay(
     Parameters
     ----------
     faces
-        As of `read_faces`, in rising time, 1 to 60 s apart; gaps are allowed.
+        As of `read_faces`, in rising time, 1 to 60 s apart; gaps are allowed. As there, a number that no face can
+        read is a face without a reading.
     site, law, config
         As for `simulate`.
 
@@ -164,7 +166,7 @@ def replay(
     Raises
     ------
     UserError
-        The rows are too few or too far apart, or a choice cannot be used.
+        The rows are too few or too far apart or hold what is no number, or a choice cannot be used.
     """
     settings = settings_for(_path(config), law=law, site=_place(site))
     with TemporaryDirectory(prefix="heliocube-") as folder:
@@ -216,7 +218,11 @@ def _rows(faces: pd.DataFrame) -> Sequence[RecordedScan]:
         raise UserError(f"the readings have two columns {doubled[0]}; leave in the one that counts")
     since = index - pd.Timestamp(0, tz=UTC)
     seconds = np.asarray(since / pd.Timedelta(seconds=1), dtype=np.float64)
-    values = faces[list(FACES)].to_numpy(dtype=np.float64)
+    try:
+        values = faces[list(FACES)].to_numpy(dtype=np.float64, na_value=np.nan)
+    except (TypeError, ValueError) as error:
+        raise UserError(f"the readings must be numbers [W/m2], NaN where a face has none ({error})") from None
+    values = np.where(possible(values), values, np.nan)
     return [
         RecordedScan(at, (row[0], row[1], row[2], row[3]))
         for at, row in zip(seconds.tolist(), values.tolist(), strict=True)

@@ -42,6 +42,20 @@ def test_readings_with_a_time_or_a_face_twice_are_refused():
         heliocube.replay(pd.concat([readings, readings[["south"]]], axis=1), site=site)
 
 
+def test_a_number_that_no_face_can_read_is_missing_in_a_frame_as_in_a_file():
+    readings = heliocube.read_faces(heliocube.sample("mixed")).iloc[600:620]
+    site, bright = heliocube.Site(48.7176, 2.209, 156.0), readings > 200.0
+    missing = heliocube.replay(readings.mask(bright), site=site)
+    for impossible in (-9999.0, np.inf):
+        pd.testing.assert_frame_equal(heliocube.replay(readings.mask(bright, impossible), site=site), missing)
+
+
+def test_readings_that_are_no_numbers_are_refused():
+    readings = heliocube.read_faces(heliocube.sample("mixed")).iloc[600:610]
+    with pytest.raises(heliocube.UserError, match=r"must be numbers \[W/m2\], NaN where a face has none .*'cloudy'"):
+        heliocube.replay(readings.astype(object).assign(west="cloudy"), site=(48.7176, 2.209, 156.0))
+
+
 def test_an_array_for_a_frame_and_a_frame_for_a_file_are_refused_with_what_is_needed():
     readings = heliocube.read_faces(heliocube.sample("mixed")).iloc[600:610]
     with pytest.raises(heliocube.UserError, match="an index of times with their zone"):
