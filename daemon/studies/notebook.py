@@ -71,13 +71,13 @@ def simulate(
     ValueError
         `days` is no length of time.
     """
-    if not 0.0 < days < math.inf:
+    if not (isinstance(days, int | float | np.integer | np.floating) and 0.0 < days < math.inf):
         raise ValueError(f"days must be a number above 0, not {days}")
     # A float of numpy in 32 bits would make every later time one, too coarse for the clock to advance.
     days = float(days)
     if isinstance(seed, np.integer):
         seed = seed.item()
-    settings = settings_for(_path(config), weather=_text(weather), law=law, site=_place(site), seed=seed)
+    settings = settings_for(_path(config, "config"), weather=_text(weather), law=law, site=_place(site), seed=seed)
     with TemporaryDirectory(prefix="heliocube-") as folder:
         first, out = _instant(start, "start"), Path(folder)
         _in_a_loop_of_its_own(lambda progress: run_simulation(settings, first, days, out, "parquet", progress))
@@ -89,7 +89,7 @@ def read_store(
     *,
     start: Date | None = None,
     end: Date | None = None,
-    kinds: Collection[str] = (),
+    kinds: Collection[str] | None = None,
 ) -> Tables:
     """Return what a store holds from `start` up to, not including, `end`; the service may go on writing meanwhile.
 
@@ -100,7 +100,7 @@ def read_store(
     start, end
         UTC where they name no zone; None is as far as the store goes.
     kinds
-        Such as ``["scans", "poses"]``; none is all.
+        Such as ``["scans", "poses"]``; None is all.
 
     Returns
     -------
@@ -112,14 +112,14 @@ def read_store(
     UserError
         There is no store, the span is empty, or a kind is none.
     """
-    wanted = [kinds] if isinstance(kinds, str) else list(kinds)
+    wanted = [kinds] if isinstance(kinds, str) else list(kinds or ())
     unknown = [kind for kind in wanted if kind not in KINDS]
     if unknown:
         raise UserError(f"kinds: {unknown[0]!r} is not one of {', '.join(KINDS)}")
     with TemporaryDirectory(prefix="heliocube-") as folder:
         first = None if start is None else _instant(start, "start")
         last = None if end is None else _instant(end, "end")
-        export(Path(directory), Path(folder), "parquet", first, last, wanted)
+        export(_named(directory, "directory"), Path(folder), "parquet", first, last, wanted)
         return _tables(Path(folder))
 
 
@@ -137,7 +137,7 @@ def read_faces(path: Path | str) -> pd.DataFrame:
     UserError
         One sentence with the file, the line, the value and what is expected.
     """
-    rows = read_csv(Path(path)).rows
+    rows = read_csv(_named(path, "path")).rows
     # Seconds since 1970 in a float are good for a microsecond, and no more is written.
     times = pd.to_datetime([row.time_utc_s for row in rows], unit="s", utc=True).round("us")
     index = pd.DatetimeIndex(times, name="time")
@@ -168,7 +168,7 @@ def replay(
     UserError
         The rows are too few or too far apart or hold what is no number, or a choice cannot be used.
     """
-    settings = settings_for(_path(config), law=law, site=_place(site))
+    settings = settings_for(_path(config, "config"), law=law, site=_place(site))
     with TemporaryDirectory(prefix="heliocube-") as folder:
         out = Path(folder) / "positions.csv"
         rows = _rows(faces)
@@ -247,8 +247,16 @@ def _place(site: Place | None) -> dict[str, object] | None:
     return {"name": f"{place.latitude_deg:g}, {place.longitude_deg:g}", **place._asdict()}
 
 
-def _path(file: Path | str | None) -> Path | None:
-    return None if file is None else Path(file)
+def _path(file: Path | str | None, name: str) -> Path | None:
+    return None if file is None else _named(file, name)
+
+
+def _named(file: Path | str, name: str) -> Path:
+    try:
+        return Path(file)
+    except TypeError:
+        kind = type(file).__name__
+        raise UserError(f"{name}: a path is needed, such as 'data/day', and not a value of the type {kind}") from None
 
 
 def _text(choice: str | Path | None) -> str | None:

@@ -70,10 +70,40 @@ def test_a_time_of_which_scans_cannot_tell_is_not_simulated(start, days):
         heliocube.simulate(start, days=days, weather="clear")
 
 
-@pytest.mark.parametrize("days", [0, -1, float("nan"), float("inf")])
+@pytest.mark.parametrize("days", [0, -1, float("nan"), float("inf"), "1", None, [1, 2]])
 def test_days_that_are_no_time_are_refused(days):
-    with pytest.raises(ValueError, match=f"days must be a number above 0, not {days}"):
+    with pytest.raises(ValueError, match=re.escape(f"days must be a number above 0, not {days}")):
         heliocube.simulate("2022-10-14", days=days)
+
+
+def test_what_is_no_path_is_refused_with_its_name():
+    readings = heliocube.read_faces(heliocube.sample("mixed")).iloc[600:604]
+    refused = [
+        (
+            lambda: heliocube.read_faces(readings),
+            "path: a path is needed, such as 'data/day', and not a value of the type DataFrame",
+        ),
+        (
+            lambda: heliocube.read_store(None),
+            "directory: a path is needed, such as 'data/day', and not a value of the type NoneType",
+        ),
+        (
+            lambda: heliocube.simulate("2022-10-14", config={}),
+            "config: a path is needed, such as 'data/day', and not a value of the type dict",
+        ),
+        (
+            lambda: heliocube.replay(readings, site=None, config=3),
+            "config: a path is needed, such as 'data/day', and not a value of the type int",
+        ),
+    ]
+    for call, sentence in refused:
+        with pytest.raises(heliocube.UserError, match=sentence):
+            call()
+
+
+def test_no_kinds_are_all(tmp_path):
+    with pytest.raises(heliocube.UserError, match="there is no store"):
+        heliocube.read_store(tmp_path, kinds=None)
 
 
 def test_a_date_is_its_first_instant_and_a_year_beyond_the_calendar_is_refused(tmp_path):
