@@ -247,8 +247,10 @@ def _csv(path: Path) -> MeasuredWeather:
     if cells.empty:
         raise WeatherFileError(f"weather file {path} has a header and no data")
     line = cells.index.to_numpy() + 2
-    times = pd.to_datetime(cells["time"], format="ISO8601", utc=True, errors="coerce")
-    bad = _first(times.isna())
+    # pandas takes 'now' and 'today' for times as well.
+    dated = cells["time"].where(cells["time"].str.match(r"\d{4}"))
+    times = pd.to_datetime(dated, format="ISO8601", utc=True, errors="coerce")
+    bad = _first(~times.dt.year.between(1900, 2199))
     if bad is not None:
         raise WeatherFileError(
             f"weather file {path}, line {line[bad]}: {cells['time'].iloc[bad]!r} is not a time such as "

@@ -12,6 +12,8 @@ from daemon.base.errors import UserError
 from daemon.config.simulation import WeatherName
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     # The command line imports this module to show its help, which must not wait for the science.
     from daemon.config.settings import Settings
 
@@ -114,6 +116,16 @@ def check_ordinary(path: Path, what: str) -> None:
         raise UserError(f"{path} is a folder: name a file with {what} in it")
     if path.exists() and not path.is_file():
         raise UserError(f"{path} is no ordinary file: write its records into one and name that")
+
+
+def utc_times(column: "pd.Series[str]") -> "pd.Series[pd.Timestamp]":
+    """Return the UTC times that a column of ISO 8601 texts gives; NaT for what is none of the years 1900 to 2199."""
+    import pandas as pd  # noqa: PLC0415 - as above
+
+    # pandas takes 'now' and 'today' for times as well.
+    dated = column.where(column.str.match(r"\s*\d{4}"))
+    times = pd.to_datetime(dated, format="ISO8601", utc=True, errors="coerce")
+    return times.where(times.dt.year.between(1900, 2199))
 
 
 def check_data_files(paths: Sequence[Path], what: str) -> None:

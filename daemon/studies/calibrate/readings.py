@@ -16,7 +16,7 @@ from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.store.schema import FILE_NAME, columns_of, open_for_reading
-from daemon.studies.inputs import check_table, impossible_note
+from daemon.studies.inputs import check_table, impossible_note, utc_times
 from daemon.studies.recorded import stored_faces
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
@@ -167,7 +167,7 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array]:
         raise UserError(f"{path} has two columns {doubled[0]}: leave in the one that counts")
     if frame.empty:
         raise UserError(f"{path} has a header and no data")
-    times = pd.to_datetime(frame["time"], format="ISO8601", utc=True, errors="coerce")
+    times = utc_times(frame["time"])
     bad = np.flatnonzero(times.isna())
     if bad.size:
         line, text = _line_of(path, bad[0]), frame["time"].iloc[bad[0]]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.studies.compare.measurements import OPTIONAL, REQUIRED, SIMULATED, Measurement
-from daemon.studies.inputs import check_table, impossible_note
+from daemon.studies.inputs import check_table, impossible_note, utc_times
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, possible
 
@@ -210,7 +210,7 @@ def _times(column: Any, path: Path) -> Array:
     if isinstance(column.dtype, pd.DatetimeTZDtype):
         times = column.dt.tz_convert("UTC")
     else:
-        times = pd.to_datetime(column.astype(str), utc=True, format="ISO8601", errors="coerce")
+        times = utc_times(column.astype(str))
     if times.isna().any():
         row = int(np.flatnonzero(times.isna())[0])
         raise UserError(f"{path}, row {row + 1}: '{column.iloc[row]}' is not a time; write 2022-10-14T08:00:05Z")

@@ -1,10 +1,12 @@
 """Files that people give to the studies and commands."""
 
 import gzip
+import re
 
 import pytest
 
 from daemon.base.errors import UserError
+from daemon.rigs.measured import measured_weather
 from daemon.studies.calibrate.readings import read_reference
 from daemon.studies.compare.pairs import read_tables
 from daemon.studies.gain.request import read_points
@@ -61,4 +63,14 @@ def test_a_table_of_a_spreadsheet_that_is_no_csv_is_refused_with_how_to_save_it(
     path = tmp_path / "table.csv"
     path.write_bytes(content)
     with pytest.raises(UserError, match=rf"^{path} (has|is text in) {sentence}"):
+        read(path)
+
+
+@pytest.mark.parametrize("read", [measured_weather, read_reference, lambda path: read_tables([path])])
+@pytest.mark.parametrize("wrong", ["now", "today", "0001-01-01T00:00+05:00", "1066-10-14", "2300-01-01", "NaT"])
+def test_a_word_or_a_year_of_another_age_is_no_time(tmp_path, read, wrong):
+    path = tmp_path / "table.csv"
+    head = "time,tracker,pmpp_w,ghi_w_m2" if "lambda" in read.__name__ else "time,dni,dhi,ghi"
+    path.write_text(f"{head}\n{wrong},1,2,3\n")
+    with pytest.raises(UserError, match=rf"{path}, (line 2|row 1): '{re.escape(wrong)}' is not a time"):
         read(path)
