@@ -73,7 +73,7 @@ def read_csv(path: Path) -> Recording:
     """Return the rows of a CSV file, plain or ``.gz``, with the columns time, east, south, west and zenith.
 
     ``time`` is ISO 8601, UTC where it names no zone, and rises from line to line. An empty cell, ``nan`` and a number
-    that no face can read are a face without a reading. Other columns are ignored.
+    that no face can read are a face without a reading. Other columns are ignored, and so are rows of empty cells.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def _rows(path: Path, file: TextIO, impossible: list[str]) -> Iterator[RecordedS
         places = [header.index(name) for name in COLUMNS]
         before_s = -math.inf
         for cells in reader:
-            if not cells:
+            if not any(cell.strip() for cell in cells):
                 continue
             row = _row(cells, len(header), places, before_s)
             before_s = row.time_utc_s

@@ -165,6 +165,7 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array]:
     doubled = [name for name in frame if list(frame).count(name) > 1 or f"{name}.1" in frame]
     if doubled:
         raise UserError(f"{path} has two columns {doubled[0]}: leave in the one that counts")
+    frame = frame[(frame != "").any(axis=1)]
     if frame.empty:
         raise UserError(f"{path} has a header and no data")
     times = utc_times(frame["time"])
@@ -186,7 +187,7 @@ def _simulated(frame: pd.DataFrame) -> bool:
 
 
 def _line_of(path: Path, row: int) -> int:
-    """Return the number of the line that a row of a table stands in; lines that are blank are no rows."""
+    """Return the number of the line that a row of a table stands in; lines of blanks and commas are no rows."""
     lines = pd.read_csv(
         path,
         sep="\0",
@@ -198,7 +199,7 @@ def _line_of(path: Path, row: int) -> int:
         skip_blank_lines=False,
     )
     # The first one is the header.
-    return int(np.flatnonzero(lines["text"].str.strip() != "")[row + 1]) + 1
+    return int(np.flatnonzero(lines["text"].str.strip(" \t,") != "")[row + 1]) + 1
 
 
 def _possible(path: Path, frame: pd.DataFrame, names: Sequence[str]) -> tuple[Array, str]:

@@ -156,7 +156,7 @@ def _read(path: Path) -> pd.DataFrame:
     except (OSError, EOFError, zlib.error, ValueError) as error:
         # pandas and pyarrow derive theirs from ValueError; the others are those of a .gz that was cut off or damaged.
         raise UserError(f"{path} is not a table that can be read: {str(error).splitlines()[0]}") from None
-    table = table.drop(columns=[name for name in ("index",) if name in table])
+    table = table.drop(columns=[name for name in ("index",) if name in table]).dropna(how="all")
     missing = [name for name in REQUIRED if name not in table]
     unknown = [str(name) for name in table if name not in _COLUMNS]
     if missing or unknown:

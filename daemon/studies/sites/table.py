@@ -64,7 +64,11 @@ def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
             reader = csv.DictReader(file)
             _check_columns(path, [name.strip() for name in reader.fieldnames or []])
             reader.fieldnames = [name.strip() for name in reader.fieldnames or []]
-            sites = [_site(path, reader.line_num, row, model) for row in reader]
+            sites = [
+                _site(path, reader.line_num, row, model)
+                for row in reader
+                if None in row or any(map(_says, row.values()))
+            ]
     except OSError as error:
         raise UserError(f"--sites: {path} cannot be read: {error.strerror}") from None
     except (UnicodeDecodeError, csv.Error) as error:
@@ -73,6 +77,10 @@ def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
         raise UserError(f"--sites: {path} has no line with a site below its heads")
     _check_names(path, sites)
     return sites
+
+
+def _says(cell: str | None) -> bool:
+    return bool(cell and cell.strip())
 
 
 def _check_columns(path: Path, names: list[str]) -> None:

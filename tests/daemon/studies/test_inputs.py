@@ -7,6 +7,7 @@ import pytest
 
 from daemon.base.errors import UserError
 from daemon.rigs.measured import measured_weather
+from daemon.studies.calibrate.readings import read_csv as read_faces_in_mv
 from daemon.studies.calibrate.readings import read_reference
 from daemon.studies.compare.pairs import read_tables
 from daemon.studies.gain.request import read_points
@@ -74,3 +75,29 @@ def test_a_word_or_a_year_of_another_age_is_no_time(tmp_path, read, wrong):
     path.write_text(f"{head}\n{wrong},1,2,3\n")
     with pytest.raises(UserError, match=rf"{path}, (line 2|row 1): '{re.escape(wrong)}' is not a time"):
         read(path)
+
+
+@pytest.mark.parametrize(
+    ("read", "head", "row"),
+    [
+        (read_csv, "time,east,south,west,zenith", "2022-10-14T10:00Z,1,2,3,4"),
+        (read_faces_in_mv, "time,east_mv,south_mv,west_mv,zenith_mv", "2022-10-14T10:00Z,1,2,3,4"),
+        (read_points, "phi_deg,beta_deg,n,lambda_deg", "48,30,100,0"),
+        (read_reference, "time,ghi", "2022-10-14T10:00Z,1"),
+        (lambda path: read_sites(path, None), "name,latitude,longitude,weather", "here,48,2,clear"),
+        (lambda path: read_tables([path]), "time,tracker,pmpp_w", "2022-10-14T10:00Z,cube,50"),
+    ],
+)
+def test_rows_of_empty_cells_as_a_spreadsheet_leaves_them_are_passed_over(tmp_path, read, head, row):
+    plain, padded = tmp_path / "plain.csv", tmp_path / "padded.csv"
+    empty = "," * head.count(",")
+    plain.write_text(f"{head}\n{row}\n")
+    padded.write_text(f"{head}\n{empty}\n{row}\n{empty}\n{empty}\n")
+    assert str(read(padded)).replace("padded", "plain") == str(read(plain))
+
+
+def test_the_line_of_a_fault_is_right_behind_rows_of_empty_cells(tmp_path):
+    path = tmp_path / "reference.csv"
+    path.write_text("time,ghi\n,\n\n2022-10-14T10:00Z,1\n2022-10-14T10:01Z,cloudy\n")
+    with pytest.raises(UserError, match=rf"{path}, line 5: ghi is 'cloudy'"):
+        read_reference(path)
