@@ -158,6 +158,8 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array]:
         raise UserError(f"{path} is empty") from None
     except (OSError, EOFError, zlib.error, ValueError) as error:
         raise UserError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
+    if not isinstance(frame.index, pd.RangeIndex):
+        raise UserError(f"{path} has more cells in its lines than names in its header")
     frame.columns = pd.Index([str(name).strip().lower() for name in frame.columns])
     if "time" not in frame:
         raise UserError(f"{path} has no column time; found: {', '.join(map(str, frame.columns))}")

@@ -150,7 +150,7 @@ def pair(frame: pd.DataFrame, names: tuple[str, str], within_s: float = TOGETHER
 def _read(path: Path) -> pd.DataFrame:
     check_table(path)
     try:
-        table = pd.read_parquet(path).reset_index() if path.suffix == ".parquet" else pd.read_csv(path)
+        table = pd.read_parquet(path).reset_index() if path.suffix == ".parquet" else _csv(path)
     except FileNotFoundError:
         raise UserError(f"there is no file {path} with measured powers") from None
     except (OSError, EOFError, zlib.error, ValueError) as error:
@@ -166,7 +166,7 @@ def _read(path: Path) -> pd.DataFrame:
         )
     if table.empty:
         raise UserError(f"{path} holds no measurements: there is nothing below its header")
-    found = pd.DataFrame({"time": _times(table["time"], path), "tracker": table["tracker"].astype(str)})
+    found = pd.DataFrame({"time": _times(table["time"], path), "tracker": table["tracker"].astype(str).str.strip()})
     for name in _NUMBERS:
         found[name] = _numbers(table[name], path) if name in table else np.nan
     found[SIMULATED] = _truths(table[SIMULATED], path) if SIMULATED in table else False
@@ -179,6 +179,19 @@ def _read(path: Path) -> pd.DataFrame:
             f" ({low:g}..{high:g} W)"
         )
     return found
+
+
+def _csv(path: Path) -> pd.DataFrame:
+    table = pd.read_csv(path, skipinitialspace=True).rename(columns=str.strip)
+    if not isinstance(table.index, pd.RangeIndex):
+        raise UserError(f"{path} has more cells in its lines than names in its header")
+    names = [str(name) for name in table]
+    # pandas gives the second of two that are called alike a number.
+    doubled = [name for name in names if names.count(name) > 1 or f"{name}.1" in names]
+    if doubled:
+        raise UserError(f"{path} has two columns {doubled[0]}: leave in the one that counts")
+    # A comma behind the last name makes a column without one.
+    return table.drop(columns=[name for name in names if name.startswith("Unnamed: ") and table[name].isna().all()])
 
 
 def _leave_out_impossible(frame: pd.DataFrame, path: Path) -> str | None:

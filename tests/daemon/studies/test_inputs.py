@@ -101,3 +101,26 @@ def test_the_line_of_a_fault_is_right_behind_rows_of_empty_cells(tmp_path):
     path.write_text("time,ghi\n,\n\n2022-10-14T10:00Z,1\n2022-10-14T10:01Z,cloudy\n")
     with pytest.raises(UserError, match=rf"{path}, line 5: ghi is 'cloudy'"):
         read_reference(path)
+
+
+def test_powers_may_have_blanks_around_their_commas_and_a_comma_at_the_end(tmp_path):
+    path = tmp_path / "powers.csv"
+    path.write_text("time , tracker, pmpp_w,\n2022-10-14T10:00Z , cube , 50,\n")
+    powers, _ = read_tables([path])
+    assert powers[["tracker", "pmpp_w"]].to_numpy().tolist() == [["cube", 50.0]]
+
+
+@pytest.mark.parametrize("again", ["tracker", "tracker "])
+def test_powers_with_a_column_twice_are_refused(tmp_path, again):
+    path = tmp_path / "powers.csv"
+    path.write_text(f"time,tracker,pmpp_w,{again}\n2022-10-14T10:00Z,cube,50,chrono\n")
+    with pytest.raises(UserError, match=rf"{path} has two columns tracker: leave in the one that counts"):
+        read_tables([path])
+
+
+@pytest.mark.parametrize("read", [measured_weather, read_reference, lambda path: read_tables([path])])
+def test_lines_with_a_cell_more_than_the_header_are_refused(tmp_path, read):
+    path = tmp_path / "table.csv"
+    path.write_text("time,dni,dhi,ghi\n2022-10-14T10:00Z,1,2,3,\n2022-10-14T10:01Z,1,2,3,\n")
+    with pytest.raises(UserError, match=rf"{path} has more cells in its lines than names in its header"):
+        read(path)
