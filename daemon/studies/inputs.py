@@ -22,6 +22,13 @@ YEARS = range(2, 9999)
 _SKIES = get_args(WeatherName)
 _PACKED = (".bz2", ".tar", ".tar.gz", ".xz", ".zip", ".zst")
 _LONGEST_LINE = 20_000
+_NO_CSV = {
+    b"PAR1": "is a Parquet file",
+    b"PK\x03\x04": "is a spreadsheet or packed",
+    b"\x1f\x8b": "is packed and its name does not end in .gz",
+    b"#": "begins with a remark",
+    b"sep=": "begins with 'sep='",
+}
 
 
 def parse_site(text: str, where: str = "--site") -> tuple[float, float, float]:
@@ -87,14 +94,18 @@ def check_table(path: Path) -> None:
         raise UserError(
             f"{path} is packed in a way that cannot be read: unpack it, or pack the table alone with gzip (.gz)"
         )
-    if path.suffix.lower() == ".parquet" or not path.is_file():
+    if not path.is_file():
         return
     try:
         with gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb") as file:
             lines = [file.readline(_LONGEST_LINE) for _ in range(2)]
     except (OSError, EOFError, zlib.error):
         return
-    if lines[0].startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+    header = lines[0].removeprefix(codecs.BOM_UTF8)
+    for beginning, what in _NO_CSV.items():
+        if header.startswith(beginning):
+            raise UserError(f"{path} {what}: a CSV file is needed, the names of its columns in the first line")
+    if header.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise UserError(f"{path} is text in UTF-16: save it as a CSV file in UTF-8 ('CSV UTF-8' in a spreadsheet)")
     for number, line in enumerate(lines, 1):
         # Thousands of columns take pandas minutes.
@@ -104,7 +115,7 @@ def check_table(path: Path) -> None:
                 " time, and leave in the columns that are needed"
             )
     for separator, name in ((b";", "semicolons"), (b"\t", "tabs")):
-        if separator in lines[0] and b"," not in lines[0]:
+        if separator in header and b"," not in header:
             raise UserError(
                 f"{path} has {name} between its columns: save it with commas there, and with points in its numbers"
             )

@@ -148,9 +148,8 @@ def pair(frame: pd.DataFrame, names: tuple[str, str], within_s: float = TOGETHER
 
 
 def _read(path: Path) -> pd.DataFrame:
-    check_table(path)
     try:
-        table = pd.read_parquet(path).reset_index() if path.suffix == ".parquet" else _csv(path)
+        table = pd.read_parquet(path).reset_index() if path.suffix.lower() == ".parquet" else _csv(path)
     except FileNotFoundError:
         raise UserError(f"there is no file {path} with measured powers") from None
     except (OSError, EOFError, zlib.error, ValueError) as error:
@@ -182,6 +181,7 @@ def _read(path: Path) -> pd.DataFrame:
 
 
 def _csv(path: Path) -> pd.DataFrame:
+    check_table(path)
     table = pd.read_csv(path, skipinitialspace=True).rename(columns=str.strip)
     if not isinstance(table.index, pd.RangeIndex):
         raise UserError(f"{path} has more cells in its lines than names in its header")

@@ -3,6 +3,7 @@
 import gzip
 import re
 
+import pandas as pd
 import pytest
 
 from daemon.base.errors import UserError
@@ -38,7 +39,7 @@ def test_a_table_that_is_packed_otherwise_than_with_gzip_is_refused_with_what_to
 
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize("read", READERS)
-@pytest.mark.parametrize("columns", ["time", "time" + ",1" * 1_000_000])
+@pytest.mark.parametrize("columns", ["time", "\ufefftime" + ",1" * 1_000_000])
 @pytest.mark.parametrize("ending", [".csv", ".csv.gz"])
 def test_a_line_of_a_million_columns_is_refused_at_once(tmp_path, read, columns, ending):
     path = tmp_path / f"table{ending}"
@@ -58,12 +59,20 @@ def test_a_line_of_a_million_columns_is_refused_at_once(tmp_path, read, columns,
         ),
         (b"time\tname\tghi\n2022-10-14T10:00Z\t500.5\n", "tabs between its columns: save it with commas"),
         ("time\tghi\n2022-10-14T10:00Z\t500.5\n".encode("utf-16"), "UTF-16: save it as a CSV file in UTF-8"),
+        (b"PAR1\x15\x04", "a Parquet file: a CSV file is needed, the names of its columns in the first line"),
+        (b"PK\x03\x04\x14\0", "a spreadsheet or packed: a CSV file is needed"),
+        (gzip.compress(b"time,ghi\n"), "packed and its name does not end in .gz: a CSV file is needed"),
+        (
+            b"# My station, 2022\ntime,name,ghi\n",
+            "a remark: a CSV file is needed, the names of its columns in the first",
+        ),
+        (b"\xef\xbb\xbfsep=,\ntime,name,ghi\n", "'sep=': a CSV file is needed"),
     ],
 )
 def test_a_table_of_a_spreadsheet_that_is_no_csv_is_refused_with_how_to_save_it(tmp_path, read, content, sentence):
     path = tmp_path / "table.csv"
     path.write_bytes(content)
-    with pytest.raises(UserError, match=rf"^{path} (has|is text in) {sentence}"):
+    with pytest.raises(UserError, match=rf"^{path} (has|is text in|is|begins with) {sentence}"):
         read(path)
 
 
@@ -124,3 +133,10 @@ def test_lines_with_a_cell_more_than_the_header_are_refused(tmp_path, read):
     path.write_text("time,dni,dhi,ghi\n2022-10-14T10:00Z,1,2,3,\n2022-10-14T10:01Z,1,2,3,\n")
     with pytest.raises(UserError, match=rf"{path} has more cells in its lines than names in its header"):
         read(path)
+
+
+def test_powers_in_parquet_are_read_whatever_the_case_of_their_ending(tmp_path):
+    path = tmp_path / "powers.PARQUET"
+    pd.DataFrame({"time": ["2022-10-14T10:00Z"], "tracker": "cube", "pmpp_w": 50.0}).to_parquet(path)
+    powers, _ = read_tables([path])
+    assert powers[["tracker", "pmpp_w"]].to_numpy().tolist() == [["cube", 50.0]]
