@@ -156,6 +156,10 @@ def load_weather(path: Path, *, typical_year: int | None = None) -> MeasuredWeat
         raise
     except FileNotFoundError:
         raise WeatherFileError(f"there is no weather file at {path}") from None
+    except UnicodeDecodeError:
+        raise WeatherFileError(
+            f"weather file {path} cannot be read, as it is not text in UTF-8: save it as such"
+        ) from None
     except (
         OSError,
         EOFError,

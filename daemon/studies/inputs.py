@@ -121,6 +121,11 @@ def check_table(path: Path) -> None:
             )
 
 
+def not_utf8(path: Path) -> UserError:
+    """Return the refusal of a table in another encoding."""
+    return UserError(f"{path} is not text in UTF-8: save it as such ('CSV UTF-8' in a spreadsheet)")
+
+
 def check_ordinary(path: Path, what: str) -> None:
     """Raise `UserError` for a folder, a device or a pipe where a file with `what` is meant."""
     if path.is_dir():

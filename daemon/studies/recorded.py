@@ -17,7 +17,7 @@ import numpy as np
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Quality
 from daemon.store.schema import FILE_NAME, open_for_reading
-from daemon.studies.inputs import check_table
+from daemon.studies.inputs import check_table, not_utf8
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
 
@@ -90,7 +90,7 @@ def read_csv(path: Path) -> Recording:
     except (OSError, EOFError, zlib.error) as error:
         raise UserError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
     except UnicodeDecodeError:
-        raise UserError(f"{path} is not text: a CSV file in UTF-8, plain or .gz, is expected") from None
+        raise not_utf8(path) from None
     if not rows:
         raise UserError(f"{path} has no readings below its header")
     missing = sum(map(math.isnan, (value for row in rows for value in row.irradiances_w_m2)))

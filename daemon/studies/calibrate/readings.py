@@ -16,7 +16,7 @@ from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.store.schema import FILE_NAME, columns_of, open_for_reading
-from daemon.studies.inputs import check_table, impossible_note, utc_times
+from daemon.studies.inputs import check_table, impossible_note, not_utf8, utc_times
 from daemon.studies.recorded import stored_faces
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
@@ -156,6 +156,8 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array]:
         raise UserError(f"there is no file at {path}") from None
     except pd.errors.EmptyDataError:
         raise UserError(f"{path} is empty") from None
+    except UnicodeDecodeError:
+        raise not_utf8(path) from None
     except (OSError, EOFError, zlib.error, ValueError) as error:
         raise UserError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
     if not isinstance(frame.index, pd.RangeIndex):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.studies.compare.measurements import OPTIONAL, REQUIRED, SIMULATED, Measurement
-from daemon.studies.inputs import check_table, impossible_note, utc_times
+from daemon.studies.inputs import check_table, impossible_note, not_utf8, utc_times
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, possible
 
@@ -152,6 +152,8 @@ def _read(path: Path) -> pd.DataFrame:
         table = pd.read_parquet(path).reset_index() if path.suffix.lower() == ".parquet" else _csv(path)
     except FileNotFoundError:
         raise UserError(f"there is no file {path} with measured powers") from None
+    except UnicodeDecodeError:
+        raise not_utf8(path) from None
     except (OSError, EOFError, zlib.error, ValueError) as error:
         # pandas and pyarrow derive theirs from ValueError; the others are those of a .gz that was cut off or damaged.
         raise UserError(f"{path} is not a table that can be read: {str(error).splitlines()[0]}") from None

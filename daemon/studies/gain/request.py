@@ -8,7 +8,7 @@ import numpy as np
 
 from daemon.base.errors import UserError
 from daemon.studies.gain.choices import Device
-from daemon.studies.inputs import check_table
+from daemon.studies.inputs import check_table, not_utf8
 from solar.frames import Array
 
 LARGEST_GRID = 20_000_000
@@ -129,7 +129,9 @@ def read_points(path: Path) -> dict[str, Array]:
             ]
     except FileNotFoundError:
         raise UserError(f"there is no points file at {path}") from None
-    except (OSError, UnicodeError, csv.Error) as error:
+    except UnicodeDecodeError:
+        raise not_utf8(path) from None
+    except (OSError, csv.Error) as error:
         raise UserError(f"points file {path} cannot be read: {error}") from error
     if not rows:
         raise UserError(f"points file {path} has a header and no data")

@@ -8,7 +8,7 @@ from typing import get_args
 
 from daemon.base.errors import UserError
 from daemon.config.simulation import WeatherName
-from daemon.studies.inputs import check_table, parse_site
+from daemon.studies.inputs import check_table, not_utf8, parse_site
 
 REQUIRED = ("name", "latitude", "longitude")
 OPTIONAL = ("altitude", "weather", "year")
@@ -71,7 +71,9 @@ def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
             ]
     except OSError as error:
         raise UserError(f"--sites: {path} cannot be read: {error.strerror}") from None
-    except (UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError:
+        raise not_utf8(path) from None
+    except csv.Error as error:
         raise UserError(f"--sites: {path} cannot be read as CSV: {error}") from None
     if not sites:
         raise UserError(f"--sites: {path} has no line with a site below its heads")

@@ -140,3 +140,11 @@ def test_powers_in_parquet_are_read_whatever_the_case_of_their_ending(tmp_path):
     pd.DataFrame({"time": ["2022-10-14T10:00Z"], "tracker": "cube", "pmpp_w": 50.0}).to_parquet(path)
     powers, _ = read_tables([path])
     assert powers[["tracker", "pmpp_w"]].to_numpy().tolist() == [["cube", 50.0]]
+
+
+@pytest.mark.parametrize("read", [measured_weather, *READERS[1:]])
+def test_a_table_in_another_encoding_is_refused_with_what_to_save(tmp_path, read):
+    path = tmp_path / "table.csv"
+    path.write_bytes("time,name,ghi,Température °C\n2022-10-14T10:00Z,here,1,20\n".encode("latin-1"))
+    with pytest.raises(UserError, match=rf"{path} .*is not text in UTF-8: save it as such"):
+        read(path)
