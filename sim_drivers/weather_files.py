@@ -231,6 +231,7 @@ def _csv(path: Path) -> MeasuredWeather:
         keep_default_na=False,
         skip_blank_lines=False,
         encoding="utf-8-sig",
+        skipinitialspace=True,
         # Of what else is packed pandas would tell in many words.
         compression="gzip" if _is_gzipped(path) else None,
     )

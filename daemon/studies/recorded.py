@@ -137,9 +137,9 @@ def _opened(path: Path) -> TextIO:
 
 
 def _rows(path: Path, file: TextIO, impossible: list[str]) -> Iterator[RecordedScan]:
-    reader = csv.reader(file)
+    reader = csv.reader(file, skipinitialspace=True)
     try:
-        header = [name.strip() for name in next(reader, [])]
+        header = [name.strip().lower() for name in next(reader, [])]
         missing = [name for name in COLUMNS if name not in header]
         if missing:
             raise UserError(

@@ -184,7 +184,7 @@ def _read(path: Path) -> pd.DataFrame:
 
 def _csv(path: Path) -> pd.DataFrame:
     check_table(path)
-    table = pd.read_csv(path, skipinitialspace=True).rename(columns=str.strip)
+    table = pd.read_csv(path, skipinitialspace=True).rename(columns=lambda name: name.strip().lower())
     if not isinstance(table.index, pd.RangeIndex):
         raise UserError(f"{path} has more cells in its lines than names in its header")
     names = [str(name) for name in table]
@@ -193,7 +193,7 @@ def _csv(path: Path) -> pd.DataFrame:
     if doubled:
         raise UserError(f"{path} has two columns {doubled[0]}: leave in the one that counts")
     # A comma behind the last name makes a column without one.
-    return table.drop(columns=[name for name in names if name.startswith("Unnamed: ") and table[name].isna().all()])
+    return table.drop(columns=[name for name in names if name.startswith("unnamed: ") and table[name].isna().all()])
 
 
 def _leave_out_impossible(frame: pd.DataFrame, path: Path) -> str | None:

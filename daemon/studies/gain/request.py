@@ -115,13 +115,16 @@ def read_points(path: Path) -> dict[str, Array]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file, skipinitialspace=True)
-            header = [name.strip() for name in reader.fieldnames or []]
+            header = [name.strip().lower() for name in reader.fieldnames or []]
             reader.fieldnames = header
             if not header:
                 raise UserError(f"points file {path} is empty")
             missing = [name for name in POINT_COLUMNS if name not in header]
             if missing:
                 raise UserError(f"points file {path} has no column {missing[0]}; found: {', '.join(header)}")
+            doubled = [name for name in POINT_COLUMNS if header.count(name) > 1]
+            if doubled:
+                raise UserError(f"points file {path} has two columns {doubled[0]}: leave in the one that counts")
             rows = [
                 [_cell(path, reader.line_num, name, row[name]) for name in POINT_COLUMNS]
                 for row in reader

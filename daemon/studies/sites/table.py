@@ -61,9 +61,9 @@ def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
     check_table(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            _check_columns(path, [name.strip() for name in reader.fieldnames or []])
-            reader.fieldnames = [name.strip() for name in reader.fieldnames or []]
+            reader = csv.DictReader(file, skipinitialspace=True)
+            reader.fieldnames = [name.strip().lower() for name in reader.fieldnames or []]
+            _check_columns(path, list(reader.fieldnames))
             sites = [
                 _site(path, reader.line_num, row, model)
                 for row in reader
@@ -88,9 +88,12 @@ def _says(cell: str | None) -> bool:
 def _check_columns(path: Path, names: list[str]) -> None:
     missing = [name for name in REQUIRED if name not in names]
     unknown = [name or "''" for name in names if name not in (*REQUIRED, *OPTIONAL)]
+    doubled = [name for name in names if name and names.count(name) > 1]
     known = f"{', '.join(REQUIRED)}, and if you like {', '.join(OPTIONAL)}"
     if missing:
         raise UserError(f"--sites: {path} has no column {missing[0]}; its columns are {known}")
+    if doubled:
+        raise UserError(f"--sites: {path} has two columns {doubled[0]}: leave in the one that counts")
     if unknown:
         raise UserError(f"--sites: {path} has a column {unknown[0]}, which means nothing; its columns are {known}")
 

@@ -26,6 +26,16 @@ READERS = [
 ]
 
 
+TABLES = [
+    (read_csv, "time,east,south,west,zenith", "2022-10-14T10:00Z,1,2,3,4"),
+    (read_faces_in_mv, "time,east_mv,south_mv,west_mv,zenith_mv", "2022-10-14T10:00Z,1,2,3,4"),
+    (read_points, "phi_deg,beta_deg,n,lambda_deg", "48,30,100,0"),
+    (read_reference, "time,ghi", "2022-10-14T10:00Z,1"),
+    (lambda path: read_sites(path, None), "name,latitude,longitude,weather", "here,48,2,clear"),
+    (lambda path: read_tables([path]), "time,tracker,pmpp_w", "2022-10-14T10:00Z,cube,50"),
+]
+
+
 @pytest.mark.parametrize("read", READERS)
 @pytest.mark.parametrize("ending", ["csv.xz", "csv.ZIP", "tar.gz", "csv.zst"])
 def test_a_table_that_is_packed_otherwise_than_with_gzip_is_refused_with_what_to_do(tmp_path, read, ending):
@@ -86,17 +96,7 @@ def test_a_word_or_a_year_of_another_age_is_no_time(tmp_path, read, wrong):
         read(path)
 
 
-@pytest.mark.parametrize(
-    ("read", "head", "row"),
-    [
-        (read_csv, "time,east,south,west,zenith", "2022-10-14T10:00Z,1,2,3,4"),
-        (read_faces_in_mv, "time,east_mv,south_mv,west_mv,zenith_mv", "2022-10-14T10:00Z,1,2,3,4"),
-        (read_points, "phi_deg,beta_deg,n,lambda_deg", "48,30,100,0"),
-        (read_reference, "time,ghi", "2022-10-14T10:00Z,1"),
-        (lambda path: read_sites(path, None), "name,latitude,longitude,weather", "here,48,2,clear"),
-        (lambda path: read_tables([path]), "time,tracker,pmpp_w", "2022-10-14T10:00Z,cube,50"),
-    ],
-)
+@pytest.mark.parametrize(("read", "head", "row"), TABLES)
 def test_rows_of_empty_cells_as_a_spreadsheet_leaves_them_are_passed_over(tmp_path, read, head, row):
     plain, padded = tmp_path / "plain.csv", tmp_path / "padded.csv"
     empty = "," * head.count(",")
@@ -147,4 +147,29 @@ def test_a_table_in_another_encoding_is_refused_with_what_to_save(tmp_path, read
     path = tmp_path / "table.csv"
     path.write_bytes("time,name,ghi,Température °C\n2022-10-14T10:00Z,here,1,20\n".encode("latin-1"))
     with pytest.raises(UserError, match=rf"{path} .*is not text in UTF-8: save it as such"):
+        read(path)
+
+
+def test_the_names_of_weather_may_be_quoted_behind_blanks(tmp_path):
+    path = tmp_path / "weather.csv"
+    path.write_text('"time", "ghi", "dni", "dhi"\n"2022-10-14T10:00Z", "1", "2", "3"\n')
+    assert measured_weather(path).irradiance_w_m2["dhi"].tolist() == [3.0]
+
+
+@pytest.mark.parametrize(("read", "head", "row"), TABLES)
+def test_names_of_columns_may_be_in_capitals_and_cells_quoted_behind_blanks(tmp_path, read, head, row):
+    plain, quoted = tmp_path / "plain.csv", tmp_path / "quoted.csv"
+    plain.write_text(f"{head}\n{row}\n")
+    quoted.write_text(
+        "".join(", ".join(f'"{cell}"' for cell in line.split(",")) + "\n" for line in (head.upper(), row))
+    )
+    assert str(read(quoted)).replace("quoted", "plain") == str(read(plain))
+
+
+@pytest.mark.parametrize(("read", "head", "row"), TABLES)
+def test_a_column_twice_is_refused_in_every_table(tmp_path, read, head, row):
+    path = tmp_path / "table.csv"
+    name = head.split(",")[1]
+    path.write_text(f"{head},{name}\n{row},1\n")
+    with pytest.raises(UserError, match=rf"{path}.* two columns {name}[:;] leave in the one that counts"):
         read(path)
