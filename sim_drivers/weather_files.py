@@ -1,6 +1,7 @@
 """Measured weather from files: our own CSV, and the formats of BSRN, SURFRAD, MIDC and TMY3.
 
-Our CSV has a header ``time,ghi,dni,dhi`` and optionally ``wind_speed,temp_air`` in any order, plain or gzipped.
+Our CSV has a header ``time,ghi,dni,dhi`` and optionally ``wind_speed,temp_air`` in any order, plain or gzipped,
+with tabs, or with semicolons and then decimal commas, in place of commas if need be.
 ``time`` is ISO 8601; without an offset it is UTC. Irradiance is in W/m2, wind in m/s, temperature in deg C; an empty
 cell is a missing value, and so is a number out of the quantity's range. Negative irradiance at night (a pyranometer's
 thermal offset) becomes zero. A column ``simulated`` with ``true`` in any row says that nobody has measured it.
@@ -221,12 +222,13 @@ def _read(path: Path, typical_year: int | None) -> MeasuredWeather:
         return _tmy3(path, int(third[6:10]) if typical_year is None else typical_year)
     if first.startswith("DATE (MM/DD/YYYY)") or ",Year,DOY," in first:
         return _midc(path, first)
-    return _csv(path)
+    return _csv(path, next((found for found in ";\t" if found in first and "," not in first), ","))
 
 
-def _csv(path: Path) -> MeasuredWeather:
+def _csv(path: Path, separator: str) -> MeasuredWeather:
     frame = pd.read_csv(
         path,
+        sep=separator,
         dtype=str,
         keep_default_na=False,
         skip_blank_lines=False,
@@ -247,6 +249,9 @@ def _csv(path: Path) -> MeasuredWeather:
     if not isinstance(frame.index, pd.RangeIndex):
         raise WeatherFileError(f"weather file {path} has more cells in its lines than names in its header")
     cells = frame.fillna("").apply(lambda column: column.str.strip())
+    if separator == ";":
+        # So does a spreadsheet write where numbers have a decimal comma.
+        cells = cells.replace(",", ".", regex=True)
     # A file may end in blank lines; the index keeps the line numbers of the others.
     cells = cells[(cells != "").any(axis=1)]
     if cells.empty:

@@ -85,22 +85,24 @@ def check_weather_file(path: Path, built_in: Sequence[str] = _SKIES) -> None:
     check_table(path)
 
 
-def check_table(path: Path) -> None:
-    """Raise `UserError` for a table that is packed otherwise than with gzip, or whose first lines are no table's.
+def check_table(path: Path) -> str:
+    """Return what stands between the cells of a CSV file: a comma, or the semicolon or the tab of a spreadsheet.
 
-    What cannot be opened is left to the reader, which tells the reason.
+    Between semicolons numbers may have a decimal comma, as a spreadsheet writes them. What cannot be opened is left to
+    the reader, which tells the reason. Raises `UserError` for a table that is packed otherwise than with gzip, or whose
+    first lines are no table's.
     """
     if path.name.lower().endswith(_PACKED):
         raise UserError(
             f"{path} is packed in a way that cannot be read: unpack it, or pack the table alone with gzip (.gz)"
         )
     if not path.is_file():
-        return
+        return ","
     try:
         with gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb") as file:
             lines = [file.readline(_LONGEST_LINE) for _ in range(2)]
     except (OSError, EOFError, zlib.error):
-        return
+        return ","
     header = lines[0].removeprefix(codecs.BOM_UTF8)
     for beginning, what in _NO_CSV.items():
         if header.startswith(beginning):
@@ -114,11 +116,12 @@ def check_table(path: Path) -> None:
                 f"{path}, line {number} is longer than {_LONGEST_LINE} characters: name a table with one line for each"
                 " time, and leave in the columns that are needed"
             )
-    for separator, name in ((b";", "semicolons"), (b"\t", "tabs")):
-        if separator in header and b"," not in header:
-            raise UserError(
-                f"{path} has {name} between its columns: save it with commas there, and with points in its numbers"
-            )
+    return next((found for found in ";\t" if found.encode() in header and b"," not in header), ",")
+
+
+def with_point(number: str, separator: str) -> str:
+    """Return the text of a number in a table with that separator with a decimal point."""
+    return number.replace(",", ".") if separator == ";" else number
 
 
 def not_utf8(path: Path) -> UserError:

@@ -17,7 +17,7 @@ import numpy as np
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Quality
 from daemon.store.schema import FILE_NAME, open_for_reading
-from daemon.studies.inputs import check_table, not_utf8
+from daemon.studies.inputs import check_table, not_utf8, with_point
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
 
@@ -80,11 +80,11 @@ def read_csv(path: Path) -> Recording:
     UserError
         One sentence with the file, the line, the value and what is expected.
     """
-    check_table(path)
+    separator = check_table(path)
     impossible: list[str] = []
     try:
         with _opened(path) as file:
-            rows = list(_rows(path, file, impossible))
+            rows = list(_rows(path, file, separator, impossible))
     except FileNotFoundError:
         raise UserError(f"{path} does not exist: name a CSV file with the columns {','.join(COLUMNS)}") from None
     except (OSError, EOFError, zlib.error) as error:
@@ -136,8 +136,8 @@ def _opened(path: Path) -> TextIO:
     return path.open(encoding="utf-8-sig", newline="")
 
 
-def _rows(path: Path, file: TextIO, impossible: list[str]) -> Iterator[RecordedScan]:
-    reader = csv.reader(file, skipinitialspace=True)
+def _rows(path: Path, file: TextIO, separator: str, impossible: list[str]) -> Iterator[RecordedScan]:
+    reader = csv.reader(file, delimiter=separator, skipinitialspace=True)
     try:
         header = [name.strip().lower() for name in next(reader, [])]
         missing = [name for name in COLUMNS if name not in header]
@@ -153,7 +153,7 @@ def _rows(path: Path, file: TextIO, impossible: list[str]) -> Iterator[RecordedS
         for cells in reader:
             if not any(cell.strip() for cell in cells):
                 continue
-            row = _row(cells, len(header), places, before_s)
+            row = _row([with_point(cell, separator) for cell in cells], len(header), places, before_s)
             before_s = row.time_utc_s
             for name, place, value in zip(FACES, places[1:], row.irradiances_w_m2, strict=True):
                 if not (LOWEST_W_M2 <= value <= HIGHEST_W_M2 or math.isnan(value)):

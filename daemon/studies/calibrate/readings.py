@@ -149,9 +149,11 @@ def span_text(utc_s: Array) -> str:
 
 
 def _table(path: Path) -> tuple[pd.DataFrame, Array]:
-    check_table(path)
+    separator = check_table(path)
     try:
-        frame = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig", skipinitialspace=True)
+        frame = pd.read_csv(
+            path, sep=separator, dtype=str, keep_default_na=False, encoding="utf-8-sig", skipinitialspace=True
+        )
     except FileNotFoundError:
         raise UserError(f"there is no file at {path}") from None
     except pd.errors.EmptyDataError:
@@ -170,6 +172,8 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array]:
     if doubled:
         raise UserError(f"{path} has two columns {doubled[0]}: leave in the one that counts")
     frame = frame[(frame != "").any(axis=1)]
+    if separator == ";":
+        frame = frame.replace(",", ".", regex=True)
     if frame.empty:
         raise UserError(f"{path} has a header and no data")
     times = utc_times(frame["time"])
@@ -203,7 +207,7 @@ def _line_of(path: Path, row: int) -> int:
         skip_blank_lines=False,
     )
     # The first one is the header.
-    return int(np.flatnonzero(lines["text"].str.strip(" \t,") != "")[row + 1]) + 1
+    return int(np.flatnonzero(lines["text"].str.strip(" \t,;") != "")[row + 1]) + 1
 
 
 def _possible(path: Path, frame: pd.DataFrame, names: Sequence[str]) -> tuple[Array, str]:

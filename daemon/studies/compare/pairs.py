@@ -183,8 +183,11 @@ def _read(path: Path) -> pd.DataFrame:
 
 
 def _csv(path: Path) -> pd.DataFrame:
-    check_table(path)
-    table = pd.read_csv(path, skipinitialspace=True).rename(columns=lambda name: name.strip().lower())
+    separator = check_table(path)
+    decimal = "," if separator == ";" else "."
+    table = pd.read_csv(path, sep=separator, decimal=decimal, skipinitialspace=True).rename(
+        columns=lambda name: name.strip().lower()
+    )
     if not isinstance(table.index, pd.RangeIndex):
         raise UserError(f"{path} has more cells in its lines than names in its header")
     names = [str(name) for name in table]

@@ -8,7 +8,7 @@ import numpy as np
 
 from daemon.base.errors import UserError
 from daemon.studies.gain.choices import Device
-from daemon.studies.inputs import check_table, not_utf8
+from daemon.studies.inputs import check_table, not_utf8, with_point
 from solar.frames import Array
 
 LARGEST_GRID = 20_000_000
@@ -111,10 +111,10 @@ def read_points(path: Path) -> dict[str, Array]:
 
     Blank lines are passed over. `UserError` names the file, the line, the column and the value that is wrong.
     """
-    check_table(path)
+    separator = check_table(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
+            reader = csv.DictReader(file, delimiter=separator, skipinitialspace=True)
             header = [name.strip().lower() for name in reader.fieldnames or []]
             reader.fieldnames = header
             if not header:
@@ -126,7 +126,7 @@ def read_points(path: Path) -> dict[str, Array]:
             if doubled:
                 raise UserError(f"points file {path} has two columns {doubled[0]}: leave in the one that counts")
             rows = [
-                [_cell(path, reader.line_num, name, row[name]) for name in POINT_COLUMNS]
+                [_cell(path, reader.line_num, name, with_point(row[name] or "", separator)) for name in POINT_COLUMNS]
                 for row in reader
                 if any(isinstance(cell, str) and cell.strip() for cell in row.values())
             ]
@@ -142,13 +142,13 @@ def read_points(path: Path) -> dict[str, Array]:
     return dict(zip(POINT_COLUMNS, columns, strict=True))
 
 
-def _cell(path: Path, line: int, name: str, text: str | None) -> float:
+def _cell(path: Path, line: int, name: str, text: str) -> float:
     low, high = POINT_COLUMNS[name]
     try:
-        value = float(text or "")
+        value = float(text)
     except ValueError:
         value = float("nan")
     if not (low <= value <= high) or (name == "n" and value != round(value)):
         kind = "a whole number" if name == "n" else "a number"
-        raise UserError(f"points file {path}, line {line}: {name} is '{text or ''}', not {kind} in {low:g}..{high:g}")
+        raise UserError(f"points file {path}, line {line}: {name} is '{text}', not {kind} in {low:g}..{high:g}")
     return value

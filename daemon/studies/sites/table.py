@@ -8,7 +8,7 @@ from typing import get_args
 
 from daemon.base.errors import UserError
 from daemon.config.simulation import WeatherName
-from daemon.studies.inputs import check_table, not_utf8, parse_site
+from daemon.studies.inputs import check_table, not_utf8, parse_site, with_point
 
 REQUIRED = ("name", "latitude", "longitude")
 OPTIONAL = ("altitude", "weather", "year")
@@ -58,14 +58,14 @@ def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
     UserError
         With the line and what to write there.
     """
-    check_table(path)
+    separator = check_table(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
+            reader = csv.DictReader(file, delimiter=separator, skipinitialspace=True)
             reader.fieldnames = [name.strip().lower() for name in reader.fieldnames or []]
             _check_columns(path, list(reader.fieldnames))
             sites = [
-                _site(path, reader.line_num, row, model)
+                _site(path, reader.line_num, row, model, separator)
                 for row in reader
                 if None in row or any(map(_says, row.values()))
             ]
@@ -98,14 +98,17 @@ def _check_columns(path: Path, names: list[str]) -> None:
         raise UserError(f"--sites: {path} has a column {unknown[0]}, which means nothing; its columns are {known}")
 
 
-def _site(path: Path, line: int, row: Mapping[str | None, str | None], model: WeatherName | None) -> AskedSite:
+def _site(
+    path: Path, line: int, row: Mapping[str | None, str | None], model: WeatherName | None, separator: str
+) -> AskedSite:
     where = f"{path} line {line}"
     cells = {name: (row.get(name) or "").strip() for name in (*REQUIRED, *OPTIONAL)}
     if None in row:
         raise UserError(f"--sites: {where} has more cells than there are columns")
     if not cells["name"]:
         raise UserError(f"--sites: {where} has no name")
-    text = ",".join((cells["latitude"], cells["longitude"], cells["altitude"] or "0"))
+    place = (cells["latitude"], cells["longitude"], cells["altitude"] or "0")
+    text = ",".join(with_point(number, separator) for number in place)
     latitude_deg, longitude_deg, altitude_m = parse_site(text, f"--sites: {where}")
     weather = _weather(path, where, cells["weather"], model)
     return AskedSite(

@@ -16,6 +16,11 @@ from daemon.studies.inputs import check_weather_file
 from daemon.studies.recorded import read_csv
 from daemon.studies.sites.table import read_sites
 
+
+def weather_values(path):
+    return measured_weather(path).irradiance_w_m2
+
+
 READERS = [
     check_weather_file,
     read_csv,
@@ -63,11 +68,6 @@ def test_a_line_of_a_million_columns_is_refused_at_once(tmp_path, read, columns,
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        (
-            b"\xef\xbb\xbftime;name;ghi\n2022-10-14T10:00Z;500,5\n",
-            "semicolons between its columns: save it with commas",
-        ),
-        (b"time\tname\tghi\n2022-10-14T10:00Z\t500.5\n", "tabs between its columns: save it with commas"),
         ("time\tghi\n2022-10-14T10:00Z\t500.5\n".encode("utf-16"), "UTF-16: save it as a CSV file in UTF-8"),
         (b"PAR1\x15\x04", "a Parquet file: a CSV file is needed, the names of its columns in the first line"),
         (b"PK\x03\x04\x14\0", "a spreadsheet or packed: a CSV file is needed"),
@@ -173,3 +173,23 @@ def test_a_column_twice_is_refused_in_every_table(tmp_path, read, head, row):
     path.write_text(f"{head},{name}\n{row},1\n")
     with pytest.raises(UserError, match=rf"{path}.* two columns {name}[:;] leave in the one that counts"):
         read(path)
+
+
+@pytest.mark.parametrize(
+    ("read", "head", "row"), [*TABLES, (weather_values, "time,ghi,dni,dhi", "2022-10-14T10:00Z,1,2,3")]
+)
+def test_semicolons_with_decimal_commas_and_tabs_are_read_as_a_spreadsheet_writes_them(tmp_path, read, head, row):
+    plain, semicolons, tabs = tmp_path / "plain.csv", tmp_path / "semicolons.csv", tmp_path / "tabs.csv"
+    text = f"{head}\n{row.replace(',2', ',2.5').replace(',50', ',50.5').replace('30', '30.5')}\n"
+    plain.write_text(text)
+    semicolons.write_text("\ufeff" + text.replace(",", ";").replace(".", ",").replace("\n", "\r\n"), encoding="utf-8")
+    tabs.write_text(text.replace(",", "\t"))
+    for path in (semicolons, tabs):
+        assert str(read(path)).replace(path.name, plain.name) == str(read(plain))
+
+
+def test_a_comma_between_thousands_is_no_decimal_comma(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text("time\tghi\n2022-10-14T10:00Z\t1,234\n")
+    with pytest.raises(UserError, match=rf"{path}, line 2: ghi is '1,234', not a number"):
+        read_reference(path)
