@@ -311,8 +311,7 @@ def _delta_t_s(utc_s: Array) -> Array:
 def _check_place(latitude_deg: float, longitude_deg: float, altitude_m: float) -> None:
     # NaN is within no limit; the air's pressure is a complex number above 44 km.
     numbers = all(isinstance(number, Real) for number in (latitude_deg, longitude_deg, altitude_m))
-    on_earth = numbers and -90.0 <= latitude_deg <= 90.0 and -430.0 <= altitude_m <= 9000.0
-    if not (on_earth and math.isfinite(longitude_deg)):
+    if not (numbers and abs(latitude_deg) <= 90.0 and math.isfinite(longitude_deg) and -430.0 <= altitude_m <= 9000.0):
         raise ValueError(
             "a site is -90 to 90 degrees north, degrees east and -430 to 9000 metres above sea level, and not"
             f" {latitude_deg}, {longitude_deg}, {altitude_m}"
@@ -321,7 +320,8 @@ def _check_place(latitude_deg: float, longitude_deg: float, altitude_m: float) -
 
 def _finite(utc_s: "Instant | Instants") -> Array:
     kept_as = getattr(utc_s, "dtype", None)
-    if getattr(kept_as, "kind", "") == "M":
+    kind = getattr(kept_as, "kind", "")
+    if kind == "M":
         # numpy would hand out the count of whatever unit the dates are kept in.
         dates = np.asarray(utc_s, dtype="datetime64[us]")
         instants: Array = np.asarray((dates - np.datetime64(0, "us")) / np.timedelta64(1, "s"))
@@ -329,16 +329,18 @@ def _finite(utc_s: "Instant | Instants") -> Array:
         raise ValueError(f"seconds since 1970 in {kept_as} are wrong by a minute: make them float64 where they arise")
     else:
         try:
+            if hasattr(utc_s, "columns") or kind in ("m", "b", "c"):
+                raise TypeError  # noqa: TRY301 - one sentence tells it with the others
             if isinstance(utc_s, datetime):
                 utc_s = (utc_s if utc_s.tzinfo else utc_s.replace(tzinfo=UTC)).timestamp()
             instants = np.asarray(utc_s, dtype=np.float64)
         except (TypeError, ValueError):
             raise ValueError(
-                f"a time is seconds since 1970, a datetime, dates of numpy or an index of them, and not {utc_s!r}"
+                f"a time is seconds since 1970, a datetime, dates of numpy or an index of them, and not {utc_s!r:.60}"
             ) from None
     # NaN is within no limit.
     if not np.all(np.abs(instants) < _YEAR_10000_S):
-        raise ValueError(f"the time must be finite seconds since 1970, no milliseconds, and not {utc_s}")
+        raise ValueError(f"the time must be finite seconds since 1970, no milliseconds, and not {utc_s!s:.60}")
     return instants
 
 

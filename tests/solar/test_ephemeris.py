@@ -227,6 +227,23 @@ def test_what_tells_no_time_exactly_is_refused_with_what_would(wrong):
         sun_position(wrong, *SIRTA)
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        pd.DataFrame({"ghi": [1.0]}, index=pd.DatetimeIndex(["2024-02-29"])),
+        pd.to_timedelta([1, 2], unit="s"),
+        np.timedelta64(5, "s"),
+        np.array([True]),
+        np.array([1.7e9 + 1j]),
+    ],
+)
+def test_what_would_be_a_time_of_1970_is_refused(wrong):
+    with pytest.raises(
+        ValueError, match="a time is seconds since 1970, a datetime, dates of numpy or an index of them"
+    ):
+        sun_position(wrong, *SIRTA)
+
+
 def test_a_solar_day_is_that_of_one_instant():
     with pytest.raises(ValueError, match=r"by one instant, not by an array of \(2,\)"):
         sun_day(np.array([1.7e9, 1.71e9]), *SIRTA)
