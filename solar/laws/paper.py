@@ -127,7 +127,7 @@ def chronometric(sun_direction: ArrayLike) -> Array:
 
 def _check_share(name: str, value: float) -> None:
     # Written so that NaN fails.
-    if not 0.0 <= value <= 1.0:
+    if not (isinstance(value, int | float | np.integer | np.floating) and 0.0 <= value <= 1.0):
         raise ValueError(f"the {name} must be a share from 0 to 1, not {value}")
 
 
