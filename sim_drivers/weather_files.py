@@ -1,10 +1,11 @@
 """Measured weather from files: our own CSV, and the formats of BSRN, SURFRAD, MIDC and TMY3.
 
 Our CSV has a header ``time,ghi,dni,dhi`` and optionally ``wind_speed,temp_air`` in any order, plain or gzipped,
-with tabs, or with semicolons and then decimal commas, in place of commas if need be.
-``time`` is ISO 8601; without an offset it is UTC. Irradiance is in W/m2, wind in m/s, temperature in deg C; an empty
-cell is a missing value, and so is a number out of the quantity's range. Negative irradiance at night (a pyranometer's
-thermal offset) becomes zero. A column ``simulated`` with ``true`` in any row says that nobody has measured it.
+with tabs, or with semicolons and then decimal commas, in place of commas if need be. ``time`` is ISO 8601; without an
+offset it is UTC. Irradiance is in W/m2, wind in m/s, temperature in deg C; an empty cell, ``NaN``, ``NA``, ``N/A`` and
+``null`` are a missing value, and so is a number out of the quantity's range. Negative irradiance at night (a
+pyranometer's thermal offset) becomes zero. A column ``simulated`` with ``true`` in any row says that nobody has
+measured it.
 
 A value is taken to hold at the instant it is stamped with, and to change linearly until the next. The hours of TMY3
 are stamped at their end; they are moved back to their middle, and the typical year, whose months come from different
@@ -29,7 +30,7 @@ from pvlib.iotools.surfrad import VARIABLE_MAP as SURFRAD_VARIABLE_MAP
 from sim_drivers.weather import Conditions, WeatherError
 from solar.ephemeris import Site, sun_position
 from solar.frames import Array
-from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
+from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, NO_READING
 
 LONGEST_GAP_S = 3600.0
 IRRADIANCES = ("ghi", "dni", "dhi")
@@ -271,7 +272,7 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
     values = {key: np.full(utc_s.size, np.nan) for key in (*IRRADIANCES, *OPTIONAL)}
     impossible: list[str] = []
     for column in [name for name in values if name in found]:
-        text = cells[column].mask(cells[column].str.lower() == "nan", "")
+        text = cells[column].mask(cells[column].str.lower().isin(NO_READING), "")
         numbers = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
         bad = _first((text != "") & np.isnan(numbers))
         if bad is not None:

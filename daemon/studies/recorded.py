@@ -19,7 +19,7 @@ from daemon.base.records import FACES, Quality
 from daemon.store.schema import FILE_NAME, open_for_reading
 from daemon.studies.inputs import check_table, not_utf8, with_point
 from solar.frames import Array
-from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
+from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, NO_READING
 
 COLUMNS = ("time", *FACES)
 _ROWS_AT_ONCE = 50_000
@@ -72,8 +72,9 @@ class Recording:
 def read_csv(path: Path) -> Recording:
     """Return the rows of a CSV file, plain or ``.gz``, with the columns time, east, south, west and zenith.
 
-    ``time`` is ISO 8601, UTC where it names no zone, and rises from line to line. An empty cell, ``nan`` and a number
-    that no face can read are a face without a reading. Other columns are ignored, and so are rows of empty cells.
+    ``time`` is ISO 8601, UTC where it names no zone, and rises from line to line. An empty cell, ``NaN``, ``NA``,
+    ``N/A``, ``null`` and a number that no face can read are a face without a reading. Other columns are ignored, and so
+    are rows of empty cells.
 
     Raises
     ------
@@ -187,7 +188,7 @@ def _utc(text: str) -> float:
 
 
 def _irradiance(name: str, text: str) -> float:
-    if not text:
+    if text.lower() in NO_READING:
         return math.nan
     try:
         return float(text)

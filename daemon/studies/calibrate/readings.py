@@ -19,7 +19,7 @@ from daemon.store.schema import FILE_NAME, columns_of, open_for_reading
 from daemon.studies.inputs import check_table, impossible_note, not_utf8, utc_times
 from daemon.studies.recorded import stored_faces
 from solar.frames import Array
-from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
+from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, NO_READING
 
 _MV, _W_M2 = "_mv", "_w_m2"
 _REFERENCE_NAMES = ("ghi", "ghi_w_m2")
@@ -224,8 +224,8 @@ def _possible(path: Path, frame: pd.DataFrame, names: Sequence[str]) -> tuple[Ar
 
 def _numbers(path: Path, column: "pd.Series[str]") -> Array:
     text = column.str.strip()
-    numbers = pd.to_numeric(text.mask(text.str.lower() == "nan", ""), errors="coerce").to_numpy(dtype=np.float64)
-    missing = (text == "").to_numpy() | (text.str.lower() == "nan").to_numpy()
+    missing = text.str.lower().isin(NO_READING).to_numpy()
+    numbers = pd.to_numeric(text.mask(missing, ""), errors="coerce").to_numpy(dtype=np.float64)
     bad = np.flatnonzero(~missing & ~np.isfinite(numbers))
     if bad.size:
         raise UserError(

@@ -193,3 +193,14 @@ def test_a_comma_between_thousands_is_no_decimal_comma(tmp_path):
     path.write_text("time\tghi\n2022-10-14T10:00Z\t1,234\n")
     with pytest.raises(UserError, match=rf"{path}, line 2: ghi is '1,234', not a number"):
         read_reference(path)
+
+
+@pytest.mark.parametrize("missing", ["NaN", "NA", "N/A", "null", " NA "])
+def test_a_value_is_missing_in_the_words_of_any_program(tmp_path, missing):
+    path = tmp_path / "table.csv"
+    path.write_text(f"time,ghi,dni,dhi\n2022-10-14T10:00Z,{missing},2,3\n2022-10-14T10:01Z,1,2,3\n")
+    assert weather_values(path)["ghi"].tolist() == read_reference(path).ghi_w_m2.tolist() == [1.0]
+    path.write_text(f"time,east,south,west,zenith\n2022-10-14T10:00Z,1,{missing},3,4\n")
+    assert read_csv(path).missing == 1
+    path.write_text(f"time,tracker,pmpp_w,ghi_w_m2\n2022-10-14T10:00Z,cube,50,{missing.strip()}\n")
+    assert read_tables([path])[0]["ghi_w_m2"].isna().all()
