@@ -3,7 +3,7 @@
 import codecs
 import gzip
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -119,14 +119,32 @@ def check_table(path: Path) -> str:
     return next((found for found in ";\t" if found.encode() in header and b"," not in header), ",")
 
 
+def check_names(where: str, found: Sequence[str], counted: Iterable[str]) -> None:
+    """Raise `UserError` where a column that counts stands twice among those found."""
+    for name in counted:
+        if found.count(name) > 1:
+            raise UserError(f"{where} has two columns {name}: leave in the one that counts")
+
+
+def check_frame(path: Path, frame: "pd.DataFrame") -> None:
+    """Raise `UserError` for a table in which pandas has found a cell too many in a line, or two columns of one name."""
+    import pandas as pd  # noqa: PLC0415 - as above
+
+    if not isinstance(frame.index, pd.RangeIndex):
+        raise UserError(f"{path} has more cells in its lines than names in its header")
+    # pandas gives the second of two that are called alike a number.
+    names = [str(name).removesuffix(".1") for name in frame]
+    check_names(str(path), names, names)
+
+
 def with_point(number: str, separator: str) -> str:
     """Return the text of a number in a table with that separator with a decimal point."""
     return number.replace(",", ".") if separator == ";" else number
 
 
-def not_utf8(path: Path) -> UserError:
+def not_utf8(where: Path | str) -> UserError:
     """Return the refusal of a table in another encoding."""
-    return UserError(f"{path} is not text in UTF-8: save it as such ('CSV UTF-8' in a spreadsheet)")
+    return UserError(f"{where} is not text in UTF-8: save it as such ('CSV UTF-8' in a spreadsheet)")
 
 
 def check_ordinary(path: Path, what: str) -> None:

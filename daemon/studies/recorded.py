@@ -17,7 +17,7 @@ import numpy as np
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Quality
 from daemon.store.schema import FILE_NAME, open_for_reading
-from daemon.studies.inputs import check_table, not_utf8, with_point
+from daemon.studies.inputs import check_names, check_table, not_utf8, with_point
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, NO_READING
 
@@ -146,9 +146,7 @@ def _rows(path: Path, file: TextIO, separator: str, impossible: list[str]) -> It
             raise UserError(
                 f"{path}, line 1: the column {missing[0]} is missing; the header must name {','.join(COLUMNS)}"
             )
-        doubled = [name for name in COLUMNS if header.count(name) > 1]
-        if doubled:
-            raise UserError(f"{path}, line 1: there are two columns {doubled[0]}; leave in the one that counts")
+        check_names(f"{path}, line 1", header, COLUMNS)
         places = [header.index(name) for name in COLUMNS]
         before_s = -math.inf
         for cells in reader:

@@ -16,7 +16,7 @@ from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.store.schema import FILE_NAME, columns_of, open_for_reading
-from daemon.studies.inputs import check_table, impossible_note, not_utf8, utc_times
+from daemon.studies.inputs import check_frame, check_table, impossible_note, not_utf8, utc_times
 from daemon.studies.recorded import stored_faces
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, NO_READING
@@ -162,15 +162,10 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array]:
         raise not_utf8(path) from None
     except (OSError, EOFError, zlib.error, ValueError) as error:
         raise UserError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
-    if not isinstance(frame.index, pd.RangeIndex):
-        raise UserError(f"{path} has more cells in its lines than names in its header")
     frame.columns = pd.Index([str(name).strip().lower() for name in frame.columns])
     if "time" not in frame:
         raise UserError(f"{path} has no column time; found: {', '.join(map(str, frame.columns))}")
-    # pandas gives the second of two that are called alike a number.
-    doubled = [name for name in frame if list(frame).count(name) > 1 or f"{name}.1" in frame]
-    if doubled:
-        raise UserError(f"{path} has two columns {doubled[0]}: leave in the one that counts")
+    check_frame(path, frame)
     frame = frame[(frame != "").any(axis=1)]
     if separator == ";":
         frame = frame.replace(",", ".", regex=True)

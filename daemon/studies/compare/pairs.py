@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.studies.compare.measurements import OPTIONAL, REQUIRED, SIMULATED, Measurement
-from daemon.studies.inputs import check_table, impossible_note, not_utf8, utc_times
+from daemon.studies.inputs import check_frame, check_table, impossible_note, not_utf8, utc_times
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, possible
 
@@ -188,15 +188,11 @@ def _csv(path: Path) -> pd.DataFrame:
     table = pd.read_csv(path, sep=separator, decimal=decimal, skipinitialspace=True).rename(
         columns=lambda name: name.strip().lower()
     )
-    if not isinstance(table.index, pd.RangeIndex):
-        raise UserError(f"{path} has more cells in its lines than names in its header")
-    names = [str(name) for name in table]
-    # pandas gives the second of two that are called alike a number.
-    doubled = [name for name in names if names.count(name) > 1 or f"{name}.1" in names]
-    if doubled:
-        raise UserError(f"{path} has two columns {doubled[0]}: leave in the one that counts")
+    check_frame(path, table)
     # A comma behind the last name makes a column without one.
-    return table.drop(columns=[name for name in names if name.startswith("unnamed: ") and table[name].isna().all()])
+    return table.drop(
+        columns=[name for name in table if str(name).startswith("unnamed: ") and table[name].isna().all()]
+    )
 
 
 def _leave_out_impossible(frame: pd.DataFrame, path: Path) -> str | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from daemon.base.errors import UserError
 from daemon.studies.gain.choices import Device
-from daemon.studies.inputs import check_table, not_utf8, with_point
+from daemon.studies.inputs import check_names, check_table, not_utf8, with_point
 from solar.frames import Array
 
 LARGEST_GRID = 20_000_000
@@ -122,9 +122,7 @@ def read_points(path: Path) -> dict[str, Array]:
             missing = [name for name in POINT_COLUMNS if name not in header]
             if missing:
                 raise UserError(f"points file {path} has no column {missing[0]}; found: {', '.join(header)}")
-            doubled = [name for name in POINT_COLUMNS if header.count(name) > 1]
-            if doubled:
-                raise UserError(f"points file {path} has two columns {doubled[0]}: leave in the one that counts")
+            check_names(f"points file {path}", header, POINT_COLUMNS)
             rows = [
                 [_cell(path, reader.line_num, name, with_point(row[name] or "", separator)) for name in POINT_COLUMNS]
                 for row in reader
@@ -133,7 +131,7 @@ def read_points(path: Path) -> dict[str, Array]:
     except FileNotFoundError:
         raise UserError(f"there is no points file at {path}") from None
     except UnicodeDecodeError:
-        raise not_utf8(path) from None
+        raise not_utf8(f"points file {path}") from None
     except (OSError, csv.Error) as error:
         raise UserError(f"points file {path} cannot be read: {error}") from error
     if not rows:

@@ -8,7 +8,7 @@ from typing import get_args
 
 from daemon.base.errors import UserError
 from daemon.config.simulation import WeatherName
-from daemon.studies.inputs import check_table, not_utf8, parse_site, with_point
+from daemon.studies.inputs import check_names, check_table, not_utf8, parse_site, with_point
 
 REQUIRED = ("name", "latitude", "longitude")
 OPTIONAL = ("altitude", "weather", "year")
@@ -72,7 +72,7 @@ def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
     except OSError as error:
         raise UserError(f"--sites: {path} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise not_utf8(path) from None
+        raise not_utf8(f"--sites: {path}") from None
     except csv.Error as error:
         raise UserError(f"--sites: {path} cannot be read as CSV: {error}") from None
     if not sites:
@@ -88,12 +88,10 @@ def _says(cell: str | None) -> bool:
 def _check_columns(path: Path, names: list[str]) -> None:
     missing = [name for name in REQUIRED if name not in names]
     unknown = [name or "''" for name in names if name not in (*REQUIRED, *OPTIONAL)]
-    doubled = [name for name in names if name and names.count(name) > 1]
     known = f"{', '.join(REQUIRED)}, and if you like {', '.join(OPTIONAL)}"
     if missing:
         raise UserError(f"--sites: {path} has no column {missing[0]}; its columns are {known}")
-    if doubled:
-        raise UserError(f"--sites: {path} has two columns {doubled[0]}: leave in the one that counts")
+    check_names(f"--sites: {path}", names, (*REQUIRED, *OPTIONAL))
     if unknown:
         raise UserError(f"--sites: {path} has a column {unknown[0]}, which means nothing; its columns are {known}")
 

@@ -305,7 +305,7 @@ def test_a_mistake_is_one_sentence_and_exit_code_two(heliocube, tmp_path, monkey
         (POINTS.replace("172,5", "172,nan"), "line 2: lambda_deg is 'nan', not a number in -180..180"),
         (POINTS.replace(",10,15", ",1.5,15"), "line 3: n is '1.5', not a whole number in 1..365"),
         (POINTS.replace(",10,15", ""), "line 3: n is '', not a whole number in 1..365"),
-        ("phi_deg,beta_deg,n,lambda_deg\n\xff".encode("latin-1"), "cannot be read"),
+        ("phi_deg,beta_deg,n,lambda_deg\n\xff".encode("latin-1"), "is not text in UTF-8"),
     ],
 )
 def test_a_bad_points_file_is_refused_with_its_place(heliocube, tmp_path, text, sentence):
