@@ -83,6 +83,10 @@ def build_weather(
         return GeneratedWeather(choice, site, settings.simulation.seed), None
     try:
         weather = load_weather(choice)
+        reaches = weather.start_utc_s <= from_utc_s <= weather.end_utc_s
+        if not reaches:
+            # A night needs no weather, but the day after it does.
+            to_utc_s = max(from_utc_s + DAY_S, to_utc_s)
         # A service may be told to run for ages; what is missing of the file is missing by the day after its end.
         to_utc_s = min(max(from_utc_s, weather.end_utc_s) + DAY_S, to_utc_s)
         instants = np.append(np.arange(from_utc_s, to_utc_s, _COVER_EVERY_S), to_utc_s)
@@ -93,7 +97,7 @@ def build_weather(
         try:
             weather.at(missing)
         except WeatherError as error:
-            if weather.start_utc_s <= from_utc_s <= weather.end_utc_s:
+            if reaches:
                 raise
             # To the next whole second: the file begins there at the latest.
             first = datetime.fromtimestamp(math.ceil(weather.start_utc_s), UTC)

@@ -117,6 +117,13 @@ def test_what_lies_outside_the_file_by_day_is_refused(gaps):
         build_weather(settings_under(gaps), MIDNIGHT + 10 * 3600, MIDNIGHT + 13 * 3600)
 
 
+@pytest.mark.parametrize("hours", [12, 24, 24 * 365])
+def test_weather_that_has_ended_is_refused_by_night_too(gaps, hours):
+    now_s = MIDNIGHT + DAY_S + hours * 3600
+    with pytest.raises(UserError, match=r"has no weather for 202.*; add --start 2022-06-14T03:00:00Z, or another"):
+        build_weather(settings_under(gaps), now_s, now_s, with_gaps=True)
+
+
 def test_weather_that_does_not_reach_to_now_is_refused_with_a_start_that_does(heliocube, tmp_path):
     lines = [f"2022-10-12T{hour:02d}:00:00.5Z,300,400,100" for hour in (8, 9, 10)]
     (tmp_path / "weather.csv").write_text("\n".join(["time,ghi,dni,dhi", *lines]) + "\n")
