@@ -119,6 +119,8 @@ def notify(
         settings = settings.model_copy(update={"services": tuple(api)})
     if (settings.quiet_from is None) is not (settings.quiet_until is None):
         raise UserError("notify.quiet_from and notify.quiet_until go together: set both, or neither")
+    if settings.quiet_from is not None and settings.quiet_from == settings.quiet_until:
+        raise UserError("notify.quiet_from and notify.quiet_until must differ; leave out both for no quiet hours")
     recipients = recipients_of(settings.people_file)
     process.configure(sys.stderr, journal="JOURNAL_STREAM" in os.environ)
     logging.getLogger("httpx").setLevel(logging.WARNING)

@@ -74,10 +74,13 @@ def the_two_words_differ(settings: Sections) -> Iterator[Conflict]:
 
 
 def quiet_hours_have_both_ends(settings: Sections) -> Iterator[Conflict]:
-    """`notify.quiet_from` and `notify.quiet_until` go together."""
+    """`notify.quiet_from` and `notify.quiet_until` go together, and are two times."""
     for name, other in (("quiet_from", "quiet_until"), ("quiet_until", "quiet_from")):
         if getattr(settings.notify, name) is not None and getattr(settings.notify, other) is None:
             yield Conflict(f"notify.{name}", f"needs notify.{other}", (f"notify.{other}",))
+    if settings.notify.quiet_from is not None and settings.notify.quiet_from == settings.notify.quiet_until:
+        reason = "must differ from notify.quiet_from; leave out both for no quiet hours"
+        yield Conflict("notify.quiet_until", reason, ("notify.quiet_from",))
 
 
 def each_server_has_a_port(settings: Sections) -> Iterator[Conflict]:

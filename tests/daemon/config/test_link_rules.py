@@ -31,3 +31,8 @@ def test_two_servers_of_one_process_have_a_port_each(problem, sunspec, api):
 )
 def test_servers_that_do_not_meet_may_have_one_number(read, sunspec, served, api):
     assert read(SERVED.format(sunspec, served, api)).sunspec.listen == sunspec
+
+
+def test_quiet_hours_that_begin_when_they_end_are_none_and_refused(problem):
+    said = problem('[notify]\nquiet_from = "22:00"\nquiet_until = "22:00"')
+    assert said.startswith('notify.quiet_until = "22:00": must differ from notify.quiet_from; leave out both')
