@@ -30,7 +30,8 @@ from pvlib.iotools.surfrad import VARIABLE_MAP as SURFRAD_VARIABLE_MAP
 from sim_drivers.weather import Conditions, WeatherError
 from solar.ephemeris import Site, sun_position
 from solar.frames import Array
-from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, NO_READING
+from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
+from solar.tables import NO_READING, separator_of, utc_times
 
 LONGEST_GAP_S = 3600.0
 IRRADIANCES = ("ghi", "dni", "dhi")
@@ -223,7 +224,7 @@ def _read(path: Path, typical_year: int | None) -> MeasuredWeather:
         return _tmy3(path, int(third[6:10]) if typical_year is None else typical_year)
     if first.startswith("DATE (MM/DD/YYYY)") or ",Year,DOY," in first:
         return _midc(path, first)
-    return _csv(path, next((found for found in ";\t" if found in first and "," not in first), ","))
+    return _csv(path, separator_of(first))
 
 
 def _csv(path: Path, separator: str) -> MeasuredWeather:
@@ -258,10 +259,8 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
     if cells.empty:
         raise WeatherFileError(f"weather file {path} has a header and no data")
     line = cells.index.to_numpy() + 2
-    # pandas takes 'now' and 'today' for times as well.
-    dated = cells["time"].where(cells["time"].str.match(r"\d{4}"))
-    times = pd.to_datetime(dated, format="ISO8601", utc=True, errors="coerce")
-    bad = _first(~times.dt.year.between(1900, 2199))
+    times = utc_times(cells["time"])
+    bad = _first(times.isna())
     if bad is not None:
         raise WeatherFileError(
             f"weather file {path}, line {line[bad]}: {cells['time'].iloc[bad]!r} is not a time such as "

@@ -5,8 +5,6 @@ from numpy.typing import ArrayLike, NDArray
 
 # A pyranometer's thermal offset at night is above the one, the sun between bright clouds below the other.
 LOWEST_W_M2, HIGHEST_W_M2 = -50.0, 2500.0
-NO_READING = frozenset({"", "nan", "na", "n/a", "null"})
-"""How tables write a value that is missing, in small letters."""
 
 
 def possible(irradiance_w_m2: ArrayLike) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from daemon.base.files import sync_names
 
@@ -25,6 +25,35 @@ _CLOSE_WITHIN_S = 3.0
 _SLOW_AFTER_S = 5.0
 
 State = TypeVar("State", bound="BaseModel")
+
+
+class OfDay(Protocol):
+    """What is counted on one day."""
+
+    @property
+    def day(self) -> int:
+        """The day, counted from 1970."""
+
+
+Counted = TypeVar("Counted", bound=OfDay)
+
+
+def turn_day(day: int, before: Counted, later: Counted | None, fresh: Counted) -> tuple[Counted, Counted | None]:
+    """Return the count of a day that begins, and the count of a later day that is to be kept meanwhile, or None.
+
+    A machine whose battery is empty begins years ago, and is set then: the day that it is set to goes on.
+
+    Parameters
+    ----------
+    day
+        That begins.
+    before, later
+        The count until now, and what was returned last as kept.
+    fresh
+        The count of a day of which nothing is known.
+    """
+    now = later if later is not None and later.day == day else fresh
+    return now, before if day < before.day else None
 
 
 class UnreadableStateError(Exception):

@@ -109,6 +109,7 @@ def notify(
     from daemon.base import process
     from daemon.base.clock import SystemClock
     from daemon.base.state import StateFolder
+    from daemon.config.link_rules import conflicts_of_quiet_hours
     from daemon.config.links import NotifySettings, section_of_guest
     from daemon.config.section import beside
     from daemon.notify import courier
@@ -117,10 +118,8 @@ def notify(
     settings = beside(config, section_of_guest(config, "notify", NotifySettings))
     if api:
         settings = settings.model_copy(update={"services": tuple(api)})
-    if (settings.quiet_from is None) is not (settings.quiet_until is None):
-        raise UserError("notify.quiet_from and notify.quiet_until go together: set both, or neither")
-    if settings.quiet_from is not None and settings.quiet_from == settings.quiet_until:
-        raise UserError("notify.quiet_from and notify.quiet_until must differ; leave out both for no quiet hours")
+    for conflict in conflicts_of_quiet_hours(settings):
+        raise UserError(f"{conflict.key} {conflict.reason}")
     recipients = recipients_of(settings.people_file)
     process.configure(sys.stderr, journal="JOURNAL_STREAM" in os.environ)
     logging.getLogger("httpx").setLevel(logging.WARNING)

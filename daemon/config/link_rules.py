@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from daemon.base.addresses import parse_address
 from daemon.config.conflict import Conflict
+from daemon.config.links import NotifySettings
 from daemon.config.sections import Sections
 
 
@@ -75,10 +76,15 @@ def the_two_words_differ(settings: Sections) -> Iterator[Conflict]:
 
 def quiet_hours_have_both_ends(settings: Sections) -> Iterator[Conflict]:
     """`notify.quiet_from` and `notify.quiet_until` go together, and are two times."""
+    yield from conflicts_of_quiet_hours(settings.notify)
+
+
+def conflicts_of_quiet_hours(notify: NotifySettings) -> Iterator[Conflict]:
+    """Yield what is wrong with quiet hours, for a process too that reads no other section."""
     for name, other in (("quiet_from", "quiet_until"), ("quiet_until", "quiet_from")):
-        if getattr(settings.notify, name) is not None and getattr(settings.notify, other) is None:
+        if getattr(notify, name) is not None and getattr(notify, other) is None:
             yield Conflict(f"notify.{name}", f"needs notify.{other}", (f"notify.{other}",))
-    if settings.notify.quiet_from is not None and settings.notify.quiet_from == settings.notify.quiet_until:
+    if notify.quiet_from is not None and notify.quiet_from == notify.quiet_until:
         reason = "must differ from notify.quiet_from; leave out both for no quiet hours"
         yield Conflict("notify.quiet_until", reason, ("notify.quiet_from",))
 

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.clock import iso_utc
 from daemon.base.records import Event, Irradiances, Mode, Pose, Record, Scan, Target
-from daemon.base.state import StateFile, StateFolder, UnreadableStateError
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError, turn_day
 from daemon.config.settings import Settings
 from daemon.received.today import Insolation, ReceivedToday
 from daemon.tracker.budget import Used, is_early
@@ -150,7 +150,6 @@ class Shadow:
         name = law.named.name
         self._file = StateFile(folder, f"shadow-{name}-day.json", Travel, log, f"the day of {name} in the shadow")
         self._travel = self._load() or Travel(day=received.day_of(utc_s))
-        # The count of a later day, as for the light of the day.
         self._later: Travel | None = None
         self._axes = _Axes()
         self._due_s = self._moved_s = self._saved_s = self._heard_s = -math.inf
@@ -270,15 +269,13 @@ class Shadow:
         if self._named.law.turn(utc_s):
             self._keep()
         day = self._received.day_of(utc_s)
-        before, later = self._travel, self._later
-        if day == before.day:
+        if day == self._travel.day:
             return
-        self._later = before if day < before.day else None
-        told = self._told(active.received.today) if self._later is None else None
+        told = self._told(active.received.today) if day > self._travel.day else None
         if told:
             log.info("%s", told)
             self._publish(Event(utc_s, scan.time_monotonic_s, "shadow", told))
-        self._travel = later if later is not None and later.day == day else Travel(day=day)
+        self._travel, self._later = turn_day(day, self._travel, self._later, Travel(day=day))
         # Saved with the next scan.
         self._saved_s = -math.inf
 

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.records import Pose, Quality, Scan
-from daemon.base.state import StateFile, StateFolder, UnreadableStateError
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError, turn_day
 from daemon.tracker.phase import ALONE, Phase
 from solar.ephemeris import Site, solar_days, sun_direction
 from solar.frames import Limits
@@ -91,7 +91,6 @@ class ReceivedToday:
         self._file = StateFile(folder, file_name, Insolation, log, "the light received today")
         self._today = self._load() or Insolation(day=self.day_of(utc_s))
         self._day = self._today.day
-        # The count of a later day: a machine whose battery is empty begins years ago, and is set then.
         self._later: Insolation | None = None
         self._newest_s = -math.inf
         self._waiting: list[tuple[float, float, list[float]]] = []
@@ -157,10 +156,9 @@ class ReceivedToday:
         if self._today.day == self._day:
             return
         self._take_in()
-        before, later = self._today, self._later
-        self._later = before if self._day < before.day else None
-        # By a clock of years ago the sun was sought where it was not: what it counted is no part of this day.
-        self._today = later if later is not None and later.day == self._day else Insolation(day=self._day)
+        # By a clock of years ago the sun was sought where it was not: what it counted is no part of the later day.
+        fresh = Insolation(day=self._day)
+        self._today, self._later = turn_day(self._day, self._today, self._later, fresh)
 
     def _take_in(self) -> None:
         """Add all means that wait, in one call: it costs little more than a single one."""

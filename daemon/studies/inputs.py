@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from daemon.base.errors import UserError
 from daemon.config.simulation import WeatherName
+from solar.tables import separator_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -88,9 +89,8 @@ def check_weather_file(path: Path, built_in: Sequence[str] = _SKIES) -> None:
 def check_table(path: Path) -> str:
     """Return what stands between the cells of a CSV file: a comma, or the semicolon or the tab of a spreadsheet.
 
-    Between semicolons numbers may have a decimal comma, as a spreadsheet writes them. What cannot be opened is left to
-    the reader, which tells the reason. Raises `UserError` for a table that is packed otherwise than with gzip, or whose
-    first lines are no table's.
+    What cannot be opened is left to the reader, which tells the reason. Raises `UserError` for a table that is packed
+    otherwise than with gzip, or whose first lines are no table's.
     """
     if path.name.lower().endswith(_PACKED):
         raise UserError(
@@ -116,7 +116,7 @@ def check_table(path: Path) -> str:
                 f"{path}, line {number} is longer than {_LONGEST_LINE} characters: name a table with one line for each"
                 " time, and leave in the columns that are needed"
             )
-    return next((found for found in ";\t" if found.encode() in header and b"," not in header), ",")
+    return separator_of(header.decode("latin-1"))
 
 
 def check_names(where: str, found: Sequence[str], counted: Iterable[str]) -> None:
@@ -153,16 +153,6 @@ def check_ordinary(path: Path, what: str) -> None:
         raise UserError(f"{path} is a folder: name a file with {what} in it")
     if path.exists() and not path.is_file():
         raise UserError(f"{path} is no ordinary file: write its records into one and name that")
-
-
-def utc_times(column: "pd.Series[str]") -> "pd.Series[pd.Timestamp]":
-    """Return the UTC times that a column of ISO 8601 texts gives; NaT for what is none of the years 1900 to 2199."""
-    import pandas as pd  # noqa: PLC0415 - as above
-
-    # pandas takes 'now' and 'today' for times as well.
-    dated = column.where(column.str.match(r"\s*\d{4}"))
-    times = pd.to_datetime(dated, format="ISO8601", utc=True, errors="coerce")
-    return times.where(times.dt.year.between(1900, 2199))
 
 
 def check_data_files(paths: Sequence[Path], what: str) -> None:

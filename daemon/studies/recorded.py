@@ -19,7 +19,8 @@ from daemon.base.records import FACES, Quality
 from daemon.store.schema import FILE_NAME, open_for_reading
 from daemon.studies.inputs import check_names, check_table, not_utf8, with_point
 from solar.frames import Array
-from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, NO_READING
+from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
+from solar.tables import NO_READING
 
 COLUMNS = ("time", *FACES)
 _ROWS_AT_ONCE = 50_000
@@ -149,10 +150,11 @@ def _rows(path: Path, file: TextIO, separator: str, impossible: list[str]) -> It
         check_names(f"{path}, line 1", header, COLUMNS)
         places = [header.index(name) for name in COLUMNS]
         before_s = -math.inf
-        for cells in reader:
-            if not any(cell.strip() for cell in cells):
+        for given in reader:
+            if not any(cell.strip() for cell in given):
                 continue
-            row = _row([with_point(cell, separator) for cell in cells], len(header), places, before_s)
+            cells = given if separator == "," else [with_point(cell, separator) for cell in given]
+            row = _row(cells, len(header), places, before_s)
             before_s = row.time_utc_s
             for name, place, value in zip(FACES, places[1:], row.irradiances_w_m2, strict=True):
                 if not (LOWEST_W_M2 <= value <= HIGHEST_W_M2 or math.isnan(value)):

@@ -5,7 +5,7 @@ import logging
 from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.alarms.alarms import Alarms
-from daemon.base.state import StateFile, StateFolder, UnreadableStateError
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError, turn_day
 from daemon.config.sections import MotionSettings
 from solar.ephemeris import Site, share_of_daylight_left, solar_days
 
@@ -74,7 +74,6 @@ class DayBudget:
         self._alarms = alarms
         # An older day's count ends with the first `turn`, which comes when the clock can be trusted.
         self.used = self._load() or Used(day=int(solar_days(utc_s, site.longitude_deg)))
-        # What was used of a later day: a machine without a clock of its own begins in 1970, and is set then.
         self._later: Used | None = None
 
     @property
@@ -103,10 +102,10 @@ class DayBudget:
         today, before, later = int(solar_days(utc_s, self._site.longitude_deg)), self.used, self._later
         if today == before.day:
             return
-        if later is not None and today == later.day:
-            self.used, self._later = later.plus(before.travelled_deg, before.moves), None
+        self.used, self._later = turn_day(today, before, later, Used(day=today))
+        if self.used is later:
+            self.used = later.plus(before.travelled_deg, before.moves)
         else:
-            self.used, self._later = Used(day=today), before if today < before.day else None
             self._alarms.set(_ALARM, None)
         self._save()
 

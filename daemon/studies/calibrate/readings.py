@@ -16,10 +16,11 @@ from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.store.schema import FILE_NAME, columns_of, open_for_reading
-from daemon.studies.inputs import check_frame, check_table, impossible_note, not_utf8, utc_times
+from daemon.studies.inputs import check_frame, check_table, impossible_note, not_utf8
 from daemon.studies.recorded import stored_faces
 from solar.frames import Array
-from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, NO_READING
+from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
+from solar.tables import NO_READING, utc_times
 
 _MV, _W_M2 = "_mv", "_w_m2"
 _REFERENCE_NAMES = ("ghi", "ghi_w_m2")

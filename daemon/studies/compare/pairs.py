@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.studies.compare.measurements import OPTIONAL, REQUIRED, SIMULATED, Measurement
-from daemon.studies.inputs import check_frame, check_table, impossible_note, not_utf8, utc_times
+from daemon.studies.inputs import check_frame, check_table, impossible_note, not_utf8
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, possible
+from solar.tables import utc_times
 
 TOGETHER_WITHIN_S = 5.0
 _NUMBERS = ("pmpp_w", *OPTIONAL)
