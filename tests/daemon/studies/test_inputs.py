@@ -71,7 +71,7 @@ def test_a_line_of_a_million_columns_is_refused_at_once(tmp_path, read, columns,
         ("time\tghi\n2022-10-14T10:00Z\t500.5\n".encode("utf-16"), "UTF-16: save it as a CSV file in UTF-8"),
         (b"PAR1\x15\x04", "a Parquet file: a CSV file is needed, the names of its columns in the first line"),
         (b"PK\x03\x04\x14\0", "a spreadsheet or packed: a CSV file is needed"),
-        (gzip.compress(b"time,ghi\n"), "packed and its name does not end in .gz: a CSV file is needed"),
+        (gzip.compress(b"time,ghi\n", mtime=0), "packed and its name does not end in .gz: a CSV file is needed"),
         (
             b"# My station, 2022\ntime,name,ghi\n",
             "a remark: a CSV file is needed, the names of its columns in the first",
