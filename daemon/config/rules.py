@@ -17,8 +17,8 @@ from solar.frames import equator_azimuth_deg
 _OVER_RANGE = 1.2
 _AUTOZERO = 2
 _BRIGHT_SUN_W_M2 = 1000.0
-# What an electronic load takes for one exchange, and a sweep for its beginning and end.
-_LOAD_EXCHANGE_S = 0.02
+# What an electronic load takes for the exchanges of one point, and a sweep for its beginning and end.
+_LOAD_EXCHANGES_S = 0.03
 _SWEEP_ENDS_S = 0.2
 # The bridge takes times of scans from July 1978 to the end of 2099.
 FIRST_START, END_OF_STARTS = datetime(1979, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC)
@@ -252,9 +252,9 @@ def thresholds_have_hysteresis(settings: Sections) -> Iterator[Conflict]:
 
 
 def a_curve_fits_its_period(settings: Sections) -> Iterator[Conflict]:
-    """All points of a curve, each its settling and an exchange of about 20 ms, fit into `load.period_s`."""
+    """All points of a curve, each its settling and 30 ms for two exchanges, fit into `load.period_s`."""
     load = settings.load
-    needed_s = load.points * (load.settle_s + _LOAD_EXCHANGE_S) + _SWEEP_ENDS_S
+    needed_s = load.points * (load.settle_s + _LOAD_EXCHANGES_S) + _SWEEP_ENDS_S
     if load.driver != "none" and needed_s > load.period_s:
         reason = f"is too short for {load.points} points of {load.settle_s:g} s to settle: they take {needed_s:.3g} s"
         yield Conflict("load.period_s", reason, ("load.points", "load.settle_s"))

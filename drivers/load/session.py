@@ -138,11 +138,15 @@ class LoadSession(ScpiSession):
             return open_circuit_v, measured.tripped
 
     async def hold(self, voltage_v: float, *, switch_on: bool) -> None:
-        """Hold the module at a voltage; nothing is answered."""
+        """Hold the module at a voltage, and return when the load says that it has taken it."""
         with self.doubting():
             await self.write(self._dialect.level.format(voltage_v))
             if switch_on:
                 await self.write(self._dialect.on)
+            # What was sent may lie in a buffer for longer than a voltage takes to settle.
+            answer = await self.ask("*OPC?")
+            if self.whole("*OPC?", answer) != 1:
+                raise ProtocolError(DEVICE, f"answers {answer[:80]!r} to *OPC?, not 1")
 
     async def measure(self) -> Measured:
         """Return voltage [V] and current [A], one straight after the other."""

@@ -22,7 +22,7 @@ class SweepSettings:
     Attributes
     ----------
     settle_s
-        Time from a new voltage to its measurement.
+        Time from when the load has taken a new voltage to its measurement.
     least_v
         The sweep ends at the first voltage below this.
     deadline_s

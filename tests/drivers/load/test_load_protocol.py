@@ -92,6 +92,27 @@ def test_a_sweep_measures_the_modules_curve_and_leaves_the_input_off(load_host, 
     assert np.array(swept.current_a) == pytest.approx(truth, abs=0.1)
 
 
+def test_the_settling_begins_when_the_load_has_taken_a_voltage(load_host):
+    async def scene():
+        async with load_host() as host:
+            feed, taken_s = host.core.feed, [0.0]
+
+            def feed_late(data, now):
+                # Each voltage lies in a buffer for a while, and whatever comes after it too.
+                if data.startswith(b"VOLT:STAT:L1"):
+                    taken_s[0] = now + 0.2
+                return feed(data, max(now, taken_s[0]))
+
+            host.core.feed = feed_late
+            load = load_on(host.port.link, settle_s=0.05)
+            await load.open()
+            swept = await load.sweep(steps(*LEVELS), never)
+            await load.close()
+            return swept
+
+    assert asyncio.run(scene()).voltage_v == pytest.approx(LEVELS, abs=0.02)
+
+
 def test_a_load_that_answers_one_question_a_line_is_asked_one_by_one(load_host):
     async def scene():
         async with load_host(one_question=True) as host:
@@ -276,7 +297,7 @@ def test_the_input_is_off_after_a_sweep_was_cancelled(load_host):
     asyncio.run(scene())
 
 
-@pytest.mark.parametrize("fault", ["drop", "delay", "corrupt"])
+@pytest.mark.parametrize("fault", ["drop", "delay", "corrupt", "level not taken"])
 def test_a_doubtful_answer_ends_the_session_with_the_input_off(load_host, fault):
     async def scene():
         async with load_host() as host:
@@ -291,9 +312,11 @@ def test_a_doubtful_answer_ends_the_session_with_the_input_off(load_host, fault)
                         host.delay_s = 3.0
                     elif fault == "drop":
                         host.core.drop_next()
-                    else:
+                    elif fault == "corrupt":
                         # A letter where a digit was.
-                        host.core._emit = lambda _text, due_s: [(due_s, b"3x.5;1;0\n")]
+                        host.core._emit = lambda text, due_s: [(due_s, b"1\n" if text == "1" else b"3x.5;1;0\n")]
+                    else:
+                        host.core._emit = lambda _text, due_s: [(due_s, b"0\n")]
 
             with pytest.raises((DeadlineError, ProtocolError)):
                 await load.sweep(steps(*LEVELS), disturb)
