@@ -145,7 +145,8 @@ def write_example(
     Raises
     ------
     UserError
-        There is no such driver. One of the files is there already, or cannot be written. Nothing has been written then.
+        There is no such driver. The directory is named as a file is. One of the files is there already, or cannot be
+        written. Nothing has been written then.
     """
     from daemon.api.token import generate_token, write_token
     from daemon.base.errors import UserError
@@ -170,6 +171,8 @@ def write_example(
             plugged.settings_class(name)
             chosen.append((plugged.path, name))
             values[f"{plugged.path}.{DRIVER}"] = name
+    if directory.suffix == file.suffix and not directory.is_dir():
+        raise UserError(f"{directory} is the name of a file: name the folder that {file.name} is to be in")
     written: list[Path] = []
     made: list[Path] = []
     try:

@@ -102,6 +102,13 @@ def test_init_into_what_is_no_folder_is_one_sentence(heliocube, tmp_path):
     assert err == f"heliocube: {tmp_path / 'file' / 'rig'} cannot take the files: Not a directory\n"
 
 
+def test_init_with_the_name_of_a_file_asks_for_its_folder(heliocube, tmp_path):
+    code, _, err = heliocube("config", "init", tmp_path / "rig.toml")
+    assert code == 2
+    assert "rig.toml is the name of a file: name the folder that heliocube.toml is to be in\n" in err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_init_that_fails_half_way_takes_back_what_it_has_made(heliocube, tmp_path):
     (tmp_path / "bridge.key").symlink_to(tmp_path / "nowhere")
     code, _, err = heliocube("config", "init", tmp_path)
