@@ -5,9 +5,9 @@
 Prints the share of what the bound gains over ideal chronometric and the travel of: the light of the same minute as the
 faces show it, with moves at once and at the drive's speed, and with a lateral term of the diffuse light that uses the
 fourth face; the light of the minute before; boosted trees on the history of the faces, which are fitted on every second
-day and judged on the others, with moves at once and with the prices of `optimal`, beside `optimal` on the same days;
-and somebody who knows the day beforehand and pays for each degree. Trees need scikit-learn, which the project does
-without: `pip install scikit-learn`, or leave them out.
+day and judged on the others, which expect the next minute or the mean of five, with moves at once and with the prices
+of `optimal`, beside `optimal` on the same days; and somebody who knows the day beforehand and pays for each degree.
+Trees need scikit-learn, which the project does without: `pip install scikit-learn`, or leave them out.
 """
 
 import argparse
@@ -53,7 +53,7 @@ def say(name, days, done, chosen=None):
     lit = days.weather.day_types() >= 0
     chosen = lit if chosen is None else lit & chosen
     share, travel = share_pct(days, done.energy_kwh_m2, chosen), done.travel_deg[chosen].mean()
-    print(f"{name:58} {share:6.1f} % {travel:6.0f} deg/day {done.moves[chosen].mean():5.0f} moves", flush=True)
+    print(f"{name:68} {share:6.1f} % {travel:6.0f} deg/day {done.moves[chosen].mean():5.0f} moves", flush=True)
 
 
 def with_lateral(days):
@@ -84,8 +84,18 @@ def remembered(values, half_life_min):
     return means
 
 
-def by_trees(days):
-    """Return the light that trees expect for each minute from those before it, and which days are new to them."""
+def mean_ahead(values, minutes):
+    """Return the mean of (steps, days) over so many steps from each on, of those that are known."""
+    total, known = np.zeros_like(values), np.zeros_like(values)
+    for later in range(minutes):
+        there = np.full_like(values, np.nan)
+        there[: len(values) - later] = values[later:]
+        total, known = total + np.nan_to_num(there), known + np.isfinite(there)
+    return total / np.maximum(known, 1.0)
+
+
+def by_trees(days, minutes=1):
+    """Return the light that trees expect from each minute on, in the mean of some, and which days are new to them."""
     from sklearn.ensemble import HistGradientBoostingRegressor  # noqa: PLC0415 - only where it is asked for
 
     weather = days.weather
@@ -100,7 +110,8 @@ def by_trees(days):
     fitted = ~unseen[weather.day]
     asked = before[weather.step, weather.day]
     expected = []
-    for part in light:
+    for grid in grids:
+        part = mean_ahead(grid, minutes)[weather.step, weather.day]
         trees = HistGradientBoostingRegressor(max_iter=200, learning_rate=0.06, min_samples_leaf=200, random_state=1)
         trees.fit(asked[fitted], part[fitted])
         expected.append(trees.predict(asked))
@@ -184,17 +195,14 @@ def main():
     say("the light of the minute before, moves at once", days, days.run(towards(days.weather, now, LIMITS, 1), IDEAL))
     say("the same with a lateral term", days, days.run(towards(days.weather, lateral, LIMITS, 1), IDEAL))
     if not arguments.without_trees:
-        light, unseen = by_trees(days)
-        expected = aim_vector(light, days.weather.sun, ALBEDO)
-        say(
-            "trees on the history, moves at once, days not fitted on",
-            days,
-            days.run(towards(days.weather, expected, LIMITS), IDEAL),
-            unseen,
-        )
-        for thrift in (0.5, 1.0, 2.0, 4.0):
-            name = f"the same with optimal's prices, thrift {thrift:g}, 0.9 deg/s"
-            say(name, days, days.run(priced(days, light, thrift), Drive()), unseen)
+        for minutes in (1, 5):
+            light, unseen = by_trees(days, minutes)
+            expected = aim_vector(light, days.weather.sun, ALBEDO)
+            name, steer = f"trees for {minutes} min, days not fitted on", towards(days.weather, expected, LIMITS)
+            say(f"{name}, moves at once", days, days.run(steer, IDEAL), unseen)
+            for thrift in (0.5, 1.0, 2.0, 4.0):
+                done = days.run(priced(days, light, thrift), Drive())
+                say(f"{name}, optimal's prices, thrift {thrift:g}, 0.9 deg/s", days, done, unseen)
         steer = steer_of("optimal", days.weather, days.faces, TERMS)
         say("optimal on the same days, 0.9 deg/s", days, days.run(steer, Drive()), unseen)
     # A plan needs all poses of all minutes: file by file, a month of them takes 200 MB.
@@ -210,7 +218,7 @@ def main():
             np.concatenate([getattr(one, of) for one in done])[lit].mean() for of in ("travel_deg", "moves")
         )
         name = f"the day known beforehand, {price:g} W min/m2 a degree, 0.9 deg/s"
-        print(f"{name:58} {100.0 * gain / room:6.1f} % {travel:6.0f} deg/day {moves:5.0f} moves", flush=True)
+        print(f"{name:68} {100.0 * gain / room:6.1f} % {travel:6.0f} deg/day {moves:5.0f} moves", flush=True)
 
 
 if __name__ == "__main__":
