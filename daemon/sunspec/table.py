@@ -73,6 +73,8 @@ class SunSpecTable(NoBits):
         self._manual: dict[str, ManualTarget] = {}
         self._written_s: dict[str, float] = {}
         self._gone_to: dict[str, tuple[float, float]] = {}
+        # By tracker; None for a write of angles alone.
+        self._newest: dict[str, Override | None] = {}
         self._seen_s = -_KEPT_S
         self._seen: Snapshot | None = None
         self._registers = Registers((), {})
@@ -98,8 +100,8 @@ class SunSpecTable(NoBits):
             raise RefusedRequestError(ILLEGAL_ADDRESS)
         name = controls[start]
         target, mode = self._written(self._manual.get(name, ManualTarget()), register - start, values)
-        if mode is not None:
-            self._asked = self._override(self._tracker(name), target, mode)
+        self._asked = None if mode is None else self._override(self._tracker(name), target, mode)
+        self._newest[name] = self._asked
         if register < start + _MODE:
             self._manual[name], self._written_s[name] = target, self._now()
             self._gone_to.pop(name, None)
@@ -124,6 +126,9 @@ class SunSpecTable(NoBits):
     def done(self, asked: Override) -> None:
         """Take note that an override was carried out: with ``auto`` the angles of before are forgotten."""
         self._seen_s = -_KEPT_S
+        if self._newest.get(asked.tracker) is not asked:
+            # A later write came while its effect was waited for: the angles are of that one.
+            return
         if asked.name == "auto":
             self._forget(asked.tracker)
         elif asked.name == "goto":

@@ -263,7 +263,6 @@ def test_a_persons_stop_is_not_ended_from_the_control_room(run_rig):
     async def scenario(rig, control):
         at = (await control.models())[601][0] + 20
         await rig.control.stop("somebody is at the axes", "ana")
-        await asyncio.sleep(1)
         assert await control.write(at + 4, [0]) == 4
         assert await control.write(at, [*int32(9000), *int32(18000), 1]) == 4
         assert rig.control.wishes.stop is not None
@@ -304,5 +303,19 @@ def test_what_is_read_within_a_moment_is_one_snapshot(run_rig):
         for _ in range(100):
             table.read(3, BASE, 2)
         assert len(taken) == 1
+
+    on_rig(run_rig, scenario)
+
+
+def test_a_second_target_right_after_the_first_is_the_one_that_counts(run_rig):
+    async def scenario(rig, control):
+        at = (await control.models())[601][0] + 20
+        assert await control.write(at, [*int32(3383), *int32(21701), 1]) == 0
+        assert await control.write(at, [*int32(5000), *int32(15000), 1]) == 0
+        # By then the effect of the first is not waited for any more.
+        await asyncio.sleep(10)
+        assert await control.read(at, 5) == (*int32(5000), *int32(15000), 1)
+        assert await control.write(at + 4, [1]) == 0
+        assert control.see().trackers[0].wishes.hold.goto_deg is not None
 
     on_rig(run_rig, scenario)
