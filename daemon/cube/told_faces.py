@@ -133,7 +133,7 @@ class UnreadFaces(_FaceAlarm):
     A face whose digital sensor says so itself (`cube-sensor`) is not named twice.
     """
 
-    _qualities = (Quality.OVER_RANGE, Quality.STALE, Quality.MISSING)
+    _qualities = (Quality.OVER_RANGE, Quality.STALE, Quality.MISSING, Quality.LATE)
 
     def _tell(self, scan: Scan) -> None:
         sensors = next((alarm.text for alarm in self._alarms.active if alarm.name == "cube-sensor"), "")

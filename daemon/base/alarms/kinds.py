@@ -169,8 +169,8 @@ _ALL = (
     _kind(
         "face-unread",
         Severity.WARNING,
-        "for ten scans a face of the cube, or several, has given no reading (over-range, stale, missing) while others"
-        " have",
+        "for ten scans a face of the cube, or several, has given no reading (over-range, stale, missing, late) while"
+        " others have",
         "the laws work with three faces; if two are missing, the tracker follows the ephemeris",
         "of each face in the alarm's text check sensor, plug and cable; ten scans with a reading end the alarm",
     ),

@@ -103,6 +103,13 @@ def test_a_face_without_a_reading_is_named_with_what_is_wrong_until_it_has_one(u
     assert unread(1) == []
 
 
+def test_a_digital_sensor_that_is_silent_on_another_machine_is_named(unread):
+    silent = LOST._replace(quality=Quality.LATE)
+    (told,) = unread(10, west=silent)
+    assert told == "no reading of west (late since 2022-10-12 10:20 UTC) while other faces are read"
+    assert unread(10) == []
+
+
 def test_no_face_is_named_where_none_is_read(unread):
     assert unread(30, east=LOST, south=LOST, west=LOST, zenith=LOST) == []
 
