@@ -6,12 +6,12 @@ service itself holds every tracker that was not at work beside it or after it: t
 """
 
 import logging
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
 from daemon.base.alarms import kept
 from daemon.base.errors import UserError
+from daemon.base.files import replace_file
 from daemon.base.state import StateFolder
 from daemon.motion import reference
 from daemon.received import today
@@ -45,11 +45,13 @@ def hand_on(directory: Path, trackers: Sequence[str]) -> None:
         if not before.is_file():
             continue
         try:
+            # What somebody has damaged is handed on too: whoever reads it says what that means.
+            kept = before.read_text(encoding="utf-8", errors="replace")
             for tracker in trackers:
                 own = directory / tracker / name
                 if not own.exists():
-                    own.parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copyfile(before, own)
+                    # As a whole or not at all: half a file would pass for one of its own, and count as a stop.
+                    replace_file(own, kept)
             before.replace(before.with_name(f"{name}.before"))
         except OSError as error:
             raise UserError(f"{before} cannot be handed on to {', '.join(trackers)}: {error.strerror}") from None

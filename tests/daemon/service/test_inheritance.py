@@ -1,14 +1,20 @@
 """A tracker that gets a name forgets nothing of what it had kept without one."""
 
 import asyncio
+import contextlib
 import os
+import subprocess
 import time
 
 import pytest
 
+from daemon.base.errors import UserError
 from daemon.base.records import Mode
+from daemon.base.state import StateFolder
+from daemon.service.inheritance import hand_on
 from daemon.service.operator import Operator
 from daemon.store.place import claimed
+from daemon.tracker.wishes import WishFile
 from tests.daemon.tracker.days import FEWER_SCANS
 from tests.support.motion import drive_b
 from tests.support.phases import quiet
@@ -178,3 +184,24 @@ def test_a_storm_and_doubts_of_one_that_is_gone_hold_a_tracker_that_is_new_and_n
     if what == "unreadable":
         (tmp_path / "east" / "motion.json").write_text("{")
     run_rig(renamed, store=store, safety=safety, tracker=[{"name": "east-roof"}, {"name": "west"}])
+
+
+def test_what_a_full_disk_did_not_take_is_handed_on_once_there_is_room(tmp_path):
+    made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", tmp_path], capture_output=True)
+    if made.returncode:
+        pytest.skip("mounting a small file system needs root")
+    try:
+        (tmp_path / "operator.json").write_text('{"stow": {"why": "hail", "by": "ana"}}')
+        filler = tmp_path / "filler"
+        with contextlib.suppress(OSError), filler.open("wb", buffering=0) as file:
+            while True:
+                file.write(bytes(4096))
+        with pytest.raises(UserError, match=r"cannot be handed on to east, west: No space left"):
+            hand_on(tmp_path, ["east", "west"])
+        filler.unlink()
+        hand_on(tmp_path, ["east", "west"])
+        for name in ("east", "west"):
+            asked = WishFile(StateFolder(tmp_path / name)).load()
+            assert (asked.stow.why, asked.stop) == ("hail", None)
+    finally:
+        subprocess.run(["umount", "--lazy", tmp_path], check=True)
