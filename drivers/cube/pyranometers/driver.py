@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from drivers.cube.pyranometers.makes import make_of
 from drivers.cube.pyranometers.sensor import BusSensor
 from drivers.cube.pyranometers.settings import FACE_NAMES, PyranometersSettings
-from drivers.errors import ConnectError, DeviceError, LinkLostError
+from drivers.errors import ConnectError, DeviceError, DriverHungError, LinkLostError
 from drivers.interfaces import CubeReading, FaceSample
 from drivers.modbus.client import ModbusBus
 from drivers.modbus.paths import ModbusPath, path_to
@@ -42,6 +42,7 @@ class SensorLine:
         self.sensors = sensors
         self.is_open = False
         self.why_not = ""
+        self.hangs = False
         self._bus = bus
         self._within_s = within_s
         self._now = monotonic_s
@@ -58,7 +59,7 @@ class SensorLine:
         except DeviceError as error:
             self._failed(error)
         else:
-            self.is_open, self.why_not, self._failures = True, "", 0
+            self.is_open, self.why_not, self.hangs, self._failures = True, "", False, 0
 
     async def close(self) -> None:
         """Release the line; never raises."""
@@ -83,7 +84,7 @@ class SensorLine:
         return samples
 
     def _failed(self, error: DeviceError) -> None:
-        self.is_open, self.why_not = False, error.message
+        self.is_open, self.why_not, self.hangs = False, error.message, isinstance(error, DriverHungError)
         pause_s = min(_FIRST_PAUSE_S * 2.0 ** min(self._failures, 8), _LONGEST_PAUSE_S)
         self._failures += 1
         self._open_again_s = self._now() + pause_s
@@ -93,7 +94,8 @@ class PyranometerCube:
     """The cube, in W/m2.
 
     A sensor that is silent, wrong or in a bad mode flaws its own face and costs the others at most its time-out; so
-    does a line of several that is gone. With nobody left who answers, the cube is gone.
+    does a line of several that is gone. With nobody left who answers, the cube is gone; if a line's driver hangs for
+    good, only a new process gets any further.
 
     Parameters
     ----------
@@ -110,6 +112,9 @@ class PyranometerCube:
         await asyncio.gather(*(line.open() for line in self._lines))
         try:
             await self._read()
+        except DriverHungError:
+            await self.close()
+            raise
         except DeviceError as error:
             await self.close()
             raise ConnectError(DEVICE, error.message) from None
@@ -129,7 +134,8 @@ class PyranometerCube:
     async def _read(self) -> list[FaceSample]:
         samples = dict(pair for read in await asyncio.gather(*(line.read() for line in self._lines)) for pair in read)
         if not any(line.is_open for line in self._lines):
-            raise LinkLostError(DEVICE, "; ".join(dict.fromkeys(line.why_not for line in self._lines)))
+            why = "; ".join(dict.fromkeys(line.why_not for line in self._lines))
+            raise (DriverHungError if any(line.hangs for line in self._lines) else LinkLostError)(DEVICE, why)
         if not any(sensor.answers for line in self._lines for _, sensor in line.sensors):
             raise LinkLostError(
                 DEVICE,

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from drivers.errors import ConnectError, LinkLostError
+from drivers.errors import ConnectError, DriverHungError, LinkLostError
 from sim_drivers.modbus.pyranometers import SimulatedApogee
 from tests.drivers.cube.pyranometers.conftest import LIGHT
 
@@ -260,6 +260,23 @@ def test_a_cube_whose_only_line_is_pulled_is_lost(on_rig):
 
     with pytest.raises(LinkLostError, match="unplugged"):
         on_rig(pulled)
+
+
+def test_a_line_whose_driver_hangs_for_good_ends_the_cube_once_no_other_is_left(on_rig):
+    async def hung(_within_s=0.0):
+        raise DriverHungError("cube", "8 calls of its driver never returned")
+
+    async def scenario(rig):
+        rig.lines["COM5"].link_up = False
+        rig.lines["COM5"].open = hung
+        half, _ = await rig.scans(3)
+        rig.lines["COM6"].link_up = False
+        for again in (rig.scans, rig.cube.open):
+            with pytest.raises(DriverHungError, match="never returned"):
+                await again()
+        return half
+
+    assert flaws(on_rig(scenario, **TWO_LINES)) == ("missing", "missing", None, None)
 
 
 def test_a_cube_of_which_nobody_answers_is_lost_and_comes_back(on_rig):
