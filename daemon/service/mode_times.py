@@ -50,8 +50,12 @@ class ModeTimes:
         utc_s = self._clock.utc()
         lasted_s = self._clock.monotonic() - self._entered_s
         midnight_utc_s = math.floor((utc_s + self._east_s) / DAY_S) * DAY_S - self._east_s
-        if self._since_utc_s >= midnight_utc_s:
-            return ModesOfDay(self._since_utc_s, {**self._before, self._mode: self._before[self._mode] + lasted_s})
+        since_utc_s = self._since_utc_s
+        if since_utc_s > utc_s:
+            # The clock was ahead and has been set back: by its time of now it began so long ago.
+            since_utc_s = utc_s - lasted_s - self._before.total()
+        if since_utc_s >= midnight_utc_s:
+            return ModesOfDay(since_utc_s, {**self._before, self._mode: self._before[self._mode] + lasted_s})
         # What lasted until midnight is yesterday's.
         today = Counter({self._mode: min(lasted_s, utc_s - midnight_utc_s)})
         return ModesOfDay(midnight_utc_s, today)

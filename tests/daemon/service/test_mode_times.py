@@ -50,3 +50,19 @@ def test_a_clock_that_is_set_does_not_lengthen_a_mode():
     clock.now = 10.0
     clock.start_utc_s += 3600.0
     assert times.today().lasted_s == {Mode.STARTING: 10.0}
+
+
+def test_a_clock_that_was_ahead_and_is_set_back_lets_the_day_end():
+    clock = HandClock(MIDNIGHT_UTC_S + 30 * 86400.0)
+    times = ModeTimes(clock, 0.0)
+    clock.now = 10.0
+    times.note(change(Mode.TRACKING))
+    clock.now = 30.0
+    clock.start_utc_s = MIDNIGHT_UTC_S + 100.0
+    found = times.today()
+    assert (found.since_utc_s, found.lasted_s) == (MIDNIGHT_UTC_S + 100.0, {Mode.STARTING: 10.0, Mode.TRACKING: 20.0})
+    clock.now += 86400.0
+    assert times.today().lasted_s == {Mode.TRACKING: 130.0}
+    times.note(change(Mode.NIGHT))
+    clock.now += 5.0
+    assert times.today().lasted_s == {Mode.TRACKING: 130.0, Mode.NIGHT: 5.0}
