@@ -60,6 +60,13 @@ class Upstream:
         For stamps.
     changed
         Called with this object when there is a new message.
+
+    Attributes
+    ----------
+    message
+        The newest for browsers.
+    is_cube
+        Whether it is the process of a cube, which has no tracker; False while that is not known.
     """
 
     def __init__(
@@ -99,10 +106,13 @@ class Upstream:
                 bounded.taken = 0
                 if event.event == "state":
                     # What is not JSON, NaN for one, would end every browser's page.
-                    json.loads(event.data, parse_constant=_refuse)
+                    found = json.loads(event.data, parse_constant=_refuse)
+                    self.is_cube = isinstance(found, dict) and found.get("role") == "cube"
                     yield event.data.replace("\n", " ")
 
     def _tell(self, up: bool | None, why: str) -> None:
+        # Whatever comes back there may have a tracker.
+        self.is_cube = False
         found = {"service": self.name, "up": up, "why": why, "time": iso_utc(self._clock.utc())}
         self._publish(json.dumps(found))
 

@@ -159,6 +159,32 @@ def test_stow_for_all_says_of_each_service_what_came_of_it():
     in_house(scenario)
 
 
+def test_stow_for_all_is_not_asked_of_the_process_of_a_cube_alone_while_it_is_known_to_be_one():
+    async def scenario(house):
+        cube = house.services[NAMES[1]]
+        cube.token = TOKEN
+        await house.login()
+        cube.states = ['{"version": "1", "role": "cube", "trackers": {}}']
+        cube.refusal = "this process reads the cube and has no tracker: ask the tracker's process"
+        following = asyncio.create_task(house.fleet.run())
+        with house.fleet.listening() as listener:
+            while not any('"role": "cube"' in message for message in await listener.next()):
+                pass
+            found = (await house.browser.post("/stow-all", json={})).json()["results"]
+            assert [(each["service"], each["accepted"]) for each in found] == [(NAMES[0], True)]
+            cube.gone = True
+            cube.ends.set()
+            while not any('"up": false' in message for message in await listener.next()):
+                pass
+        # Whatever comes back there may have a tracker.
+        found = (await house.browser.post("/stow-all", json={})).json()["results"]
+        assert [each["status"] for each in found] == [200, 502]
+        following.cancel()
+        await asyncio.wait((following,))
+
+    in_house(scenario)
+
+
 def test_wrong_tokens_are_refused_in_a_sentence_and_not_tried_for_ever():
     async def scenario(house):
         for given, status, words in [
