@@ -14,6 +14,8 @@ _Shown = dict[tuple[str, str], dict[str, Any]]
 
 SEVERITIES = ("notice", "warning", "critical")
 _NOTHING = ToldService()
+# By the role of a service; the units of both where that is not known.
+_UNITS = {"cube": "heliocube-cube", "tracker": "heliocube-tracker", "both": "heliocube-tracker"}
 # What Pushover takes is 1024 letters; others take more.
 _LONGEST_WHOLE = 900
 
@@ -86,6 +88,7 @@ class ServiceWatch:
         self._link = link
         self._heard_s = now_s
         self._name = address
+        self._unit = "heliocube-tracker heliocube-cube"
         self._silent = False
         self._was_silent = before.silent
         self._known: _Shown = {(alarm.tracker or "", alarm.name): alarm.as_shown() for alarm in before.alarms}
@@ -110,6 +113,7 @@ class ServiceWatch:
             raise
         notices = [self._back(), *changes] if self._silent or self._was_silent else changes
         self._heard_s, self._silent, self._was_silent, self._known, self._told = now_s, False, False, shown, told
+        self._unit = _UNITS.get(str(state.get("role")), self._unit)
         return notices
 
     def failed(self, why: str, now_s: float) -> list[Notice]:
@@ -119,7 +123,7 @@ class ServiceWatch:
             return []
         self._silent = True
         body = f"The service at {self._address} has not answered for {math.floor(silent_s)} s: {why}."
-        remedy = "Remedy: look at its machine, its network and 'systemctl status heliocube-tracker'."
+        remedy = f"Remedy: look at its machine, its network and 'systemctl status {self._unit}'."
         return [self._notice("does not answer", "critical", (body, remedy))]
 
     def _back(self) -> Notice:
