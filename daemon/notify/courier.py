@@ -4,7 +4,10 @@ import asyncio
 import contextlib
 import json
 import logging
-from collections.abc import Callable, Collection, Coroutine, Sequence
+import os
+import socket
+import ssl
+from collections.abc import Callable, Collection, Coroutine, Iterator, Sequence
 from datetime import time
 from functools import partial
 from typing import Any
@@ -28,6 +31,8 @@ log = logging.getLogger("heliocube.notify")
 _ANSWER_WITHIN_S = 10.0
 # Of a state; the command line reads no more of one either.
 _LONGEST_ANSWER = 16 << 20
+# OpenSSL's numbers (x509_vfy.h) of a certificate that is not valid yet, or no more.
+_OUT_OF_DATE = (9, 10)
 _Way = Callable[[], Coroutine[Any, Any, None]]
 
 
@@ -241,7 +246,32 @@ def _reason(error: Exception) -> str:
     if isinstance(error, httpx.HTTPStatusError):
         return f"it answers with {error.response.status_code}"
     if isinstance(error, httpx.ConnectError):
-        return "nothing listens there"
+        return next(filter(None, map(_not_connected, _causes(error))), "it cannot be reached")
     if isinstance(error, (httpx.TimeoutException, TimeoutError)):
         return "it does not answer in time"
     return "the connection broke off"
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    """Yield an error and what it came from; of an address that is several, what each has met."""
+    while error is not None:
+        yield error
+        if isinstance(error, BaseExceptionGroup):
+            yield from error.exceptions
+        error = error.__cause__ or error.__context__
+
+
+def _not_connected(error: BaseException) -> str:
+    """Return what an error says of why there is no connection; empty where it says nothing."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        if error.verify_code in _OUT_OF_DATE:
+            return "its certificate is out of date by this machine's clock"
+        return f"its certificate is not accepted: {error.verify_message}"
+    if isinstance(error, ssl.SSLError):
+        return "it does not speak TLS there: is https right?"
+    if isinstance(error, socket.gaierror):
+        return "its name cannot be resolved"
+    if isinstance(error, ConnectionRefusedError):
+        return "nothing listens there"
+    # Without a number it is a library's own, which says less than what it came from.
+    return f"it cannot be reached: {os.strerror(error.errno)}" if isinstance(error, OSError) and error.errno else ""

@@ -1,0 +1,56 @@
+"""The address of the heartbeat may be out of reach in many ways, and each is told as what it is."""
+
+import asyncio
+import contextlib
+import socket
+import ssl
+from threading import Thread
+
+import pytest
+
+from daemon.notify.courier import beat
+from tests.support.addresses import free_port
+from tests.support.broker import CERTIFICATES
+
+
+def told_of_server(certificate):
+    """Return what is told of a server with a certificate, or without TLS, asked by https."""
+    context = None
+    if certificate is not None:
+        context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+        context.load_cert_chain(CERTIFICATES / certificate, CERTIFICATES / "broker.key")
+
+    def answer():
+        with contextlib.suppress(OSError), listening.accept()[0] as peer:
+            if context is None:
+                peer.sendall(b"no such thing")
+            else:
+                context.wrap_socket(peer, server_side=True).close()
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        server = Thread(target=answer)
+        server.start()
+        told = asyncio.run(beat(f"https://127.0.0.1:{listening.getsockname()[1]}/ping"))
+        server.join()
+    return told
+
+
+@pytest.mark.parametrize(
+    ("trusted", "certificate", "trouble"),
+    [
+        ("ca.pem", "broker.pem", "the connection broke off"),
+        ("expired.pem", "expired.pem", "its certificate is out of date by this machine's clock"),
+        ("other-ca.pem", "broker.pem", "its certificate is not accepted: unable to get local issuer certificate"),
+        ("ca.pem", None, "it does not speak TLS there: is https right?"),
+    ],
+)
+def test_a_certificate_that_is_not_accepted_is_told_as_such(monkeypatch, trusted, certificate, trouble):
+    monkeypatch.setenv("SSL_CERT_FILE", str(CERTIFICATES / trusted))
+    assert told_of_server(certificate) == trouble
+
+
+def test_a_name_that_is_not_known_and_a_port_where_nothing_listens_are_told_apart():
+    assert asyncio.run(beat("http://nowhere.invalid/ping")) == "its name cannot be resolved"
+    assert asyncio.run(beat(f"http://127.0.0.1:{free_port()}/ping")) == "nothing listens there"
+    # Where localhost is two addresses both are tried.
+    assert asyncio.run(beat(f"http://localhost:{free_port()}/ping")) == "nothing listens there"
