@@ -31,7 +31,7 @@ from sim_drivers.weather import Conditions, WeatherError
 from solar.ephemeris import Site, sun_position
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
-from solar.tables import NO_READING, separator_of, utc_times
+from solar.tables import NO_READING, separator_of, unreadable, utc_times
 
 LONGEST_GAP_S = 3600.0
 IRRADIANCES = ("ghi", "dni", "dhi")
@@ -224,7 +224,11 @@ def _read(path: Path, typical_year: int | None) -> MeasuredWeather:
         return _tmy3(path, int(third[6:10]) if typical_year is None else typical_year)
     if first.startswith("DATE (MM/DD/YYYY)") or ",Year,DOY," in first:
         return _midc(path, first)
-    return _csv(path, separator_of(first))
+    separator = separator_of(first)
+    try:
+        return _csv(path, separator)
+    except pd.errors.ParserError as error:
+        raise WeatherFileError(f"weather file {unreadable(path, separator, error)}") from None
 
 
 def _csv(path: Path, separator: str) -> MeasuredWeather:

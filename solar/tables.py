@@ -1,5 +1,10 @@
 """Tables of measurements as people save them: what stands between their cells, what is missing, and when it was."""
 
+import csv
+import gzip
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -8,6 +13,12 @@ if TYPE_CHECKING:
 
 NO_READING = frozenset({"", "nan", "na", "n/a", "null"})
 """How tables write a value that is missing, in small letters."""
+# In no file of text: a cell that holds it has been open until the end.
+_END = "\0end\0"
+
+
+class CellError(ValueError):
+    """A row of a table that cannot be parted into its cells: the line and what to do, in a sentence."""
 
 
 def separator_of(header: str) -> str:
@@ -16,6 +27,55 @@ def separator_of(header: str) -> str:
     Between semicolons numbers may have a decimal comma, as a spreadsheet writes them.
     """
     return next((found for found in ";\t" if found in header and "," not in header), ",")
+
+
+def numbered_rows(lines: Iterable[str], separator: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the cells of each row of a CSV file, the header's too, each behind the number of its first line.
+
+    Raises `CellError`, for a quoted cell that is never closed among others.
+    """
+    reader = csv.reader(chain(lines, (_END,)), delimiter=separator, skipinitialspace=True)
+    line = 1
+    while True:
+        try:
+            cells = next(reader)
+        except csv.Error as error:
+            # A cell that takes in line after line until it is longer than a cell may be.
+            unclosed = reader.line_num > line
+            raise _never_closed(line) if unclosed else CellError(f"line {line}: not CSV ({error})") from None
+        if cells == [_END]:
+            return
+        if cells and cells[-1].endswith(_END):
+            raise _never_closed(line)
+        yield line, cells
+        line = reader.line_num + 1
+
+
+def unreadable(path: Path, separator: str, error: Exception) -> str:
+    """Return in a sentence, path first, what is wrong with a CSV file, plain or ``.gz``, that has made pandas raise.
+
+    A cell too many and one that is never closed are told with their line; pandas gives the words of its parser.
+    """
+    with (
+        gzip.open(path, "rt", encoding="utf-8-sig", newline="")
+        if path.suffix.lower() == ".gz"
+        else path.open(encoding="utf-8-sig", newline="")
+    ) as file:
+        rows = numbered_rows(file, separator)
+        try:
+            width = len(next(rows)[1])
+            for line, cells in rows:
+                if len(cells) > width:
+                    return f"{path}, line {line}: there are {len(cells)} cells where the header has {width}"
+        except CellError as fault:
+            return f"{path}, {fault}"
+    return f"{path} cannot be read: {' '.join(str(error).split())}"
+
+
+def _never_closed(line: int) -> CellError:
+    return CellError(
+        f"line {line}: a cell begins with a quotation mark and none ends it: take the mark out, or close it"
+    )
 
 
 def utc_times(column: "pd.Series[str]") -> "pd.Series[pd.Timestamp]":

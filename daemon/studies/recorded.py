@@ -1,6 +1,5 @@
 """Recorded readings of a cube: from a CSV file, or from the store that the service keeps."""
 
-import csv
 import gzip
 import math
 import sqlite3
@@ -20,7 +19,7 @@ from daemon.store.schema import FILE_NAME, open_for_reading
 from daemon.studies.inputs import check_names, check_table, not_utf8, with_point
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
-from solar.tables import NO_READING
+from solar.tables import NO_READING, CellError, numbered_rows
 
 COLUMNS = ("time", *FACES)
 _ROWS_AT_ONCE = 50_000
@@ -93,6 +92,8 @@ def read_csv(path: Path) -> Recording:
         raise UserError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
     except UnicodeDecodeError:
         raise not_utf8(path) from None
+    except CellError as error:
+        raise UserError(f"{path}, {error}") from None
     if not rows:
         raise UserError(f"{path} has no readings below its header")
     missing = sum(map(math.isnan, (value for row in rows for value in row.irradiances_w_m2)))
@@ -139,33 +140,27 @@ def _opened(path: Path) -> TextIO:
 
 
 def _rows(path: Path, file: TextIO, separator: str, impossible: list[str]) -> Iterator[RecordedScan]:
-    reader = csv.reader(file, delimiter=separator, skipinitialspace=True)
-    try:
-        header = [name.strip().lower() for name in next(reader, [])]
-        missing = [name for name in COLUMNS if name not in header]
-        if missing:
-            raise UserError(
-                f"{path}, line 1: the column {missing[0]} is missing; the header must name {','.join(COLUMNS)}"
-            )
-        check_names(f"{path}, line 1", header, COLUMNS)
-        places = [header.index(name) for name in COLUMNS]
-        before_s = -math.inf
-        for given in reader:
-            if not any(cell.strip() for cell in given):
-                continue
-            cells = given if separator == "," else [with_point(cell, separator) for cell in given]
+    rows = numbered_rows(file, separator)
+    header = [name.strip().lower() for name in next(rows, (1, []))[1]]
+    missing = [name for name in COLUMNS if name not in header]
+    if missing:
+        raise UserError(f"{path}, line 1: the column {missing[0]} is missing; the header must name {','.join(COLUMNS)}")
+    check_names(f"{path}, line 1", header, COLUMNS)
+    places = [header.index(name) for name in COLUMNS]
+    before_s = -math.inf
+    for line, given in rows:
+        if not any(cell.strip() for cell in given):
+            continue
+        cells = given if separator == "," else [with_point(cell, separator) for cell in given]
+        try:
             row = _row(cells, len(header), places, before_s)
-            before_s = row.time_utc_s
-            for name, place, value in zip(FACES, places[1:], row.irradiances_w_m2, strict=True):
-                if not (LOWEST_W_M2 <= value <= HIGHEST_W_M2 or math.isnan(value)):
-                    impossible.append(f"line {reader.line_num}: {name} {cells[place].strip()}")
-            yield row if not impossible else _possible(row)
-    except UnicodeDecodeError:
-        raise
-    except ValueError as error:
-        raise UserError(f"{path}, line {reader.line_num}: {error}") from None
-    except csv.Error as error:
-        raise UserError(f"{path}, line {reader.line_num}: not CSV ({error})") from None
+        except ValueError as error:
+            raise UserError(f"{path}, line {line}: {error}") from None
+        before_s = row.time_utc_s
+        for name, place, value in zip(FACES, places[1:], row.irradiances_w_m2, strict=True):
+            if not (LOWEST_W_M2 <= value <= HIGHEST_W_M2 or math.isnan(value)):
+                impossible.append(f"line {line}: {name} {cells[place].strip()}")
+        yield row if not impossible else _possible(row)
 
 
 def _row(cells: list[str], width: int, places: list[int], before_s: float) -> RecordedScan:

@@ -20,7 +20,7 @@ from daemon.studies.inputs import check_frame, check_table, impossible_note, not
 from daemon.studies.recorded import stored_faces
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
-from solar.tables import NO_READING, utc_times
+from solar.tables import NO_READING, unreadable, utc_times
 
 _MV, _W_M2 = "_mv", "_w_m2"
 _REFERENCE_NAMES = ("ghi", "ghi_w_m2")
@@ -161,6 +161,8 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array]:
         raise UserError(f"{path} is empty") from None
     except UnicodeDecodeError:
         raise not_utf8(path) from None
+    except pd.errors.ParserError as error:
+        raise UserError(unreadable(path, separator, error)) from None
     except (OSError, EOFError, zlib.error, ValueError) as error:
         raise UserError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
     frame.columns = pd.Index([str(name).strip().lower() for name in frame.columns])

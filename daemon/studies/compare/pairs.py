@@ -16,7 +16,7 @@ from daemon.studies.compare.measurements import OPTIONAL, REQUIRED, SIMULATED, M
 from daemon.studies.inputs import check_frame, check_table, impossible_note, not_utf8
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, possible
-from solar.tables import utc_times
+from solar.tables import unreadable, utc_times
 
 TOGETHER_WITHIN_S = 5.0
 _NUMBERS = ("pmpp_w", *OPTIONAL)
@@ -186,9 +186,11 @@ def _read(path: Path) -> pd.DataFrame:
 def _csv(path: Path) -> pd.DataFrame:
     separator = check_table(path)
     decimal = "," if separator == ";" else "."
-    table = pd.read_csv(path, sep=separator, decimal=decimal, skipinitialspace=True).rename(
-        columns=lambda name: name.strip().lower()
-    )
+    try:
+        table = pd.read_csv(path, sep=separator, decimal=decimal, skipinitialspace=True)
+    except pd.errors.ParserError as error:
+        raise UserError(unreadable(path, separator, error)) from None
+    table = table.rename(columns=lambda name: name.strip().lower())
     check_frame(path, table)
     # A comma behind the last name makes a column without one.
     return table.drop(
