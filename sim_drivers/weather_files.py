@@ -31,7 +31,7 @@ from sim_drivers.weather import Conditions, WeatherError
 from solar.ephemeris import Site, sun_position
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
-from solar.tables import NO_READING, separator_of, unreadable, utc_times
+from solar.tables import NO_READING, separator_of, summer_time_hint, unreadable, utc_times
 
 LONGEST_GAP_S = 3600.0
 IRRADIANCES = ("ghi", "dni", "dhi")
@@ -271,7 +271,7 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
             "2016-06-05T12:00:00Z"
         )
     utc_s = _seconds(pd.DatetimeIndex(times))
-    _check_order(utc_s, lambda row: f"weather file {path}, line {line[row]}")
+    _check_order(utc_s, lambda row: f"weather file {path}, line {line[row]}", cells["time"])
     values = {key: np.full(utc_s.size, np.nan) for key in (*IRRADIANCES, *OPTIONAL)}
     impossible: list[str] = []
     for column in [name for name in values if name in found]:
@@ -361,11 +361,12 @@ def _plausible(quantity: str) -> tuple[float, float]:
     return (0.0, 100.0) if quantity == "wind_speed" else (-90.0, 60.0)
 
 
-def _check_order(utc_s: Array, place: Callable[[int], str]) -> None:
+def _check_order(utc_s: Array, place: Callable[[int], str], texts: "pd.Series[str] | None" = None) -> None:
     bad = _first(np.diff(utc_s) <= 0.0)
     if bad is not None:
         before, after = _iso(utc_s[bad]), _iso(utc_s[bad + 1])
-        raise WeatherFileError(f"{place(bad + 1)}: the time {after} follows {before}; times must increase")
+        hint = "" if texts is None else summer_time_hint(texts.iloc[bad + 1], utc_s[: bad + 2].tolist())
+        raise WeatherFileError(f"{place(bad + 1)}: the time {after} follows {before}; times must increase{hint}")
 
 
 def _interpolate(utc_s: Array, times: Array, values: Array) -> Array:

@@ -2,7 +2,9 @@
 
 import csv
 import gzip
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +17,11 @@ NO_READING = frozenset({"", "nan", "na", "n/a", "null"})
 """How tables write a value that is missing, in small letters."""
 # In no file of text: a cell that holds it has been open until the end.
 _END = "\0end\0"
+_OFFSET = re.compile(r":\d\d.*(Z|[+-]\d\d:?\d*)\s*$", re.IGNORECASE)
+# Clocks go back in April in the south, in October or November in the north.
+_AUTUMN = (4, 10, 11)
+_LATEST_HOUR = 3
+_EVIDENT = 3
 
 
 class CellError(ValueError):
@@ -70,6 +77,25 @@ def unreadable(path: Path, separator: str, error: Exception) -> str:
         except CellError as fault:
             return f"{path}, {fault}"
     return f"{path} cannot be read: {' '.join(str(error).split())}"
+
+
+def summer_time_hint(text: str, seconds: Sequence[float]) -> str:
+    """Return the end of a sentence that refuses a time for going back, or nothing.
+
+    `text` is what stands in its cell, `seconds` [s UTC] are the times up to it. Only an hour that was lived through
+    twice leads from one to the next as the two before do; Europe's, America's and Australia's end in the night.
+    """
+    if len(seconds) < _EVIDENT or _OFFSET.search(text):
+        return ""
+    earlier, before, after = seconds[-_EVIDENT:]
+    usual_s, step_s = before - earlier, after + 3600.0 - before
+    when = datetime.fromtimestamp(after, UTC)
+    if not (0.5 * usual_s <= step_s <= 1.5 * usual_s and when.month in _AUTUMN and when.hour <= _LATEST_HOUR):
+        return ""
+    return (
+        "; these look like local times at the end of summer time: write UTC, or behind each time its offset, such as"
+        " +01:00"
+    )
 
 
 def _never_closed(line: int) -> CellError:

@@ -19,7 +19,7 @@ from daemon.store.schema import FILE_NAME, open_for_reading
 from daemon.studies.inputs import check_names, check_table, not_utf8, with_point
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
-from solar.tables import NO_READING, CellError, numbered_rows
+from solar.tables import NO_READING, CellError, numbered_rows, summer_time_hint
 
 COLUMNS = ("time", *FACES)
 _ROWS_AT_ONCE = 50_000
@@ -147,29 +147,30 @@ def _rows(path: Path, file: TextIO, separator: str, impossible: list[str]) -> It
         raise UserError(f"{path}, line 1: the column {missing[0]} is missing; the header must name {','.join(COLUMNS)}")
     check_names(f"{path}, line 1", header, COLUMNS)
     places = [header.index(name) for name in COLUMNS]
-    before_s = -math.inf
+    before: list[float] = []
     for line, given in rows:
         if not any(cell.strip() for cell in given):
             continue
         cells = given if separator == "," else [with_point(cell, separator) for cell in given]
         try:
-            row = _row(cells, len(header), places, before_s)
+            row = _row(cells, len(header), places, before)
         except ValueError as error:
             raise UserError(f"{path}, line {line}: {error}") from None
-        before_s = row.time_utc_s
+        before = [*before[-1:], row.time_utc_s]
         for name, place, value in zip(FACES, places[1:], row.irradiances_w_m2, strict=True):
             if not (LOWEST_W_M2 <= value <= HIGHEST_W_M2 or math.isnan(value)):
                 impossible.append(f"line {line}: {name} {cells[place].strip()}")
         yield row if not impossible else _possible(row)
 
 
-def _row(cells: list[str], width: int, places: list[int], before_s: float) -> RecordedScan:
+def _row(cells: list[str], width: int, places: list[int], before: list[float]) -> RecordedScan:
     if len(cells) != width:
         raise ValueError(f"there are {len(cells)} cells where the header has {width}")
     stamp, *values = [cells[place].strip() for place in places]
     time_utc_s = _utc(stamp)
-    if not (time_utc_s > before_s):
-        raise ValueError(f"the time {stamp} is not later than that of the line before")
+    if before and not (time_utc_s > before[-1]):
+        hint = summer_time_hint(stamp, [*before, time_utc_s])
+        raise ValueError(f"the time {stamp} is not later than that of the line before{hint}")
     east, south, west, zenith = map(_irradiance, FACES, values)
     return RecordedScan(time_utc_s, (east, south, west, zenith))
 

@@ -20,7 +20,7 @@ from daemon.studies.inputs import check_frame, check_table, impossible_note, not
 from daemon.studies.recorded import stored_faces
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
-from solar.tables import NO_READING, unreadable, utc_times
+from solar.tables import NO_READING, summer_time_hint, unreadable, utc_times
 
 _MV, _W_M2 = "_mv", "_w_m2"
 _REFERENCE_NAMES = ("ghi", "ghi_w_m2")
@@ -182,9 +182,9 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array]:
     utc_s = np.array([time.replace(tzinfo=UTC).timestamp() for time in times.dt.tz_localize(None)], dtype=np.float64)
     back = np.flatnonzero(np.diff(utc_s) <= 0.0)
     if back.size:
-        raise UserError(
-            f"{path}, line {_line_of(path, back[0] + 1)}: the time does not come after the one before; sort the file"
-        )
+        row = int(back[0]) + 1
+        remedy = summer_time_hint(frame["time"].iloc[row], utc_s[: row + 1].tolist()) or "; sort the file"
+        raise UserError(f"{path}, line {_line_of(path, row)}: the time does not come after the one before{remedy}")
     return frame, utc_s
 
 
