@@ -13,6 +13,7 @@ from threading import Thread
 import h11
 import httpx
 import uvicorn
+from anyio.to_thread import current_default_thread_limiter
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from daemon.base.addresses import SEND_NO_MORE_ONCE_CLOSED, Address, parse_address
@@ -28,6 +29,8 @@ _CONNECTIONS = 256
 # More than the five seconds that the server keeps one for the next request.
 _REQUEST_WITHIN_S = 10.0
 _READ_WITHIN_S = 10.0
+# Each file of the page is read in a thread, and a browser asks for six at once; its unit allows 16 threads in all.
+_FILES_AT_ONCE = 8
 
 
 class _Server(uvicorn.Server):
@@ -172,6 +175,7 @@ async def serve(
         A file descriptor that ends when the dashboard is to end; None where there is none.
     """
     loop = asyncio.get_running_loop()
+    current_default_thread_limiter().total_tokens = _FILES_AT_ONCE
     # A connection that is kept may be closed by the service in the instant in which an order takes it.
     limits = httpx.Limits(max_connections=None, max_keepalive_connections=0)
     # Proxies of the environment are for the world outside.

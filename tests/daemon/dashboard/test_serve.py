@@ -2,8 +2,10 @@
 
 import asyncio
 import os
+import re
 import signal
 import socket
+import threading
 from contextlib import asynccontextmanager, suppress
 
 import httpx
@@ -13,7 +15,9 @@ from daemon.base.addresses import parse_address
 from daemon.base.clock import SystemClock
 from daemon.base.process import Notifier
 from daemon.base.timeloop import VirtualTimeLoop
+from daemon.dashboard.app import STATIC
 from daemon.dashboard.serve import bind, serve
+from tests.support import ROOT
 from tests.support.endless import ACCEPTED
 
 PAGE = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
@@ -232,3 +236,27 @@ def test_no_order_meets_the_end_of_a_connection_that_the_service_no_longer_keeps
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         runner.run(scenario())
+
+
+def test_however_many_browsers_ask_at_once_it_needs_no_more_threads_than_its_unit_allows():
+    unit = (ROOT / "deploy" / "heliocube-dashboard.service").read_text()
+    allowed = int(re.search(r"^TasksMax=(\d+)$", unit, re.MULTILINE)[1])
+    files = [str(path.relative_to(STATIC)) for path in STATIC.rglob("*") if path.is_file()]
+    before, most = threading.active_count(), 0
+
+    async def browse(page):
+        nonlocal most
+        # As many connections as a browser has.
+        limits = httpx.Limits(max_connections=6)
+        async with httpx.AsyncClient(base_url=page, limits=limits, timeout=60.0) as browser:
+            for answer in asyncio.as_completed([browser.get(f"/static/{name}") for name in files]):
+                assert (await answer).status_code == 200
+                most = max(most, threading.active_count() - before)
+
+    async def scenario():
+        async with served() as address:
+            await asyncio.gather(*(browse("http://{}:{}".format(*address)) for _ in range(8)))
+
+    asyncio.run(scenario())
+    # The process itself, the one that waits for its parent's end, and those that look up names.
+    assert most <= allowed - 6
