@@ -12,12 +12,19 @@ from dataclasses import dataclass, field
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from drivers.errors import DriverHungError, LinkLostError
+from drivers.errors import ConnectError, DriverHungError, LinkLostError
 
 T = TypeVar("T")
 
 # Each hung call keeps its thread; beyond this the driver under it is broken and more threads do not help.
 _MOST_HUNG = 8
+
+
+def no_room(device: str) -> ConnectError:
+    """Return the error for a thread that cannot be had now."""
+    return ConnectError(
+        device, "this machine has no room for a thread: too little memory, or more than its unit allows (TasksMax)"
+    )
 
 
 class DeviceThread:
@@ -54,6 +61,8 @@ class DeviceThread:
             It did not return in time. Whatever session it belongs to must not be used again.
         DriverHungError
             Too many calls have never returned.
+        ConnectError
+            There is no room for the thread.
         """
         worker = self._worker or self._start()
         job = _Job(function, discard)
@@ -83,7 +92,7 @@ class DeviceThread:
             return
         try:
             worker = self._worker or self._start()
-        except DriverHungError:
+        except ConnectError:
             return
         self._leave(worker, function)
         try:
@@ -96,7 +105,10 @@ class DeviceThread:
         self._left = [worker for worker in self._left if not worker.ended.done()]
         if len(self._left) >= _MOST_HUNG:
             raise DriverHungError(self._device, f"{_MOST_HUNG} calls of its driver never returned")
-        self._worker = _Worker(f"heliocube-{self._device}")
+        try:
+            self._worker = _Worker(f"heliocube-{self._device}")
+        except RuntimeError:
+            raise no_room(self._device) from None
         return self._worker
 
     def _leave(self, worker: "_Worker", last: Callable[[], object] | None = None) -> None:

@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 
 from drivers.errors import LinkLostError
 from drivers.lines.serial_port import SerialPort
-from drivers.lines.threads import DeviceThread
+from drivers.lines.threads import DeviceThread, no_room
 from drivers.positioners.pozsol.stream import Port, TelemetryReader
 from drivers.positioners.pozsol.table import FieldTable, Value
 from drivers.positioners.pozsol.wire import require_allowed
@@ -109,7 +109,11 @@ class SerialLine:
     async def open(self) -> None:
         """Open the port and begin to read it."""
         port = await self._thread.call(self._connect, _OPEN_S, lambda late: late.close())
-        self._reader = TelemetryReader(port, self._now, boot_s=self.boot_s, banner=self._banner, table=FieldTable())
+        try:
+            self._reader = TelemetryReader(port, self._now, boot_s=self.boot_s, banner=self._banner, table=FieldTable())
+        except RuntimeError:
+            await self._thread.finish(port.close, _CLOSE_S)
+            raise no_room(_DEVICE) from None
 
     async def close(self) -> None:
         """Release the port."""

@@ -3,15 +3,18 @@
 import asyncio
 import json
 import logging
+import re
 
 import pytest
 
 from daemon.base.process import LineFormatter
 from daemon.base.records import Event, Mode, ModeChange, Move, Pose, Scan
+from daemon.config.file import _MOST_TRACKERS
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import Operators, parse
 from daemon.service.state import state_json, tracker_state_json
 from drivers.errors import DriverHungError
+from tests.support import ROOT
 
 TWO = [{"name": "east"}, {"name": "west", "limits": {"a_max_deg": 20.0}}]
 
@@ -209,3 +212,10 @@ def test_a_driver_that_hangs_for_good_costs_its_own_tracker_and_not_the_service(
         assert [event.tracker for event in rig.of(Event) if event.subject == "service"] == ["west"]
 
     run_rig(scenario, tracker=TWO)
+
+
+def test_the_unit_allows_the_threads_of_as_many_trackers_as_a_file_may_have():
+    unit = (ROOT / "deploy" / "heliocube-tracker.service").read_text()
+    allowed = int(re.search(r"^TasksMax=(\d+)$", unit, re.MULTILINE)[1])
+    # Of each what it is sent, what it tells, its load, what is kept and its broker's name; and what they share.
+    assert allowed >= 5 * _MOST_TRACKERS + 32

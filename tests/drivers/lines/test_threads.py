@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from drivers.errors import DeadlineError, DriverHungError, LinkLostError
+from drivers.errors import ConnectError, DeadlineError, DriverHungError, LinkLostError
 from drivers.lines.threads import DeviceThread
 
 
@@ -130,5 +130,23 @@ def test_closing_does_not_wait_for_a_hung_call_and_too_many_of_them_are_an_error
                     break
                 await asyncio.sleep(0.01)
         await thread.finish(lambda: None, 30.0)
+
+    asyncio.run(scene())
+
+
+def test_a_machine_without_room_for_a_thread_is_an_instrument_out_of_reach_until_there_is_some():
+    async def scene():
+        thread, closed = DeviceThread("voltmeter"), []
+        # More than any machine has.
+        usual = threading.stack_size(1 << 40)
+        try:
+            with pytest.raises(ConnectError, match="no room for a thread"):
+                await thread.call(lambda: 1, 5.0)
+            await thread.finish(lambda: closed.append("in vain"), 5.0)
+        finally:
+            threading.stack_size(usual)
+        assert await thread.call(lambda: 2, 5.0) == 2
+        await thread.finish(lambda: closed.append("closed"), 5.0)
+        assert closed == ["closed"]
 
     asyncio.run(scene())

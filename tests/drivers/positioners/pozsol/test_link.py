@@ -9,6 +9,7 @@ import struct
 import subprocess
 import sys
 import termios
+import threading
 import time
 
 import pytest
@@ -251,3 +252,25 @@ def test_a_unit_that_takes_no_data_any_more_is_a_lost_link_within_the_deadline(p
                 await positioner.close()
 
     asyncio.run(scene())
+
+
+def test_a_port_that_no_thread_can_be_had_to_read_is_closed_again():
+    class Opened:
+        closed = False
+
+        def close(self):
+            self.closed = True
+
+    port = Opened()
+
+    def connect():
+        # More than any machine has: the thread that opens runs already, and the one that reads finds no room.
+        threading.stack_size(1 << 40)
+        return port
+
+    try:
+        with pytest.raises(ConnectError, match="no room for a thread"):
+            asyncio.run(SerialLine(connect, time.monotonic).open())
+    finally:
+        threading.stack_size(0)
+    assert port.closed
