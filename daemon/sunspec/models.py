@@ -120,16 +120,21 @@ class SunSpecMap:
             *blocks,
         ]
 
+    def is_at(self, tracker: TrackerState, a_deg: float, b_deg: float) -> bool:
+        """Tell whether a tracker is seen to be at a place of A and B [deg]."""
+        pose = tracker.positioner.pose
+        if pose is None or tracker.positioner.pose_is_stale:
+            return False
+        away_deg = separation_deg(normal_from_angles(a_deg, b_deg), normal_from_angles(pose.a_deg, pose.b_deg))
+        return float(away_deg) <= self._tolerance_deg[tracker.name]
+
     def _alarm(self, tracker: TrackerState) -> int:
         positioner = tracker.positioner
         bits = _OBSTRUCTED if positioner.blocked_why is not None or tracker.control.mode is Mode.FAULT else 0
-        target, pose = positioner.target, positioner.pose
-        if target is None or pose is None or positioner.pose_is_stale:
+        target = positioner.target
+        if target is None or positioner.pose is None or positioner.pose_is_stale:
             return bits
-        away_deg = separation_deg(
-            normal_from_angles(target.a_deg, target.b_deg), normal_from_angles(pose.a_deg, pose.b_deg)
-        )
-        return bits if float(away_deg) <= self._tolerance_deg[tracker.name] else bits | _NOT_THERE
+        return bits if self.is_at(tracker, target.a_deg, target.b_deg) else bits | _NOT_THERE
 
     def _target(self, seen: Snapshot, tracker: TrackerState) -> list[int]:
         """Return where it is sent, or where it was sent and has arrived."""

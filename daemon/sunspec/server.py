@@ -178,6 +178,9 @@ class SunSpecServer:
                 why = exception_text(reply) if self._own.manual else "sunspec.manual is false"
                 self._tell(f"{host}, register {int.from_bytes(pdu[1:3])}: {why}")
             return reply
+        if self._table.is_in_force(override):
+            self._table.done(override)
+            return reply
         code = await self._carry_out(override, host)
         return bytes((pdu[0] | FAILED, code)) if code else reply
 

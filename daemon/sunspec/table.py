@@ -8,6 +8,7 @@ an angle, one without the other, mode 2 (calibrate) and a direction that the tra
 from collections.abc import Callable
 from typing import NamedTuple
 
+from daemon.base.records import Mode
 from daemon.service.snapshot import Snapshot, TrackerState
 from daemon.sunspec.models import (
     AUTOMATIC,
@@ -18,6 +19,7 @@ from daemon.sunspec.models import (
     ManualTarget,
     Registers,
     SunSpecMap,
+    in_manual,
 )
 from drivers.modbus.pdu import DEVICE_FAILURE, ILLEGAL_ADDRESS, ILLEGAL_FUNCTION, ILLEGAL_VALUE, number
 from drivers.modbus.server import NoBits, RefusedRequestError
@@ -117,6 +119,25 @@ class SunSpecTable(NoBits):
         self._current()
         wishes = self._tracker(tracker).wishes
         return wishes.stillness is not None or wishes.stow is not None or wishes.snow is not None
+
+    def is_in_force(self, asked: Override) -> bool:
+        """Tell whether a tracker does already what is asked of it, as telemetry shows.
+
+        Many a program writes the same every second: each would be an order, an event and a file that is written.
+        """
+        self._seen_s = -_KEPT_S
+        self._current()
+        tracker = self._tracker(asked.tracker)
+        hold, target = tracker.wishes.hold, tracker.positioner.target
+        if asked.name == "auto":
+            return not in_manual(tracker)
+        if hold is None or self.is_held(asked.tracker) or tracker.control.mode is not Mode.HOLD:
+            return False
+        if asked.name == "hold":
+            return hold.goto_deg is None and target is None
+        place = (asked.a_deg, asked.b_deg)
+        there = self._map.is_at(tracker, *place) if target is None else (target.a_deg, target.b_deg) == place
+        return hold.goto_deg == place and there
 
     def take(self) -> Override | None:
         """Return what the last write asks of a tracker, once."""

@@ -4,7 +4,8 @@ import asyncio
 
 import pytest
 
-from daemon.base.records import Mode
+from daemon.base.records import Event, Mode
+from daemon.service.operator import Operator
 from daemon.service.operator_commands import Operators
 from daemon.service.recent import Recent
 from daemon.sunspec.models import BASE, SunSpecMap
@@ -275,6 +276,7 @@ def test_a_persons_stop_is_not_ended_from_the_control_room(run_rig):
 def test_a_stop_of_this_very_moment_is_not_ended_from_the_control_room(run_rig, late):
     async def scenario(rig, control):
         at = (await control.models())[601][0] + 20
+        assert await control.write(at + 4, [1]) == 0
         stop = rig.control.stop("a hand in the gear", "ana")
         if late:
             # Between the register and the command.
@@ -317,5 +319,33 @@ def test_a_second_target_right_after_the_first_is_the_one_that_counts(run_rig):
         assert await control.read(at, 5) == (*int32(5000), *int32(15000), 1)
         assert await control.write(at + 4, [1]) == 0
         assert control.see().trackers[0].wishes.hold.goto_deg is not None
+
+    on_rig(run_rig, scenario)
+
+
+def test_a_control_room_that_writes_the_same_every_second_gives_one_order(run_rig):
+    async def scenario(rig, control):
+        at = (await control.models())[601][0] + 20
+
+        async def orders(values):
+            before = len(told())
+            for _ in range(20):
+                assert await control.write(at, values) == 0
+                await asyncio.sleep(1)
+            return len(told()) - before
+
+        def told():
+            return [event.text for event in rig.of(Event) if event.subject == "operator"]
+
+        block = [*int32(3383), *int32(21701), 1]
+        assert await orders(block) == 1
+        assert await control.read(at, 5) == tuple(block)
+        assert await orders([0x8000, 0, 0x8000, 0, 1]) == 1
+        assert await orders([0x8000, 0, 0x8000, 0, 0]) == 1
+        await rig.until_mode(Mode.TRACKING, 60)
+        assert await orders([0x8000, 0, 0x8000, 0, 0]) == 0
+        # What a person asks for meanwhile is replaced, as ever.
+        await Operator(rig.service.trackers[0], 1.0).hold("a look", "ana")
+        assert await orders(block) == 1
 
     on_rig(run_rig, scenario)
