@@ -129,9 +129,11 @@ class SunSpecTable(NoBits):
         self._current()
         tracker = self._tracker(asked.tracker)
         hold, target = tracker.wishes.hold, tracker.positioner.target
+        if self.is_held(asked.tracker):
+            return False
         if asked.name == "auto":
             return not in_manual(tracker)
-        if hold is None or self.is_held(asked.tracker) or tracker.control.mode is not Mode.HOLD:
+        if hold is None or tracker.control.mode is not Mode.HOLD:
             return False
         if asked.name == "hold":
             return hold.goto_deg is None and target is None
