@@ -21,12 +21,21 @@ TokenOption = Annotated[
 ]
 WhyOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, for the records.")]
 _AN_OPERATOR = "an operator asked"
+_EXIT_CODES = (
+    "Exit code: 0 if its effect was seen, whole or under way; 3 if it was not seen in time; 5 if the service cannot be"
+    " reached; 6 if it is refused."
+)
 
 
 def _plain(name: str, meaning: str) -> None:
     """Offer a command that takes nothing but the options that all of them have."""
 
-    @app.command(name, help=meaning, rich_help_panel=OPERATION, context_settings={"allow_extra_args": True})
+    @app.command(
+        name,
+        help=f"{meaning}\n\n{_EXIT_CODES}",
+        rich_help_panel=OPERATION,
+        context_settings={"allow_extra_args": True},
+    )
     def command(
         context: typer.Context,
         config: ConfigOption = None,
@@ -44,14 +53,18 @@ def _plain(name: str, meaning: str) -> None:
 
 
 _plain("stow", "Go to the stow position now and stay there until 'auto'.")
-_plain("hold", "Stay where the tracker is until 'auto'.")
+_plain("hold", "Stay where the tracker is until 'auto'; a stow for wind still moves it.")
 _plain("auto", "Track again: end a stop, maintenance, stow, snow, hold or goto.")
-_plain("stop", "Stop the axes at once; nothing moves them until 'auto'.")
+_plain("stop", "Stop the axes at once; nothing moves them until 'auto', not even a storm.")
 _plain("snow", "Go to the steep position that sheds snow and hail and stay there until 'auto'.")
-_plain("maintenance", "Stop the axes and keep them still and all alarms silent until 'auto'.")
+_plain("maintenance", "Stop the axes, keep them still and silence all alarms, until 'auto'.")
 
 
-@app.command(rich_help_panel=OPERATION, context_settings={"ignore_unknown_options": True})
+@app.command(
+    help=f"Go to a position inside the limits and stay there until 'auto'.\n\n{_EXIT_CODES}",
+    rich_help_panel=OPERATION,
+    context_settings={"ignore_unknown_options": True},
+)
 def goto(
     a_deg: Annotated[float, typer.Argument(metavar="A", help="Angle A in degrees, negative towards the east.")],
     b_deg: Annotated[float, typer.Argument(metavar="B", help="Angle B in degrees, 90 is flat.")],
@@ -66,7 +79,7 @@ def goto(
     give("goto", config, api, token_file, why, tracker, as_json=as_json, a_deg=a_deg, b_deg=b_deg)
 
 
-_plain("home", "Clear faults and start a reference run of both axes.")
+_plain("home", "Clear faults and make a reference run: both axes move over their whole range.")
 _plain("clear", "Clear the faults and doubts that are shown, without a reference run.")
 _plain("relearn", "Forget what the law has learned of the site.")
 

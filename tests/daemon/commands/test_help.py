@@ -6,6 +6,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from daemon.commands.main import app
+from daemon.service.operator_commands import NAMES
 
 
 def commands(command, path=()):
@@ -40,6 +41,13 @@ def test_every_help_fits_its_width_and_shows_every_word(path, columns):
         assert about, f"{parameter.name} has no text"
         assert about.endswith("."), about
         assert words(about) in told, about
+
+
+@pytest.mark.parametrize("order", sorted({*NAMES} - {"mode", "acknowledge"}))
+def test_the_help_of_an_order_tells_what_its_exit_codes_mean(order):
+    told = words(CliRunner(env={"COLUMNS": "80"}).invoke(app, [order, "--help"]).output)
+    seen = "Exit code: 0 if its effect was seen, whole or under way; 3 if it was not seen in time;"
+    assert f"{seen} 5 if the service cannot be reached; 6 if it is refused." in told
 
 
 def test_the_version_is_told():
