@@ -40,14 +40,16 @@ _HEADINGS = {
 _TRACKERS = """\
 ## [[tracker]]
 
-Several trackers in one process. Without such a table there is one, with the sections above as they are; with them
-there is one for each table, in the table's name, and the sections above hold for each but for what its table says
-differently: `site`, `law`, `windows`, `limits`, `rows`, `motion`, `safety`, `load`, and `positioner` for
-`instruments.positioner`. The same rules hold for the outcome, no two real trackers share a port, and all stand
-on the side of the equator that `site` is on, as the cube does. What a tracker
-keeps stands in a folder of its name in `store.directory`; its topics are below `mqtt.prefix` and its name. What a
-tracker without a table has kept there holds for those that get one, until a person releases it: nothing that was
-stopped is let go by a new line in a file, or by another name.
+Several trackers in one process, with a table for each. Without such a table there is one tracker, with the sections
+above as they are.
+
+- Each tracker has the name of its table. The sections above hold for it, except for what its table says differently:
+  `site`, `law`, `windows`, `limits`, `rows`, `motion`, `safety`, `load`, and `positioner` for `instruments.positioner`.
+- The same rules hold for what results. No two real trackers share a port, and all stand on the side of the equator that
+  `site` is on, as the cube does.
+- What a tracker keeps is in a folder of its name in `store.directory`; its topics are below `mqtt.prefix` and its name.
+- What a tracker without a table has kept there holds for those that get a table, until a person releases it. So nothing
+  that was stopped is let go by a new line in a file, or by another name.
 
 ```toml
 [[tracker]]
@@ -68,17 +70,18 @@ port = "/dev/heliocube-positioner-west"
 _INTRODUCTION = """\
 # Configuration
 
-The service reads one TOML file. `heliocube config init DIR` writes one in which every key is explained, with a new
-bridge key and a new token of the local interface beside it; `heliocube config check FILE` lists everything that is
-wrong with a file at once, missing addresses and a folder that cannot be written to as well, and says in which roles a
-real rig can run; `--role tracker` asks for one. `heliocube run` lists the same mistakes and refuses to start, except
-for wrong topics and JSON paths: with those it starts
-([why](decisions/0011-a-wrong-topic-does-not-stop-the-tracker.md)). A safety input that cannot be heard
-keeps the tracker stowed.
+The service reads one TOML file.
 
-`heliocube config migrate FILE` updates a file: its tracker gets a table of its own, keys get their present
-names. The old file is kept beside it, as `FILE.before-RELEASE`. A file of an earlier version works without that; an
-upgrade does it with `--keys-only`, which leaves a tracker without a name as it is.
+- `heliocube config init DIR` writes one in which every key is explained, with a new bridge key and a new token of the
+  local interface beside it.
+- `heliocube config check FILE` lists everything that is wrong with a file at once, also missing addresses and a folder
+  that cannot be written to. It says in which roles a real rig can run; `--role tracker` asks for one role only.
+- `heliocube run` lists the same mistakes and refuses to start. Only with wrong topics and JSON paths it starts
+  ([why](decisions/0011-a-wrong-topic-does-not-stop-the-tracker.md)); but while a safety input cannot be heard the
+  tracker does not track, and after that input's time limit it is stowed.
+- `heliocube config migrate FILE` updates a file: its tracker gets a table of its own, and keys get their present names.
+  The old file is kept beside it, as `FILE.before-RELEASE`. A file of an earlier version works without that. An upgrade
+  does it with `--keys-only`, which leaves a tracker without a name as it is.
 
 Every key may be left out and has its default then. Units are in the names: `_s` seconds, `_deg` degrees, `_w_m2` W/m2,
 `_m_s` m/s, `_mv` millivolts. Unknown keys are errors. Relative paths start from the folder of the file. Times carry
