@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from daemon.base.records import Mode
 from daemon.studies.report.material import Material
-from daemon.studies.report.yields import DAYLIGHT_EVERY_S, held, newest, sun_up
+from daemon.studies.report.yields import DAYLIGHT_EVERY_S, days_of, held, newest, sun_up
 from solar.ephemeris import DAY_S
 from solar.frames import Array
 
@@ -51,7 +51,7 @@ class RecordedMotion:
     travel_a_deg, travel_b_deg
         Added over all moves, from where each began to where it ended.
     by_day
-        Moves and travel, A and B added, of each day of the span.
+        Moves and travel, A and B added, of each of the site's days.
     deviation_deg, deviation_p95_deg
         Mean and 95th percentile of the greater deviation of both angles from the set point, at rest in daylight.
     available_pct
@@ -86,7 +86,7 @@ def motion_of(material: Material) -> RecordedMotion:
     moves = material.tables["moves"]
     travel_a, travel_b = (_travel(material, angle) for angle in ("a_deg", "b_deg"))
     begun = material.times_of("moves")
-    days = [(begun >= day.start_utc_s) & (begun < day.end_utc_s) for day in material.span.days()]
+    days = [(begun >= day.start_utc_s) & (begun < day.end_utc_s) for day in days_of(material)]
     mean, p95, available = _at_set_point(material, stretches)
     return RecordedMotion(
         stretches=stretches,

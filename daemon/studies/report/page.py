@@ -19,7 +19,7 @@ from daemon.studies.report.motion import TOLERANCE_DEG, RecordedMotion, motion_o
 from daemon.studies.report.pictures import Drawing
 from daemon.studies.report.told import AlarmSpan, Note, alarms_of, notes_of
 from daemon.studies.report.words import NO_FIGURE, clock, length, number, summary
-from daemon.studies.report.yields import RecordedLight, Yield, light_of, module_kwh, yield_of
+from daemon.studies.report.yields import RecordedLight, Yield, days_of, light_of, module_kwh, yield_of
 from daemon.studies.stamp import MARK
 from solar.ephemeris import DAY_S
 
@@ -41,6 +41,7 @@ class Findings:
     material: Material
     light: RecordedLight
     gained: Yield
+    days: tuple[str, ...]
     by_day: tuple[Yield, ...]
     motion: RecordedMotion
     quality: Availability
@@ -57,12 +58,13 @@ class Findings:
 def findings_of(material: Material, zone: tzinfo | None) -> Findings:
     """Compute what the report says; `zone` is that of the local times, None for this machine's."""
     light = light_of(material)
-    span = material.span
+    span, days = material.span, days_of(material)
     return Findings(
         material=material,
         light=light,
         gained=yield_of(material, light, span.start_utc_s, span.end_utc_s),
-        by_day=tuple(yield_of(material, light, day.start_utc_s, day.end_utc_s) for day in span.days()),
+        days=tuple(day.name for day in days),
+        by_day=tuple(yield_of(material, light, day.start_utc_s, day.end_utc_s) for day in days),
         motion=motion_of(material),
         quality=availability_of(material),
         alarms=alarms_of(material),
@@ -110,8 +112,7 @@ def _pictures(found: Findings) -> Iterator[Part]:
     material = found.material
     yield element("h2", "Pictures")
     if found.long:
-        names = [clock(day.start_utc_s + DAY_S / 2.0, None, day=True)[0][:10] for day in material.span.days()]
-        drawn = pictures.days_picture(names, found.by_day, material.simulated)
+        drawn = pictures.days_picture(found.days, found.by_day, material.simulated)
         yield _captioned(drawn, "days", "Day by day: what the planes received, and the gain over chronometric tracking")
     drawing = Drawing(material, found.light, found.motion, found.zone)
     if material.span.duration_s > _MOST_DAYS_IN_LINES * DAY_S:
@@ -175,7 +176,7 @@ def _days(found: Findings) -> Iterator[Part]:
         return
     rows = [
         (
-            clock(day.start_utc_s + DAY_S / 2.0, None, day=True)[0][:10],
+            day,
             number(each.actual_kwh_m2, 2),
             number(each.gain_pct, 2, sign=True),
             number(each.bound_pct, 2, sign=True),
@@ -183,9 +184,7 @@ def _days(found: Findings) -> Iterator[Part]:
             f"{moves}",
             number(travel, 0),
         )
-        for day, each, (moves, travel) in zip(
-            found.material.span.days(), found.by_day, found.motion.by_day, strict=True
-        )
+        for day, each, (moves, travel) in zip(found.days, found.by_day, found.motion.by_day, strict=True)
     ]
     head = ("Day", "kWh/m²", "over chronometric %", "bound %", "daylight known %", "moves", "travel deg")
     yield element("h2", "Day by day")

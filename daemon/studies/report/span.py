@@ -36,7 +36,7 @@ class ReportSpan:
         return self.end_utc_s - self.start_utc_s
 
     def days(self) -> list["ReportSpan"]:
-        """Return its days, the last one shorter if it is no whole number of them."""
+        """Return it in pieces of a day from its beginning on, the last one shorter, to be read one by one."""
         return [
             ReportSpan(at, min(at + DAY_S, self.end_utc_s), "")
             for at in (self.start_utc_s + number * DAY_S for number in range(-int(-self.duration_s // DAY_S)))

@@ -1,13 +1,16 @@
 """What the tracker's plane received, against chronometric tracking and the best, as the light of the cube gives it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
+from daemon.base.clock import iso_utc
 from daemon.base.records import FACES
 from daemon.studies.report.material import Material
+from daemon.studies.report.span import ReportSpan
 from solar.compare import longest_gap_s
-from solar.ephemeris import sun_direction
+from solar.ephemeris import DAY_S, solar_days, sun_direction
 from solar.frames import Array
 from solar.received import Received, insolation, received
 from solar.skies.sky_periods import LOWEST_SUN_DEG, Period, diffuse_fraction_of_faces, sky_periods
@@ -17,6 +20,7 @@ DAYLIGHT_EVERY_S = 60.0
 # A tracker at rest is looked at more often than this.
 _POSE_HOLDS_S = 900.0
 _CHUNK = 20_000
+_ROUNDING_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +156,36 @@ def daylight_s(material: Material, start_utc_s: float, end_utc_s: float, lowest_
     middles = np.arange(start_utc_s + DAYLIGHT_EVERY_S / 2.0, end_utc_s, DAYLIGHT_EVERY_S)
     higher = _suns(middles, material)[:, 2] > np.sin(np.radians(lowest_deg))
     return float(np.count_nonzero(higher)) * DAYLIGHT_EVERY_S
+
+
+def days_of(material: Material) -> list[ReportSpan]:
+    """Return the days of the site that a span is of, each called by its date; a span of a day at most is one.
+
+    They begin at solar midnight. A part at either end without daylight belongs to the day beside it.
+    """
+    span, longitude_deg = material.span, material.site.longitude_deg
+    # The ends may be midnights themselves, but for rounding.
+    first, last = (
+        int(solar_days(at, longitude_deg)) for at in (span.start_utc_s + _ROUNDING_S, span.end_utc_s - _ROUNDING_S)
+    )
+    if span.duration_s <= DAY_S:
+        first = last = int(solar_days((span.start_utc_s + span.end_utc_s) / 2.0, longitude_deg))
+    midnights = [day * DAY_S - longitude_deg * 240.0 for day in range(first + 1, last + 1)]
+    edges = [span.start_utc_s, *midnights, span.end_utc_s]
+    found = [
+        ReportSpan(begins_s, ends_s, iso_utc(day * DAY_S)[:10])
+        for day, (begins_s, ends_s) in zip(range(first, last + 1), pairwise(edges), strict=True)
+    ]
+    if _dark_part(material, found[-1]) and len(found) > 1:
+        found[-2:] = [replace(found[-2], end_utc_s=span.end_utc_s)]
+    if _dark_part(material, found[0]) and len(found) > 1:
+        found[:2] = [replace(found[1], start_utc_s=span.start_utc_s)]
+    return found
+
+
+def _dark_part(material: Material, day: ReportSpan) -> bool:
+    part = day.duration_s < DAY_S - 2.0 * _ROUNDING_S
+    return part and not daylight_s(material, day.start_utc_s, day.end_utc_s)
 
 
 def sun_up(material: Material, utc_s: Array) -> Array:
