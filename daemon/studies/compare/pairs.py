@@ -106,12 +106,16 @@ def frame_of(measurements: Sequence[Measurement]) -> pd.DataFrame:
 def pair(frame: pd.DataFrame, names: tuple[str, str], within_s: float = TOGETHER_WITHIN_S) -> Pairs:
     """Lay the measurements of two trackers side by side, each of the first with the other's nearest in time.
 
+    A power below zero, which is a wattmeter's offset in the dark, counts as none.
+
     Raises
     ------
     UserError
         A tracker has no measurements, or none of theirs are within `within_s` of each other.
     """
     usable = frame[np.isfinite(frame["pmpp_w"])]
+    # Of one tracker alone the correction would make it none, and a gain of the other's nights.
+    usable = usable.assign(pmpp_w=np.maximum(usable["pmpp_w"], 0.0))
     there = sorted(set(usable["tracker"]))
     for name in names:
         if name not in there:

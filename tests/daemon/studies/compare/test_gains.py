@@ -1,0 +1,43 @@
+"""Equation (16) of measured powers: what the night's readings and the site's hemisphere may not change."""
+
+import math
+
+import numpy as np
+import pytest
+
+from daemon.studies.compare.gains import gains
+from daemon.studies.compare.measurements import Measurement
+from daemon.studies.compare.pairs import frame_of, pair
+from solar.compare import ChainBias
+from solar.ephemeris import DAY_S, Site
+
+T0 = 1665705600.0
+"""2022-10-14T00:00Z."""
+GREENWICH = Site(51.5, 0.0, 0.0)
+BIAS = ChainBias(0.0, 1.0, 0.0, 1.0, 300.0)
+NAN = math.nan
+
+
+def measured(utc_s, power_w, a_deg=NAN, b_deg=NAN):
+    """Return the pairs of two trackers that gave the same power in the same pose."""
+    columns = np.broadcast_arrays(utc_s, power_w, a_deg, b_deg)
+    rows = [
+        Measurement(time, name, power, NAN, a, b, NAN, NAN, NAN)
+        for time, power, a, b in np.stack(columns, axis=-1).tolist()
+        for name in ("one", "other")
+    ]
+    return pair(frame_of(rows), ("one", "other"))
+
+
+def day_of_power(offset_w):
+    utc_s = T0 + np.arange(0.0, DAY_S, 60.0)
+    hours = (utc_s - T0) / 3600.0
+    return utc_s, np.where((hours > 6) & (hours < 18), 300.0 * np.sin(np.pi * (hours - 6) / 12), 0.0) + offset_w
+
+
+@pytest.mark.parametrize("bias", [None, BIAS])
+@pytest.mark.parametrize("offset_w", [0.0, -1.0, -5.0])
+def test_two_wattmeters_that_read_less_than_nothing_at_night_make_no_gain(offset_w, bias):
+    (whole,) = gains(measured(*day_of_power(offset_w)), bias, [], GREENWICH)
+    assert (whole.gain_pct, whole.uncorrected_pct) == (0.0, 0.0)
+    assert bias is None or 0.0 <= whole.extrapolated_pct < 0.1
