@@ -15,7 +15,7 @@ from daemon.studies.compare.pairs import Pairs, Side
 from daemon.studies.picture_file import save_picture
 from solar.compare import ChainBias
 from solar.ephemeris import Site, sun_position
-from solar.frames import Array, azimuth_from_direction, normal_from_angles
+from solar.frames import Array, azimuth_from_direction, equator_azimuth_deg, normal_from_angles
 
 # Okabe & Ito's colours, which the colour-blind can tell apart.
 _CUBE, _CHRONO, _SUN, _SKY = "#D55E00", "#0072B2", "#E69F00", "0.55"
@@ -103,14 +103,14 @@ def movement_figure(day: Pairs, site: Site, title: str) -> Figure:
     time = _times(day.utc_s)
     sun = sun_position(day.utc_s, *site)
     upper.plot(time, 90.0 - sun.elevation_deg, color=_SUN, linewidth=1.6, linestyle=":", label="sun")
-    lower.plot(time, sun.azimuth_deg, color=_SUN, linewidth=1.6, linestyle=":", label="sun")
+    lower.plot(time, _about_equator(sun.azimuth_deg, site), color=_SUN, linewidth=1.6, linestyle=":", label="sun")
     sides = zip(day.names, (day.cube, day.chrono), (_CUBE, _CHRONO), ("-", _CHRONO_LINE), strict=True)
     for name, side, colour, line in sides:
         tilt, azimuth = _facing(side, site)
         upper.plot(time, tilt, color=colour, linewidth=1.0, linestyle=line, label=name)
         lower.plot(time, azimuth, color=colour, linewidth=1.0, linestyle=line, label=name)
     upper.set(ylabel="inclination, zenith angle [deg]", ylim=(-3.0, 95.0), title=title)
-    lower.set(ylabel="azimuth [deg]")
+    lower.set(ylabel="azimuth [deg]" if site.latitude_deg >= 0.0 else "azimuth [deg]\nwest of north below 0")
     lower.set_title(f"no azimuth while a tracker lies flat within {_FLAT_DEG:g} deg", fontsize=9)
     _clock(lower, time)
     figure.legend(*upper.get_legend_handles_labels(), frameon=False, loc="outside lower center", ncols=3)
@@ -129,7 +129,15 @@ def save(figure: Figure, folder: Path, name: str) -> Path:
 
 def _facing(side: Side, site: Site) -> tuple[Array, Array]:
     azimuth, elevation = azimuth_from_direction(normal_from_angles(side.a_deg, side.b_deg), site.latitude_deg)
-    return 90.0 - elevation, np.where(90.0 - elevation > _FLAT_DEG, azimuth, np.nan)
+    return 90.0 - elevation, np.where(90.0 - elevation > _FLAT_DEG, _about_equator(azimuth, site), np.nan)
+
+
+def _about_equator(azimuth_deg: Array, site: Site) -> Array:
+    """Return azimuths within half a turn of the equator's, NaN where the next one is a leap over the pole's."""
+    middle_deg = equator_azimuth_deg(site.latitude_deg)
+    about = (azimuth_deg - middle_deg + 180.0) % 360.0 - 180.0 + middle_deg
+    leaps = np.abs(np.diff(about, append=about[-1:])) > 180.0
+    return np.where(leaps, np.nan, about)
 
 
 def _times(utc_s: Array) -> NDArray[np.datetime64]:

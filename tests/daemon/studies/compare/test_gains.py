@@ -5,15 +5,17 @@ import math
 import numpy as np
 import pytest
 
+from daemon.studies.compare.figures import movement_figure
 from daemon.studies.compare.gains import gains
 from daemon.studies.compare.measurements import Measurement
 from daemon.studies.compare.pairs import frame_of, pair
 from solar.compare import ChainBias
-from solar.ephemeris import DAY_S, Site
+from solar.ephemeris import DAY_S, Site, sun_direction, sun_position
+from solar.frames import Limits, angles_within
 
 T0 = 1665705600.0
 """2022-10-14T00:00Z."""
-GREENWICH = Site(51.5, 0.0, 0.0)
+GREENWICH, SYDNEY, QUITO = Site(51.5, 0.0, 0.0), Site(-33.9, 151.2, 0.0), Site(0.0, -78.5, 0.0)
 BIAS = ChainBias(0.0, 1.0, 0.0, 1.0, 300.0)
 NAN = math.nan
 
@@ -41,3 +43,32 @@ def test_two_wattmeters_that_read_less_than_nothing_at_night_make_no_gain(offset
     (whole,) = gains(measured(*day_of_power(offset_w)), bias, [], GREENWICH)
     assert (whole.gain_pct, whole.uncorrected_pct) == (0.0, 0.0)
     assert bias is None or 0.0 <= whole.extrapolated_pct < 0.1
+
+
+def longest_step_deg(line):
+    values = np.asarray(line.get_ydata(), dtype=np.float64)
+    return float(np.nanmax(np.abs(np.diff(values))))
+
+
+@pytest.mark.parametrize(
+    ("site", "begins_s", "unit"),
+    [
+        (GREENWICH, T0, "azimuth [deg]"),
+        (SYDNEY, T0, "azimuth [deg]\nwest of north below 0"),
+        # In June the sun passes north of the equator.
+        (QUITO, T0 - 120 * DAY_S, "azimuth [deg]"),
+    ],
+)
+def test_no_line_of_an_azimuth_runs_across_the_picture_where_it_passes_north(site, begins_s, unit):
+    utc_s = begins_s - site.longitude_deg * 240.0 + np.arange(0.0, DAY_S, 60.0)
+    sun = sun_direction(utc_s, *site)
+    utc_s, sun = utc_s[sun[:, 2] > 0.0], sun[sun[:, 2] > 0.0]
+    pairs = measured(utc_s, 100.0, *angles_within(sun, Limits()))
+    figure = movement_figure(pairs, site, "")
+    _, lower = figure.axes
+    assert all(longest_step_deg(line) < 180.0 for line in lower.lines)
+    assert lower.get_ylabel() == unit
+    drawn = np.asarray(lower.lines[0].get_ydata())
+    known = np.isfinite(drawn)
+    assert known.sum() >= drawn.size - 1
+    assert (drawn[known] % 360.0) == pytest.approx(sun_position(utc_s, *site).azimuth_deg[known])
