@@ -146,4 +146,7 @@ def _times(utc_s: Array) -> NDArray[np.datetime64]:
 
 def _clock(axes: Axes, time: NDArray[np.datetime64]) -> None:
     axes.xaxis.set_major_formatter(DateFormatter("%H:%M"))  # type: ignore[no-untyped-call]  # matplotlib has no type there
-    axes.set_xlabel(f"{datetime.fromtimestamp(time[0].astype(float) / 1e3, UTC):%d %B %Y}, UTC")
+    first, last = (datetime.fromtimestamp(at.astype(float) / 1e3, UTC) for at in time[[0, -1]])
+    # A day of the site may be halves of two of UTC.
+    begun = "" if first.date() == last.date() else f"{first:%d %B} to "
+    axes.set_xlabel(f"{begun}{last:%d %B %Y}, UTC")

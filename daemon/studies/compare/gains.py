@@ -150,7 +150,7 @@ def _irradiation_pct(pairs: Pairs, hours: float, gap_s: float) -> float:
 def as_text(rows: Sequence[Gain], names: tuple[str, str]) -> str:
     """Return the gains as a table for people."""
     heads = ("hours", f"{names[0]}/Wh", f"{names[1]}/Wh", "gain/%", "uncorrected/%", "irradiation/%")
-    lines: list[Sequence[str]] = [("date", "period", "from", "to", *heads)]
+    lines: list[Sequence[str]] = [("date", "period", "from UTC", "to UTC", *heads)]
     for row in rows:
         percent = [signed(value, 2, "") for value in (row.gain_pct, row.uncorrected_pct, row.irradiation_pct)]
         energies = (f"{row.hours:.2f}", f"{row.cube_wh:.1f}", f"{row.chrono_wh:.1f}")

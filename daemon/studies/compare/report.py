@@ -118,7 +118,7 @@ def kept_curve_shown(kept: KeptCurve, pairs: Pairs) -> Shown:
 
 def gain_table(rows: Sequence[Gain], names: tuple[str, str], heading: str = "Equation (16)") -> Table:
     """Return the gains for the page."""
-    columns = ("date", "period", "from", "to", "hours", f"{names[0]} Wh", f"{names[1]} Wh", "gain %",
+    columns = ("date", "period", "from UTC", "to UTC", "hours", f"{names[0]} Wh", f"{names[1]} Wh", "gain %",
                "uncorrected %", "irradiation %", "outside the fit %")  # fmt: skip
     body = []
     for row in rows:

@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from daemon.studies.compare.figures import movement_figure
-from daemon.studies.compare.gains import gains
+from daemon.studies.compare.figures import movement_figure, power_figure
+from daemon.studies.compare.gains import as_text, gains
 from daemon.studies.compare.measurements import Measurement
 from daemon.studies.compare.pairs import frame_of, pair
+from daemon.studies.compare.report import gain_table
 from solar.compare import ChainBias
 from solar.ephemeris import DAY_S, Site, sun_direction, sun_position
 from solar.frames import Limits, angles_within
@@ -72,3 +73,16 @@ def test_no_line_of_an_azimuth_runs_across_the_picture_where_it_passes_north(sit
     known = np.isfinite(drawn)
     assert known.sum() >= drawn.size - 1
     assert (drawn[known] % 360.0) == pytest.approx(sun_position(utc_s, *site).azimuth_deg[known])
+
+
+@pytest.mark.parametrize(("site", "label"), [
+    (GREENWICH, "14 October 2022, UTC"), (SYDNEY, "13 October to 14 October 2022, UTC"),
+])  # fmt: skip
+def test_a_day_of_the_site_that_is_two_of_utc_says_so(site, label):
+    utc_s = T0 - site.longitude_deg * 240.0 + np.arange(6 * 3600.0, 18 * 3600.0, 60.0)
+    pairs = measured(utc_s, 100.0)
+    rows = gains(pairs, None, [], site)
+    assert [row.date for row in rows] == ["2022-10-14"]
+    assert "from UTC  to UTC" in as_text(rows, ("one", "other"))
+    assert gain_table(rows, ("one", "other")).columns[2:4] == ("from UTC", "to UTC")
+    assert power_figure(pairs, None, "").axes[0].get_xlabel() == label
