@@ -70,7 +70,7 @@ class EnergyRow:
         Least gain of a clear day.
     travel_deg_per_day, return_deg_per_day, moves_per_day
         Means over `DaylightWeather.whole_days`; the return is the way back to the night position, not part of the
-        travel. NaN where nothing moves.
+        travel. NaN for the bound and for planes that are fixed: nothing moves there.
     """
 
     sky: str
@@ -160,8 +160,7 @@ def run_benchmark(
             progress((done + 1) / total)
             done += 1
             if name == BOUND:
-                nothing = np.full(len(bound), np.nan)
-                yield summarise(name, Harvest(bound, nothing, nothing, nothing))
+                yield summarise(name, _never_moving(bound))
             else:
                 yield summarise(name, _harvest_of(name, days))
     progress(1.0)
@@ -170,13 +169,20 @@ def run_benchmark(
 def _harvest_of(name: str, days: DaysUnderSky) -> Harvest:
     drive = IDEAL if name.startswith(FIXED) else days.terms.drive
     try:
-        return days.run(steer_of(name, days.weather, days.faces, days.terms), drive)
+        found = days.run(steer_of(name, days.weather, days.faces, days.terms), drive)
     except UserError:
         raise
     except LawFailedError as error:
         raise UserError(f"the law {name} has failed on {error}: {_cause(error.__cause__ or error)}") from error
     except Exception as error:
         raise UserError(f"the law {name} has failed: {_cause(error)}") from error
+    # A plane that is fixed does not come from the night position, where the benchmark begins each day.
+    return _never_moving(found.energy_kwh_m2) if name.startswith(FIXED) else found
+
+
+def _never_moving(energy_kwh_m2: Array) -> Harvest:
+    nothing = np.full(len(energy_kwh_m2), np.nan)
+    return Harvest(energy_kwh_m2, nothing, nothing, nothing)
 
 
 def _cause(error: BaseException) -> str:

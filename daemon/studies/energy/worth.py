@@ -122,7 +122,7 @@ def as_page(found: Sequence[Worth], prices: Prices) -> dict[str, Any]:
 
 
 def _worth(row: EnergyRow, whole_days: float, years: float, prices: Prices) -> Worth:
-    # A plane that is fixed has no drive, whatever the benchmark counts on its way from the night position.
+    # A plane that is fixed has no drive, and no travel.
     per_day_deg = 0.0 if row.law.startswith(FIXED) else row.travel_deg_per_day + row.return_deg_per_day
     travel_deg = per_day_deg * whole_days / years
     return Worth(

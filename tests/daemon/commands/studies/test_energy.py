@@ -70,6 +70,16 @@ def test_it_writes_table_csv_and_picture(monkeypatch, short_weather, tmp_path, c
     assert (tmp_path / "o" / "energy.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_plane_that_never_moves_has_neither_moves_nor_travel(monkeypatch, short_weather, tmp_path):
+    asked = ("--laws", "flat,fixed:35", "--out", tmp_path / "o")
+    assert energy(monkeypatch, short_weather, "--site", SITE, *asked) == 0
+    flat, fixed = csv.DictReader((tmp_path / "o" / "energy.csv").read_text().splitlines())
+    columns = ("travel_deg_per_day", "return_deg_per_day", "moves_per_day")
+    assert [(flat[name], fixed[name]) for name in columns] == [("0.0000", "")] * 3
+    *_, told = (tmp_path / "o" / "energy.txt").read_text().splitlines()
+    assert told.split()[-3:] == ["-", "-", "-"]
+
+
 def test_weather_that_nobody_measured_is_marked_wherever_its_results_stand(
     monkeypatch, short_weather, tmp_path, capsys
 ):
