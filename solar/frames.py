@@ -130,11 +130,16 @@ def equator_azimuth_deg(latitude_deg: float) -> float:
 
 
 def separation_deg(first: ArrayLike, second: ArrayLike) -> Array:
-    """Return the angle(s) [deg] between vectors of shape (..., 3); exact for small angles too."""
+    """Return the angle(s) [deg] between vectors of shape (..., 3); exact for small angles too.
+
+    Nothing is at an angle to a direction that is zero, NaN or infinite: there it is NaN.
+    """
     u, v = vectors(first), vectors(second)
-    across: Array = np.linalg.norm(np.cross(u, v), axis=-1)
-    along: Array = np.sum(u * v, axis=-1)
-    return np.degrees(np.arctan2(across, along))
+    with np.errstate(invalid="ignore", over="ignore"):
+        across: Array = np.linalg.norm(np.cross(u, v), axis=-1)
+        along: Array = np.sum(u * v, axis=-1)
+        apart: Array = np.where(u.any(axis=-1) & v.any(axis=-1), np.degrees(np.arctan2(across, along)), np.nan)
+    return apart[()]
 
 
 def vectors(given: ArrayLike) -> Array:

@@ -90,3 +90,9 @@ def test_azimuth_and_elevation_survive_the_way_through_the_frame(azimuth, elevat
 def test_separation_of_known_directions():
     assert separation_deg([1, 0, 0], [0, 2, 0]) == pytest.approx(90)
     assert separation_deg(normal_from_angles(0, 45), normal_from_angles(0, 45.001)) == pytest.approx(0.001, rel=1e-6)
+
+
+def test_nothing_is_at_an_angle_to_no_direction():
+    ways = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [math.nan, 0.0, 1.0], [math.inf, 0.0, 1.0]])
+    for found in (separation_deg(ways, [0.0, 0.0, 1.0]), separation_deg([0.0, 0.0, 1.0], ways)):
+        assert found.tolist() == pytest.approx([math.nan, 0.0, math.nan, math.nan], nan_ok=True)
