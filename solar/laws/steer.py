@@ -159,5 +159,6 @@ def _means(weather: DaylightWeather, faces: Array, mean_s: float) -> Array:
     mean = grid.copy()
     for back in range(1, count):
         mean[back:] += grid[:-back]
+    mean[: count - 1] = np.nan
     result: Array = mean / count
     return result

@@ -76,6 +76,8 @@ def test_a_mean_is_of_its_last_steps_and_a_step_that_is_longer_its_own_mean():
     np.testing.assert_array_equal(asked[0], grid)
     by_the_mean(weather, faces, LIMITS, lambda means: asked.append(means) or means[..., :3], mean_s=900.0)
     np.testing.assert_allclose(asked[1][2:], (grid[2:] + grid[1:-1] + grid[:-2]) / 3.0)
+    # Before the first step there was nothing to read.
+    assert np.isnan(asked[1][:2]).all()
 
 
 class Listener(Law):
