@@ -26,7 +26,10 @@ class ReportSpan:
     def title(self) -> str:
         """What it is called for people: its day, its days, or both instants."""
         if "T" not in self.name:
-            return self.name.replace("_", " to ")
+            # The day that --to names is not in it.
+            day, _, behind = self.name.partition("_")
+            last = (date.fromisoformat(behind) - timedelta(days=1)).isoformat() if behind else day
+            return day if last == day else f"{day} to {last}"
         first, last = (f"{times(at, None)[0]:%Y-%m-%d %H:%M}" for at in (self.start_utc_s, self.end_utc_s))
         return f"{first} to {last} UTC"
 

@@ -41,6 +41,12 @@ def test_a_day_that_goes_on_ends_now_and_a_long_span_has_days():
     assert span.name == "2022-10-14_2022-10-20"
 
 
+@pytest.mark.parametrize(("last", "title"), [("2022-10-17", "2022-10-10 to 2022-10-16"), ("2022-10-11", "2022-10-10")])
+def test_days_are_titled_by_the_last_that_is_in_them(last, title):
+    span = Wanted(start="2022-10-10", end=last).span(2.2, utc_s("2023-01-01"))
+    assert (span.title, span.name) == (title, f"2022-10-10_{last}")
+
+
 def test_instants_are_utc_and_not_the_sites():
     span = Wanted(start="2022-10-14T08:00+02:00", end="2022-10-14T07:00").span(150.0, utc_s("2023-01-01"))
     assert (span.start_utc_s, span.duration_s) == (utc_s("2022-10-14T06:00"), 3600.0)
