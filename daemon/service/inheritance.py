@@ -1,8 +1,9 @@
 """What a tracker without a name has kept, handed on when the configuration names trackers.
 
 A stop, a storm or a doubt must not be forgotten because a file has got a new line: it holds for every tracker that has
-kept nothing of its own yet, until a person releases it. Where a tracker has got another name, or its table is gone, the
-service itself holds every tracker that was not at work beside it or after it: that may be the same one.
+kept nothing of its own yet, until a person releases it. Where a tracker has got another name, or its table is gone, or
+comes back after one without a name, the service itself holds every tracker that was not at work beside it or after it:
+that may be the same one.
 """
 
 import logging
@@ -29,7 +30,8 @@ STARTED_NAME = "started.json"
 _STARTED_TOGETHER_S = 30.0
 _FILES = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference, budget, law_file, kept, today))
 _IN_FORCE: tuple[str, ...] = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference))
-_REMEDY = "give that name back in a table [[tracker]] and restart, or look at the tracker, then 'heliocube auto'"
+_LOOK = "look at the tracker, then 'heliocube auto'"
+_REMEDY = f"give that name back in a table [[tracker]] and restart, or {_LOOK}"
 
 
 def hand_on(directory: Path, trackers: Sequence[str]) -> None:
@@ -61,6 +63,8 @@ def hand_on(directory: Path, trackers: Sequence[str]) -> None:
 def left_behind(directory: Path, trackers: Sequence[str], own: Path) -> str | None:
     """Return what is in force in folders of trackers that are not in the configuration any more, in words, or None.
 
+    To be asked before `hand_on`, which leaves nothing in the folder of a tracker without a name.
+
     Parameters
     ----------
     directory
@@ -75,8 +79,13 @@ def left_behind(directory: Path, trackers: Sequence[str], own: Path) -> str | No
     for folder in sorted({path.parent for name in _IN_FORCE for path in directory.glob(f"*/{name}")}):
         # Another service may have its folder here: it is at work there itself.
         if folder.name not in trackers and _is_newer(folder, own) and not is_claimed(folder, "tracker"):
-            found += _in_force(folder)
-    return f"no tracker is named so any more, but {'; '.join(found)}: {_REMEDY}" if found else None
+            found += _in_force(folder, f"'{folder.name}'")
+    told = [f"no tracker is named so any more, but {'; '.join(found)}: {_REMEDY}"] if found else []
+    # Of what it has kept nothing of, it is given a copy.
+    both = [name for name in _IN_FORCE if trackers and (directory / name).exists() and (own / name).exists()]
+    if both and _is_newer(directory, own) and (found := _in_force(directory, "it", both)):
+        told.append(f"a tracker without a table [[tracker]] has been started since, and {'; '.join(found)}: {_LOOK}")
+    return "; ".join(told) or None
 
 
 def _is_newer(gone: Path, own: Path) -> bool:
@@ -88,16 +97,16 @@ def _is_newer(gone: Path, own: Path) -> bool:
     return lasts[0].stat().st_mtime > (own / STARTED_NAME).stat().st_mtime + _STARTED_TOGETHER_S
 
 
-def _in_force(folder: Path) -> list[str]:
+def _in_force(folder: Path, called: str, names: Sequence[str] = _IN_FORCE) -> list[str]:
     # Nothing is to be written there, and so no room kept.
     state = StateFolder(folder, reserve=lambda _path: None)
-    asked = WishFile(state).load()
+    asked = WishFile(state).load() if wishes.FILE_NAME in names else Wishes()
     if asked.held_by_program:
         # Its own reason may name such folders, and would be told once more with each name.
         asked = asked.model_copy(update={"hold": Wish(why="nobody has looked yet", by=PROGRAM)})
-    storm = SafetyFile(state).load()
-    seen = (*((storm.text,) if storm else ()), *reference.kept_doubts(state))
+    storm = SafetyFile(state).load() if stow_watch.FILE_NAME in names else None
+    doubts = reference.kept_doubts(state) if reference.FILE_NAME in names else ()
     return [
-        *(f"in {folder} '{folder.name}' is still {text}" for text in asked.gone_in(Wishes())),
-        *(f"{folder} keeps of '{folder.name}': {text}" for text in seen),
+        *(f"in {folder} {called} is still {text}" for text in asked.gone_in(Wishes())),
+        *(f"{folder} keeps of {called}: {text}" for text in (*((storm.text,) if storm else ()), *doubts)),
     ]

@@ -146,14 +146,13 @@ class Service:
         self, random: Random, polling: Polling, stow_sources: Mapping[str, Sequence[StowSource]]
     ) -> Iterator[Tracker]:
         wanted, common, directory = self.settings.trackers, Common(), self.settings.store.directory
-        tables = [table.name for table in self.settings.tracker]
+        tables, folders = [table.name for table in self.settings.tracker], [own.store.directory for _, own in wanted]
+        lefts = [left_behind(directory, tables, own) if directory and own else None for own in folders]
         if tables and directory is not None:
             hand_on(directory, tables)
         if len(wanted) != len(self.rig.trackers):
             raise ValueError(f"{len(wanted)} trackers are configured and {len(self.rig.trackers)} are on the rig")
         for place, ((name, settings), instruments) in enumerate(zip(wanted, self.rig.trackers, strict=True)):
-            own = settings.store.directory
-            left = None if directory is None or own is None else left_behind(directory, tables, own)
             same_place = settings.site.place() == self.settings.site.place()
             tracker = Tracker(
                 name=name,
@@ -166,12 +165,12 @@ class Service:
                 sun_elevation_deg=self.sun_elevation_deg if same_place else SunElevation(settings.site.place()),
                 polling=polling,
                 stow_sources=stow_sources.get(name, ()),
-                folder=self._kept_in(own),
+                folder=self._kept_in(settings.store.directory),
                 phase=Phase(place, len(wanted)),
                 common=common,
                 refused=self._refused,
                 muted=self._mute_cube,
-                hold_why=left or self._hold_why,
+                hold_why=lefts[place] or self._hold_why,
             )
             self.bus.subscribe(tracker.note, name)
             yield tracker

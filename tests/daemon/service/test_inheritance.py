@@ -78,6 +78,43 @@ def test_a_tracker_whose_name_is_new_is_held_by_the_stop_of_one_that_is_gone(run
     run_rig(named_again, store=store, tracker=[{"name": "east"}])
 
 
+@pytest.mark.parametrize("what", ["stop", "storm"])
+def test_a_name_that_comes_back_forgets_nothing_that_was_kept_without_one_meanwhile(run_rig, tmp_path, what):
+    store, both = {"directory": tmp_path}, [{"name": "east"}, {"name": "west"}]
+
+    async def kept(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        rig.control.hold("a look", "ben")
+        rig.control.auto()
+
+    async def without_a_name(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        if what == "stop":
+            await rig.control.stop("repair", "ana")
+        else:
+            rig.wind_m_s = 20.0
+            await rig.until_mode(Mode.STOW, 10)
+
+    async def named_again(rig):
+        stood = rig.truth()
+        await asyncio.sleep(600)
+        assert rig.truth() == stood
+        assert [tracker.control.mode for tracker in rig.service.trackers] == [Mode.HOLD] * 2
+        east = rig.service.trackers[0]
+        (alarm,) = [alarm for alarm in east.alarms.active if alarm.name == "release-changed"]
+        assert ("is still stopped by ana" if what == "stop" else "wind 20") in alarm.text
+        assert "give that name back" not in alarm.text
+        await Operator(east, 1.0).auto("ana")
+        await rig.until(lambda: east.control.mode is Mode.TRACKING, 600, "its work")
+
+    run_rig(kept, store=store, tracker=both)
+    before_s = time.time() - 3600.0
+    for name in ("east", "west"):
+        os.utime(tmp_path / name / "started.json", (before_s, before_s))
+    run_rig(without_a_name, store=store)
+    run_rig(named_again, store=store, tracker=both, **FEWER_SCANS)
+
+
 def test_a_tracker_that_has_kept_something_and_a_stop_that_was_released_hold_nobody(run_rig, tmp_path):
     store, both = {"directory": tmp_path}, [{"name": "east"}, {"name": "west"}]
 
