@@ -202,6 +202,9 @@ class SunSpecTable(NoBits):
         return target, mode
 
     def _override(self, tracker: TrackerState, target: ManualTarget, mode: int) -> Override:
+        if tracker.wishes.held_by_program:
+            # A person is to look first, and a program in a control room has not.
+            raise RefusedRequestError(DEVICE_FAILURE)
         if mode == AUTOMATIC:
             if self.is_held(tracker.name):
                 raise RefusedRequestError(DEVICE_FAILURE)

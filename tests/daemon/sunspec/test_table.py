@@ -14,6 +14,7 @@ from daemon.sunspec.table import SunSpecTable
 from drivers.modbus.framing import Asked
 from drivers.modbus.pdu import ModbusRequest, number, read_registers, registers_of, write_register, write_registers
 from tests.support.phases import at_rest, tracking
+from tests.support.rig import ServiceRig
 
 UNIT = 1
 
@@ -351,3 +352,20 @@ def test_a_control_room_that_writes_the_same_every_second_gives_one_order(run_ri
         assert await orders(block) == 1
 
     on_rig(run_rig, scenario)
+
+
+@pytest.mark.parametrize("values", [[0], [1], [*int32(9000), *int32(18000), 1]], ids=["auto", "hold", "goto"])
+def test_what_holds_until_a_person_has_looked_is_not_ended_from_afar(run_rig, monkeypatch, values):
+    monkeypatch.setattr(ServiceRig, "hold_why", "the program was changed")
+
+    async def scenario(rig):
+        await rig.until_mode(Mode.HOLD, 60)
+        control = Control(rig)
+        at = (await control.models())[601][0] + 20
+        stood, held = rig.truth(), rig.control.wishes
+        assert await control.write(at + 5 - len(values), values) == 4
+        await asyncio.sleep(600)
+        assert (rig.truth(), rig.control.wishes) == (stood, held)
+        await control.server._end(None)
+
+    run_rig(scenario)
