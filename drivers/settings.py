@@ -187,6 +187,13 @@ class PositionerSettings(DriverSettings):
         """
         return None
 
+    def rests_at(self, a_deg: float, b_deg: float, limits: AngleRange) -> tuple[float, float]:  # noqa: ARG002
+        """Return where A and B come to rest [deg] that are sent to a position inside the limits.
+
+        Raises `ValueError` where the drive cannot be sent there.
+        """
+        return a_deg, b_deg
+
     def resolution(self) -> float:
         """Return what positions are rounded to, in their unit, where that is coarser than the drive's own count."""
         return 0.0

@@ -133,6 +133,28 @@ def the_positioner_reaches_night_stow_and_snow(settings: Sections) -> Iterator[C
             yield Conflict(f"safety.{position}_b_deg", reason, (f"safety.{position}_a_deg",))
 
 
+def night_stow_and_snow_can_be_arrived_at(settings: Sections) -> Iterator[Conflict]:
+    """Where the positioner rests at the night, stow and snow positions is within `motion.tolerance_deg` of them."""
+    if any(limits_are_ordered(settings)) or any(the_positioner_reaches_its_limits(settings)):
+        return
+    limits, safety, tolerance_deg = settings.limits.limits(), settings.safety, settings.motion.tolerance_deg
+    for position in ("night", "stow", "snow"):
+        wanted = limits.clip(getattr(safety, f"{position}_a_deg"), getattr(safety, f"{position}_b_deg"))
+        try:
+            rests = settings.instruments.positioner.rests_at(*wanted, limits)
+        except ValueError as error:
+            yield Conflict(f"safety.{position}_a_deg", f"cannot be gone to: {error}", (f"safety.{position}_b_deg",))
+            return
+        for axis, there_deg, wanted_deg in zip("ab", rests, wanted, strict=True):
+            if not abs(there_deg - wanted_deg) <= tolerance_deg:
+                other = "motion.tolerance_deg"
+                reason = (
+                    f"is never arrived at: axis {axis.upper()} is sent to whole position units inside the limits, rests"
+                    f" at {there_deg:.2f} deg, and {other} is {tolerance_deg:g} deg"
+                )
+                yield Conflict(f"safety.{position}_{axis}_deg", reason, (other,))
+
+
 def a_scan_fits_its_period(settings: Sections) -> Iterator[Conflict]:
     """All readings of a scan, each settling and conversion, fit into `cube.scan_every_s` where a multiplexer reads."""
     settle_s = settings.instruments.multiplexer.settle_s
@@ -306,6 +328,7 @@ RULES = (
     thresholds_have_hysteresis,
     the_positioner_reaches_its_limits,
     the_positioner_reaches_night_stow_and_snow,
+    night_stow_and_snow_can_be_arrived_at,
     a_curve_fits_its_period,
     a_real_rig_has_no_simulated_load,
     *LINK_RULES,

@@ -24,6 +24,9 @@ class Geometry(Protocol):
     def position(self, angle_deg: float) -> float:
         """Return the position from the low end switch, in the unit's own units; NaN where there is none."""
 
+    def angle(self, position: float) -> float:
+        """Return the angle [deg] at a position; NaN where there is none."""
+
 
 @dataclass(frozen=True, slots=True)
 class Triangle:
@@ -58,6 +61,10 @@ class Triangle:
     def position(self, angle_deg: float) -> float:
         """Return the extension [mm] beyond that at the low end switch, by the law of cosines."""
         return self._length_mm(angle_deg) - self._length_mm(self.low_deg)
+
+    def angle(self, position: float) -> float:
+        """Return the tracker's angle [deg] at an extension beyond that at the low end switch."""
+        return self.angle_at_length(self.low_length_mm + position)
 
     def angle_at_length(self, length_mm: float) -> float:
         """Return the tracker's angle [deg] at a length of the actuator; NaN where the triangle does not close."""
@@ -94,6 +101,10 @@ class Proportional:
     def position(self, angle_deg: float) -> float:
         """Return the position above that at the low end switch."""
         return (angle_deg - self.low_deg) * self.units_per_deg
+
+    def angle(self, position: float) -> float:
+        """Return the tracker's angle [deg] at a position above that at the low end switch."""
+        return self.low_deg + position / self.units_per_deg
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +148,10 @@ class AxisSetup:
         if lowest > highest:
             raise ValueError("the axis's geometry has no whole position unit between its limits")
         return min(max(math.floor(wanted + 0.5), lowest), highest)
+
+    def rests_at(self, angle_deg: float) -> float:
+        """Return the angle [deg] at the whole position unit that is sent for an angle; raises like `destination`."""
+        return self.geometry.angle(self.destination(angle_deg) + self.zero_offset)
 
     def units(self, angle_deg: float) -> float:
         """Return how many position units an angle [deg] is where the travel begins."""

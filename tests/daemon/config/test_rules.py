@@ -71,3 +71,30 @@ def test_load_and_voltmeter_have_no_line_in_common(problem, text, key):
 )
 def test_load_and_voltmeter_behind_adapters_of_their_own_may_have_one_address(read, text):
     assert read(REAL + text).load.driver == "agilent6063b"
+
+
+SHORT_ARMS = "[instruments.positioner.b_axis]\narm_1_mm = 150.0\narm_2_mm = 150.0\n"
+SLEW = "[instruments.positioner]\nposition_unit = 'deg'\n[instruments.positioner.b_axis]\nlow_deg = {}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            SHORT_ARMS + "[safety]\nnight_b_deg = 80.0\n",
+            "safety.stow_b_deg = 90.0 (default): is never arrived at",
+        ),
+        (
+            SLEW.format(13.05) + "[safety]\nstow_b_deg = 80\n",
+            "safety.night_b_deg = 90.0 (default): is never",
+        ),
+        ("[limits]\nb_min_deg = 89.9\n", "safety.night_a_deg = 0.0 (default): cannot be gone to: the axis's geometry"),
+    ],
+)
+def test_no_position_of_safety_lies_where_the_drive_never_comes_near_enough(problem, text, message):
+    assert message in problem(text)
+
+
+@pytest.mark.parametrize("text", [SHORT_ARMS + "[motion]\ntolerance_deg = 1.2\n", SLEW.format(13.0)])
+def test_a_position_that_the_drive_comes_near_enough_to_is_one(read, text):
+    assert read(text).safety.stow_b_deg == 90.0

@@ -46,6 +46,17 @@ def test_an_angle_where_the_travel_begins_is_that_many_units(geometry, units):
     assert AxisSetup(geometry, -50.0, 50.0).units(5.0) == pytest.approx(units, abs=0.01)
 
 
+@pytest.mark.parametrize(("setup", "target_deg", "rests_deg"), [
+    # 600 mm sin(theta/2) between the arms: 538.12 at 127.5 deg, 255.94 at 50.5; 282 of 282.18 are sent, at 2.32 a deg.
+    (B, 90.0, 89.92),
+    (replace(B, zero_offset=2.5), 90.0, 89.71),
+    (AxisSetup(Proportional(1.0, 13.05), 15.0, 90.0), 90.0, 89.05),
+    (AxisSetup(Proportional(59.5, 13.0), 15.0, 90.0), 60.0, 60.0),
+])  # fmt: skip
+def test_an_axis_rests_at_the_whole_unit_that_is_sent(setup, target_deg, rests_deg):
+    assert setup.rests_at(target_deg) == pytest.approx(rests_deg, abs=0.01)
+
+
 def test_a_target_at_a_limit_is_rounded_inwards():
     assert A.geometry.angle_at_length(A.geometry.low_length_mm + A.destination(-50.0)) > -50.0
     assert A.geometry.angle_at_length(A.geometry.low_length_mm + A.destination(50.0)) < 50.0
