@@ -30,6 +30,9 @@ def main() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A reason or a name may have letters that the terminal has not.
         sys.stdout.reconfigure(errors="replace")
+    if isinstance(sys.stdin, io.TextIOWrapper):
+        # What is typed may be in another encoding than the locale's: it is refused as an answer, and ends nothing.
+        sys.stdin.reconfigure(errors="surrogateescape")
     command, *rest = sys.argv[1:] or [""]
     _refuse_two_trackers(rest)
     given = _plainly_given(rest) if command in _URGENT else None

@@ -4,6 +4,8 @@ import grp
 import os
 import pwd
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,6 +15,7 @@ from daemon.bridge.signing import generate_key, load_key, write_key
 from daemon.commands.main import app
 from daemon.commands.setup.command import LEFT
 from daemon.commands.setup.finish import start_lines
+from daemon.commands.setup.kept import load_answers
 from daemon.config.file import load_settings
 from tests.daemon.store.test_full_disk import fill, small_disk
 from tests.support import ROOT
@@ -204,3 +207,18 @@ def test_a_folder_that_takes_no_file_is_refused_before_anything_is_asked(setup, 
     done = setup(tmp_path / "file" / "cube.toml", *CUBE)
     assert "cannot be written" in str(done.exception)
     assert "name a file in a folder of yours" in str(done.exception)
+
+
+# As it is of a terminal whose locale is fr_FR.UTF-8, say; C.UTF-8 takes any byte.
+@pytest.mark.parametrize("encoding", ["utf-8:strict", "ascii:strict"])
+def test_a_letter_in_another_encoding_than_the_terminal_s_is_no_answer_and_no_end(tmp_path, encoding):
+    done = subprocess.run(
+        [sys.executable, "-c", "from daemon.entry import main; main()", "setup", str(tmp_path / "rig.toml")],
+        input=b"both\nreal\nCaf\xe9\nCafe\n",
+        capture_output=True,
+        check=False,
+        env=os.environ | {"PYTHONIOENCODING": encoding},
+    )
+    assert (done.returncode, done.stderr) == (LEFT, b"")
+    assert b"or a letter" in done.stdout
+    assert load_answers(tmp_path / "rig.setup.json").answers["site.name"] == "Cafe"
