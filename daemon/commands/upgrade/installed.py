@@ -167,6 +167,8 @@ def start_units(units: list[str]) -> list[str]:
     """Start units again, and return those that do not."""
     if units:
         _systemctl("reset-failed", *units)
+        # One that is waited for may take a minute, and whoever does not wait for it must not keep the others from it.
+        _systemctl("start", "--no-block", *units)
     return [unit for unit in units if _systemctl("start", unit).returncode != 0]
 
 

@@ -52,6 +52,7 @@ def test_an_installation_goes_back_in_one_command_and_starts_what_ran(heliocube,
         "stop heliocube-tracker",
         "stop heliocube-cube",
         "reset-failed heliocube-tracker heliocube-cube",
+        "start --no-block heliocube-tracker heliocube-cube",
         "start heliocube-tracker",
         "start heliocube-cube",
     ]
@@ -97,6 +98,25 @@ def test_a_unit_that_does_not_stop_leaves_the_others_running(heliocube, config, 
     asked = (tmp_path / "asked").read_text().splitlines()
     assert asked[-2:] == ["start heliocube-tracker", "start heliocube-cube"]
     assert (installation.parent / "current").resolve() == installation / "newer"
+
+
+# An interrupted call of systemctl is left to end by itself.
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_all_that_ran_is_started_although_somebody_does_not_wait_for_the_first_of_it(
+    heliocube, config, installation, tmp_path
+):
+    manager = tmp_path / "path" / "systemctl"
+    manager.write_text(f'{manager.read_text()}[ "$*" != "start heliocube-tracker" ] || kill -INT $PPID\n')
+    code, _, err = heliocube("rollback", "-c", config)
+    gc.collect()
+    for systemctl in children():
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(systemctl, 0)
+    assert code == 130
+    assert "interrupted: units that ran are started again" in err
+    started = [line for line in (tmp_path / "asked").read_text().splitlines() if line.startswith("start ")]
+    assert "heliocube-cube" in " ".join(started)
+    assert (installation.parent / "current").resolve() == installation / "older"
 
 
 # An interrupted call of systemctl is left to end by itself.
