@@ -209,6 +209,7 @@ def _run(work: Coroutine[Any, Any, dict[str, Any]], *, as_json: bool) -> None:
 @contextmanager
 def _tap(record: Path | None) -> "Iterator[Tap]":
     from daemon.base.clock import SystemClock, iso_utc
+    from daemon.base.files import drop_cut
     from drivers.transcript import Piece, line_of, no_tap
 
     if record is None:
@@ -222,10 +223,30 @@ def _tap(record: Path | None) -> "Iterator[Tap]":
         raise UserError(f"{record} is there already and is not overwritten") from None
     except OSError as error:
         raise UserError(f"{record} cannot be written: {error.strerror}") from None
-    with stream:
-        stream.write(f"# heliocube probe, {iso_utc(clock.utc())}\n")
+    failed: list[OSError] = []
 
-        def tap(direction: "Direction", data: bytes) -> None:
-            stream.write(line_of(Piece(clock.monotonic() - start_s, direction, data)) + "\n")
+    def write(text: str) -> None:
+        # An instrument is heard and spoken to by whoever records it: an axis that moves has to be stopped all the same.
+        if not failed:
+            try:
+                stream.write(text)
+            except OSError as error:
+                failed.append(error)
 
+    def tap(direction: "Direction", data: bytes) -> None:
+        write(line_of(Piece(clock.monotonic() - start_s, direction, data)) + "\n")
+
+    write(f"# heliocube probe, {iso_utc(clock.utc())}\n")
+    try:
         yield tap
+    finally:
+        try:
+            stream.close()
+        except OSError as error:
+            failed.append(error)
+        if failed:
+            drop_cut(record, failed[0])
+    if failed:
+        raise UserError(
+            f"{record} cannot be written: {failed[0].strerror}; all else was done: record it again where there is room"
+        )

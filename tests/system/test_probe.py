@@ -15,10 +15,12 @@ from drivers.transcript import parse
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.voltmeter.core import VoltmeterCore
+from tests.daemon.store.test_full_disk import fill, small_disk
 from tests.support import forks
 from tests.support.addresses import free_port
 from tests.system.processes import wait_until
 
+__all__ = ["small_disk"]
 pytestmark = pytest.mark.system
 
 READING = re.compile(rb"[+-]\d\.\d{8}E[+-]\d\d\n")
@@ -163,6 +165,17 @@ def test_what_was_recorded_from_a_positioner_runs_against_the_simulated_one(star
     for axis in zip(*there.targets, strict=True):
         assert max(axis) - min(axis) >= 5
         assert abs(axis[0] - axis[-1]) <= 1
+
+
+def test_a_disk_that_is_full_ends_the_recording_and_neither_a_move_nor_the_answer(start_bench, small_disk):
+    bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
+    fill(small_disk / "full")
+    record = small_disk / "positioner"
+    done = probe("positioner", "-c", bench.config, "--seconds", "2", "--move-deg", "1", "--record", record)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert f"{record} cannot be written: No space left on device; " in done.stderr
+    assert len(re.findall(r"^  [AB] to ", done.stdout, re.MULTILINE)) == 4
+    assert not record.exists()
 
 
 class Shown:
