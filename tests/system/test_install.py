@@ -149,6 +149,15 @@ def test_installing_again_repairs_what_a_cut_of_the_power_has_left_empty(tree, i
 
 
 @needs_root
+def test_a_tree_may_have_a_blank_in_its_name(tmp_path, install):
+    folder = tmp_path / "image of a rig"
+    folder.mkdir()
+    done = install("--role", "tracker", "--root", folder)
+    assert done.returncode == 0, done.stderr
+    assert (folder / "opt/heliocube/current/bin/heliocube").exists()
+
+
+@needs_root
 @pytest.mark.parametrize(("at_pip", "code"), [("exit 1", 2), ("kill -TERM 0", 143)])
 def test_an_installation_that_fails_or_is_interrupted_leaves_nothing_of_the_release(tree, install, at_pip, code):
     assert install(AT_PIP=at_pip).returncode == code
