@@ -89,11 +89,12 @@ from daemon.api.token import generate_token, write_token
 from daemon.bridge.signing import generate_key, write_key
 
 token, *keys = (Path(argument) for argument in sys.argv[1:])
-if not token.exists():
-    write_token(token, generate_token())
-for key in keys:
-    if not key.exists():
-        write_key(key, generate_key())
+for path in (token, *keys):
+    # An empty one is what a cut of the power has left of it, and a secret is written over nothing that is there.
+    if path.exists() and not path.stat().st_size:
+        path.unlink()
+    if not path.exists():
+        write_token(path, generate_token()) if path == token else write_key(path, generate_key())
 PYTHON
   )
 }

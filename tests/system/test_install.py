@@ -4,9 +4,12 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 
 import pytest
 
+from daemon.api.token import load_token
+from daemon.bridge.signing import load_key
 from tests.support import ROOT
 from tests.system.test_deploy import DEPLOY, run
 
@@ -155,6 +158,28 @@ def test_a_tree_may_have_a_blank_in_its_name(tmp_path, install):
     done = install("--role", "tracker", "--root", folder)
     assert done.returncode == 0, done.stderr
     assert (folder / "opt/heliocube/current/bin/heliocube").exists()
+
+
+def test_a_token_or_a_key_that_a_cut_of_the_power_has_left_empty_is_made_anew(tmp_path):
+    programs, etc = tmp_path / "opt/heliocube/current/bin", tmp_path / "etc/heliocube"
+    programs.mkdir(parents=True)
+    for name, does in {"python": f'exec {sys.executable} "$@"', "heliocube": "exit 0"}.items():
+        (programs / name).write_text(f"#!/bin/sh\n{does}\n")
+        (programs / name).chmod(0o755)
+
+    def secrets():
+        configure = '. deploy/steps.sh; configure deploy/examples "cube tracker"'
+        done = run("sh", "-euc", configure, cwd=ROOT, env=os.environ | {"root": str(tmp_path)})
+        assert (done.returncode, done.stderr) == (0, "")
+        return load_token(etc / "api.token"), load_key(etc / "bridge.key")
+
+    first = secrets()
+    assert secrets() == first
+    for name in ("api.token", "bridge.key"):
+        os.truncate(etc / name, 0)
+    token, key = secrets()
+    assert token != first[0]
+    assert key != first[1]
 
 
 @needs_root
