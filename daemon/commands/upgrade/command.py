@@ -135,7 +135,7 @@ def rollback(
     if not configs:
         raise UserError("there is no configuration in /etc/heliocube: name it with --config")
     tell, done = teller(as_json=as_json), []
-    with installed.interruptible():
+    with installed.interruptible(installation):
         units = installed.stop_units() if installation is not None else []
         try:
             for path in configs:

@@ -102,6 +102,11 @@ class Installation:
             )
         return cls(current, Program(others[0].name, others[0] / "bin"))
 
+    @property
+    def is_back(self) -> bool:
+        """Whether the release before is the one in use."""
+        return self.current.resolve() == self.before.folder.parent.resolve()
+
     def switch(self) -> None:
         """Let the release before be the one in use, in one step, and leave nothing to go back to from there."""
         # The other one would else be taken for the release before by whoever gives the command again.
@@ -146,8 +151,13 @@ def _stop(unit: str) -> None:
 
 
 @contextmanager
-def interruptible() -> Iterator[None]:
+def interruptible(installation: Installation | None) -> Iterator[None]:
     """Take a lost connection and the order to end for Ctrl-C, so that what was stopped is started again.
+
+    Parameters
+    ----------
+    installation
+        That which goes back; None for one by hand.
 
     Raises
     ------
@@ -158,9 +168,10 @@ def interruptible() -> Iterator[None]:
         with as_ctrl_c():
             yield
     except KeyboardInterrupt:
-        raise InterruptedEarlyError(
-            "interrupted: units that ran are started again; give the command again, and it goes on where it was"
-        ) from None
+        further = "; give the command again, and it goes on where it was"
+        if installation is not None and installation.is_back:
+            further = f", and {installation.before.name} is in use: look at the tracker, then 'heliocube auto'"
+        raise InterruptedEarlyError(f"interrupted: units that ran are started again{further}") from None
 
 
 def start_units(units: list[str]) -> list[str]:
