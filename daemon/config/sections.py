@@ -219,7 +219,9 @@ class MotionSettings(Section):
     """When a move is worth it, and what counts as having arrived."""
 
     deadband_deg: NotNegative = Field(0.6, le=30, description="A smaller change of direction is not worth a move.")
-    minimum_interval_s: NotNegative = Field(60.0, le=86400, description="Least time between two tracking moves.")
+    minimum_interval_s: NotNegative = Field(
+        60.0, le=86400, description="Least time from the start of a move of any kind to the next tracking move."
+    )
     tolerance_deg: Positive = Field(0.8, le=10, description="Distance from the target that counts as arrived.")
     travel_per_day_deg: Positive = Field(
         2000.0,
