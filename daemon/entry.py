@@ -4,7 +4,7 @@ import io
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from daemon.base.errors import ExitCode, UserError
@@ -32,7 +32,9 @@ def main() -> None:
         sys.stdout.reconfigure(errors="replace")
     if isinstance(sys.stdin, io.TextIOWrapper):
         # What is typed may be in another encoding than the locale's: it is refused as an answer, and ends nothing.
-        sys.stdin.reconfigure(errors="surrogateescape")
+        with suppress(io.UnsupportedOperation):
+            # Of a program that came through it, something has been read.
+            sys.stdin.reconfigure(errors="surrogateescape")
     command, *rest = sys.argv[1:] or [""]
     _refuse_two_trackers(rest)
     given = _plainly_given(rest) if command in _URGENT else None

@@ -355,7 +355,7 @@ def test_installing_twice_and_removing_leaves_only_data_and_configuration(tmp_pa
 def test_nothing_is_fetched_that_the_locks_do_not_name_by_hash():
     """pip reaches an index only where it asks for hashes, and builds only with what is there."""
     text = (DEPLOY / "install.sh").read_text().replace("\\\n", " ")
-    calls = [line for line in text.splitlines() if re.search(r"\$pip | -m pip .* wheel ", line)]
+    calls = [line for line in text.splitlines() if re.search(r"\bpip install | -m pip .* wheel ", line)]
     assert len(calls) == 4
     for line in calls:
         assert ("--require-hashes" in line and "--only-binary :all:" in line) != ("--no-index" in line), line
