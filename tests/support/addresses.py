@@ -4,6 +4,7 @@ A port that was free a moment ago may be somebody's own end of a connection a mo
 found free too. So each process of tests has a block to itself, below those that the system gives to clients.
 """
 
+import atexit
 import itertools
 import os
 import socket
@@ -19,6 +20,8 @@ class _Numbers:
     def __init__(self):
         # A name that the system forgets with the process, whatever its end.
         self._claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        # Else the interpreter may find it open when it ends, and say so.
+        atexit.register(self._claim.close)
         blocks = (_LAST - _FIRST) // _BLOCK
         for turn in range(blocks):
             first = _FIRST + (os.getpid() + turn) % blocks * _BLOCK
