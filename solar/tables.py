@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO, cast
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
@@ -34,6 +34,13 @@ def separator_of(header: str) -> str:
     Between semicolons numbers may have a decimal comma, as a spreadsheet writes them.
     """
     return next((found for found in ";\t" if found in header and "," not in header), ",")
+
+
+def opened(path: Path) -> TextIO:
+    """Open a CSV file, plain or ``.gz``, for `csv`; raises `OSError`."""
+    if path.suffix.lower() == ".gz":
+        return cast("TextIO", gzip.open(path, "rt", encoding="utf-8-sig", newline=""))
+    return path.open(encoding="utf-8-sig", newline="")
 
 
 def numbered_rows(lines: Iterable[str], separator: str) -> Iterator[tuple[int, list[str]]]:
@@ -63,11 +70,7 @@ def unreadable(path: Path, separator: str, error: Exception) -> str:
 
     A cell too many and one that is never closed are told with their line; pandas gives the words of its parser.
     """
-    with (
-        gzip.open(path, "rt", encoding="utf-8-sig", newline="")
-        if path.suffix.lower() == ".gz"
-        else path.open(encoding="utf-8-sig", newline="")
-    ) as file:
+    with opened(path) as file:
         rows = numbered_rows(file, separator)
         try:
             width = len(next(rows)[1])

@@ -48,12 +48,12 @@ def hand_on(directory: Path, trackers: Sequence[str]) -> None:
             continue
         try:
             # What somebody has damaged is handed on too: whoever reads it says what that means.
-            kept = before.read_text(encoding="utf-8", errors="replace")
+            content = before.read_text(encoding="utf-8", errors="replace")
             for tracker in trackers:
                 own = directory / tracker / name
                 if not own.exists():
                     # As a whole or not at all: half a file would pass for one of its own, and count as a stop.
-                    replace_file(own, kept)
+                    replace_file(own, content)
             before.replace(before.with_name(f"{name}.before"))
         except OSError as error:
             raise UserError(f"{before} cannot be handed on to {', '.join(trackers)}: {error.strerror}") from None

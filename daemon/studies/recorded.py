@@ -1,6 +1,5 @@
 """Recorded readings of a cube: from a CSV file, or from the store that the service keeps."""
 
-import gzip
 import math
 import sqlite3
 import zlib
@@ -9,7 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TextIO, cast
+from typing import TextIO
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from daemon.store.schema import FILE_NAME, open_for_reading
 from daemon.studies.inputs import check_names, check_table, not_utf8, with_point
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
-from solar.tables import NO_READING, CellError, numbered_rows, summer_time_hint
+from solar.tables import NO_READING, CellError, numbered_rows, opened, summer_time_hint
 
 COLUMNS = ("time", *FACES)
 _ROWS_AT_ONCE = 50_000
@@ -84,7 +83,7 @@ def read_csv(path: Path) -> Recording:
     separator = check_table(path)
     impossible: list[str] = []
     try:
-        with _opened(path) as file:
+        with opened(path) as file:
             rows = list(_rows(path, file, separator, impossible))
     except FileNotFoundError:
         raise UserError(f"{path} does not exist: name a CSV file with the columns {','.join(COLUMNS)}") from None
@@ -131,12 +130,6 @@ def stored_faces(
     table = np.concatenate(tables)
     utc_s, first = np.unique(table[:, 0], return_index=True)
     return utc_s, table[first, 1:]
-
-
-def _opened(path: Path) -> TextIO:
-    if path.suffix.lower() == ".gz":
-        return cast("TextIO", gzip.open(path, "rt", encoding="utf-8-sig", newline=""))
-    return path.open(encoding="utf-8-sig", newline="")
 
 
 def _rows(path: Path, file: TextIO, separator: str, impossible: list[str]) -> Iterator[RecordedScan]:

@@ -125,12 +125,11 @@ class SunSpecTable(NoBits):
 
         Many a program writes the same every second: each would be an order, an event and a file that is written.
         """
-        self._seen_s = -_KEPT_S
-        self._current()
-        tracker = self._tracker(asked.tracker)
-        hold, target = tracker.wishes.hold, tracker.positioner.target
         if self.is_held(asked.tracker):
             return False
+        # Of the instant at which that was looked at.
+        tracker = self._tracker(asked.tracker)
+        hold, target = tracker.wishes.hold, tracker.positioner.target
         if asked.name == "auto":
             return not in_manual(tracker)
         if hold is None or tracker.control.mode is not Mode.HOLD:

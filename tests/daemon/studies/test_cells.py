@@ -66,6 +66,10 @@ def test_a_line_with_a_cell_too_many_is_named(tmp_path, read, head, row):
 @pytest.mark.parametrize(("read", "head", "row"), [*NOT_CLOSED[:3], NOT_CLOSED[4]])
 def test_a_remark_of_two_lines_is_read(tmp_path, read, head, row):
     path = tmp_path / "table.csv"
-    remark = row.replace("dull", '"dull,\nand ""cold"""')
-    path.write_text(f"{head}\n2022-10-14T10:00Z,{remark}\n2022-10-14T10:01Z,{row}\n")
-    read(path)
+
+    def found_with(remark):
+        first = row.replace("dull", remark)
+        path.write_text(f"{head}\n2022-10-14T10:00Z,{first}\n2022-10-14T10:01Z,{row}\n")
+        return repr(read(path))
+
+    assert found_with('"dull,\nand ""cold"""') == found_with("dull")
