@@ -301,7 +301,7 @@ def test_the_input_is_off_after_a_sweep_was_cancelled(load_host):
 def test_a_doubtful_answer_ends_the_session_with_the_input_off(load_host, fault):
     async def scene():
         async with load_host() as host:
-            load = load_on(host.port.link, deadline_s=1.0)
+            load = load_on(host.port.link, deadline_s=2.0)
             await load.open()
             calls = []
 
@@ -309,7 +309,7 @@ def test_a_doubtful_answer_ends_the_session_with_the_input_off(load_host, fault)
                 calls.append(None)
                 if len(calls) == 2:
                     if fault == "delay":
-                        host.delay_s = 3.0
+                        host.delay_s = 5.0
                     elif fault == "drop":
                         host.core.drop_next()
                     elif fault == "corrupt":

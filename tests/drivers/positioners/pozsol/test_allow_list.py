@@ -123,7 +123,7 @@ def test_no_public_call_of_driver_or_port_sends_anything_else(positioner_host):
             take = host.port._on_bytes
             host.port._on_bytes = lambda data: (arrived.append(bytes(data)), take(data))
             line = SerialLine(lambda: open_port(str(host.port.link)), time.monotonic, write_s=10.0)
-            driver = PozsolPositioner(line, time.monotonic, A, B)
+            driver = PozsolPositioner(line, time.monotonic, A, B, stale_s=10.0)
             await driver.open()
             for value in ODD:
                 for call in (
