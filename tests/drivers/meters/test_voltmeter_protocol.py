@@ -40,7 +40,7 @@ def visa(settings):
 
 def meter_on(link, *, terminator="LF", **options):
     settings = VisaSettings(f"ASRL{link}::INSTR", terminator=terminator)
-    return Keithley2000(visa(settings), deadline_s=options.pop("deadline_s", 2.0), **options)
+    return Keithley2000(visa(settings), deadline_s=options.pop("deadline_s", 5.0), **options)
 
 
 def test_the_driver_sends_these_bytes_and_reads_these_replies(transcript, play, tmp_path):
