@@ -157,7 +157,10 @@ class NotifySettings(Section):
         None, examples=["06:30"], description="At this local time the messages that waited are sent as one."
     )
     most_per_hour: int = Field(
-        20, ge=1, le=1000, description="Messages an hour to each address; more are gathered into one."
+        20,
+        ge=1,
+        le=1000,
+        description="Messages an hour to each address; more are gathered into one; critical ones have as many more.",
     )
     poll_every_s: float = Field(10.0, ge=1, le=120, description="How often the services are asked [s].")
     silent_after_s: Duration = Field(

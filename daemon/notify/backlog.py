@@ -38,12 +38,13 @@ class Backlog:
     quiet
         When only urgent notices are sent.
     most_per_hour
-        Notices; more are gathered into one as soon as there may be another.
+        Messages; more notices are gathered into one as soon as there may be another. Urgent notices have as many more
+        for themselves, so that they never wait for what others have used up.
     """
 
     def __init__(self, quiet: QuietHours, most_per_hour: int) -> None:
         self._quiet = quiet
-        self._limit = RateLimit(most_per_hour / 3600.0, most_per_hour)
+        self._limit, self._limit_of_urgent = (RateLimit(most_per_hour / 3600.0, most_per_hour) for _ in range(2))
         self._waiting: list[Notice] = []
         self._lost = self._lost_told = 0
         self._failures = 0
@@ -72,13 +73,20 @@ class Backlog:
         """
         if now_s < self._not_before_s:
             return None
-        chosen = [notice for notice in self._waiting if notice.urgent or not self._quiet.holds(local)]
-        if not chosen or not self._limit.admit(now_s):
+        chosen = self._admitted([each for each in self._waiting if each.urgent or not self._quiet.holds(local)], now_s)
+        if not chosen:
             return None
         # A message that was not taken may have been too long for its way, which would keep the urgent ones with it.
         chosen = sorted(chosen, key=lambda notice: not notice.urgent)[: max(len(chosen) >> self._failures, 1)]
         self._lost_told = self._lost
         return self._with_lost(gathered(chosen, short=self._short)), chosen
+
+    def _admitted(self, chosen: list[Notice], now_s: float) -> list[Notice]:
+        """Return those of the notices that there may be a message for: all, the urgent ones or none."""
+        if not chosen or self._limit.admit(now_s):
+            return chosen
+        urgent = [notice for notice in chosen if notice.urgent]
+        return urgent if urgent and self._limit_of_urgent.admit(now_s) else []
 
     def _with_lost(self, notice: Notice) -> Notice:
         if not self._lost:

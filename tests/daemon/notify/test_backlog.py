@@ -50,13 +50,32 @@ def test_in_quiet_hours_only_critical_ones_are_told_the_others_together_afterwar
 def test_what_comes_and_goes_is_gathered_into_one_message(lab, told):
     async def scenario(step):
         for number in range(12):
-            lab.alarms = [lab.alarm(raised=f"2026-06-21T12:00:{number:02}.000Z")] if number % 2 == 0 else []
+            lab.alarms = [lab.alarm("clock", raised=f"2026-06-21T12:00:{number:02}.000Z")] if number % 2 == 0 else []
             await step(1.0)
         assert len(lab.titles) == 3
         await step(1200.0)
         assert lab.titles[3:] == ["heliocube: 9 changes of alarms"]
 
     told(scenario, most_per_hour=3)
+
+
+@pytest.mark.slow
+def test_a_critical_one_does_not_wait_for_what_others_have_used_up(lab, told):
+    async def scenario(step):
+        for number in range(4):
+            lab.alarms = [lab.alarm("clock", raised=f"2026-06-21T12:00:{number:02}.000Z")] if number % 2 == 0 else []
+            await step(1.0)
+        assert len(lab.titles) == 1
+        lab.alarms = [lab.alarm("clock"), lab.alarm()]
+        await step(1.0)
+        assert [title.rpartition(" ")[2] for title in lab.titles[1:]] == ["stow-wanted"]
+        lab.alarms = []
+        await step(1.0)
+        assert len(lab.titles) == 2, "the critical ones have their limit too"
+        await step(3600.0)
+        assert lab.titles[2:] == ["heliocube: 6 changes of alarms"]
+
+    told(scenario, most_per_hour=1)
 
 
 @pytest.mark.slow
