@@ -69,6 +69,15 @@ def stable_visa(text: str) -> str:
     return text
 
 
+def way_of(name: str) -> str:
+    """Return what a port, a server or a VISA name leads to: the port itself for a serial line as VISA names it."""
+    found = _VISA_RESOURCE.fullmatch(name)
+    if found is None:
+        return name
+    way = found["port"] or name
+    return way if way.startswith("/") else way.upper()
+
+
 def check_host(name: str) -> None:
     """Raise a `ValueError` for the name of a host that has an empty part, or one that is too long."""
     # The resolver would raise this UnicodeError, which nobody expects of it.

@@ -8,9 +8,11 @@ import numpy as np
 
 from daemon.base.records import FACES
 from daemon.config.conflict import Conflict
+from daemon.config.instruments import VoltmeterSettings
 from daemon.config.link_rules import LINK_RULES
 from daemon.config.plugged import LAW, MULTIPLEXED
 from daemon.config.sections import Sections
+from drivers.settings import way_of
 from solar.frames import equator_azimuth_deg
 
 # The Keithley 2000 reads to 120 % of its range; autozero doubles the time of a conversion.
@@ -289,14 +291,28 @@ def a_real_rig_has_no_simulated_load(settings: Sections) -> Iterator[Conflict]:
         yield Conflict("load.driver", reason, ("instruments.kind",))
 
 
-def load_and_voltmeter_have_a_way_each(settings: Sections) -> Iterator[Conflict]:
-    """`load.prologix_port`, or `load.resource` where there is no adapter, is not that of the real voltmeter."""
-    meter = settings.instruments.voltmeter
-    way = "resource" if meter.prologix_port is None else "prologix_port"
-    for key, value in settings.load.exclusive().items():
-        if settings.instruments.kind == "real" and value == getattr(meter, way):
-            reason = "is the voltmeter's already, and only one of them can hold it; the load needs another"
-            yield Conflict(f"load.{key}", reason, (f"instruments.voltmeter.{way}",))
+def each_instrument_has_a_way_of_its_own(settings: Sections) -> Iterator[Conflict]:
+    """No two of voltmeter, positioner and load of a real rig have a port, or a VISA name without one, in common."""
+    instruments = settings.instruments
+    if instruments.kind != "real":
+        return
+    owners: dict[str, str] = {}
+    for part, values in (
+        ("instruments.voltmeter", _exclusive(instruments.voltmeter) if has_multiplexer(settings) else {}),
+        ("instruments.positioner", instruments.positioner.exclusive()),
+        ("load", settings.load.exclusive()),
+    ):
+        for name, value in values.items():
+            key = f"{part}.{name}"
+            if value is not None and (other := owners.setdefault(way_of(value), key)) != key:
+                reason = f"is what {other} names already, and only one instrument can hold it; each needs its own"
+                yield Conflict(key, reason, (other,))
+
+
+def _exclusive(meter: VoltmeterSettings) -> dict[str, str | None]:
+    if meter.prologix_port is not None:
+        return {"prologix_port": meter.prologix_port}
+    return {"resource": meter.resource}
 
 
 def the_law_in_the_shadow_is_another(settings: Sections) -> Iterator[Conflict]:
@@ -312,10 +328,10 @@ _OF_MULTIPLEXED = (
     the_enable_line_is_free,
     a_scan_fits_its_period,
     the_range_reaches_bright_sun,
-    load_and_voltmeter_have_a_way_each,
 )
 RULES = (
     *_OF_MULTIPLEXED,
+    each_instrument_has_a_way_of_its_own,
     the_faces_can_be_told_apart,
     windows_hold_scans,
     a_simulated_clock_starts_in_time,

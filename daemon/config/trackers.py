@@ -8,6 +8,7 @@ from pydantic import Field
 
 from daemon.config.plugged import DRIVER, SECTIONS, said
 from daemon.config.section import Section
+from drivers.settings import way_of
 from solar.frames import equator_azimuth_deg
 
 if TYPE_CHECKING:
@@ -106,17 +107,18 @@ def resembling(name: str) -> str:
 
 
 def clashes(latitude_deg: float, trackers: Sequence[tuple[str, "Sections"]]) -> Iterator[Clash]:
-    """Yield every port of a real instrument that two trackers share, and each tracker beyond the process's equator."""
-    owners: dict[tuple[str, str], str] = {}
+    """Yield every port of real instruments that two trackers share, and each tracker beyond the process's equator."""
+    owners: dict[str, tuple[str, str]] = {}
     for name, settings in trackers:
         ports = {f"load.{key}": value for key, value in settings.load.exclusive().items()}
         if settings.instruments.kind == "real":
             ports |= {f"positioner.{key}": value for key, value in settings.instruments.positioner.exclusive().items()}
         for key, value in ports.items():
             if value is not None:
-                other = owners.setdefault((key, value), name)
+                other, theirs = owners.setdefault(way_of(value), (name, key))
                 if other != name:
-                    reason = f"is that of the tracker {other} already; each needs one of its own"
+                    what = "that" if theirs == key else f"the {theirs}"
+                    reason = f"is {what} of the tracker {other} already; each needs one of its own"
                     yield Clash(name, key, value, reason)
         own_deg = settings.site.latitude_deg
         if equator_azimuth_deg(own_deg) != equator_azimuth_deg(latitude_deg):

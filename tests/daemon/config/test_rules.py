@@ -46,6 +46,7 @@ def test_a_simulated_clock_may_start_at_times_that_scans_can_tell(read, start):
 ADAPTERS = [f"/dev/serial/by-id/usb-Prologix-{name}-if00-port0" for name in "AB"]
 LOAD = "[load]\ndriver = 'agilent6063b'\nresource = 'GPIB0::5::INSTR'\n"
 BEHIND = "prologix_port = '{}'\n"
+POSITIONER = "[instruments.positioner]\nport = '{}'\n"
 ON_BUS = "[instruments.voltmeter]\nresource = 'GPIB0::5::INSTR'\n"
 
 
@@ -54,11 +55,14 @@ ON_BUS = "[instruments.voltmeter]\nresource = 'GPIB0::5::INSTR'\n"
     [
         (ON_BUS + BEHIND.format(ADAPTERS[0]) + LOAD + BEHIND.format(ADAPTERS[0]), "load.prologix_port"),
         (ON_BUS + LOAD, "load.resource"),
+        (POSITIONER.format(ADAPTERS[0]) + LOAD + BEHIND.format(ADAPTERS[0]), "load.prologix_port"),
+        (POSITIONER.format(ADAPTERS[0]) + LOAD.replace("GPIB0::5", f"ASRL{ADAPTERS[0]}"), "load.resource"),
+        (ON_BUS + BEHIND.format(ADAPTERS[0]) + POSITIONER.format(ADAPTERS[0]), "instruments.positioner.port"),
     ],
 )
-def test_load_and_voltmeter_have_no_line_in_common(problem, text, key):
+def test_no_two_instruments_have_a_line_in_common(problem, text, key):
     assert problem(REAL + text).startswith(f"{key} = ")
-    assert "is the voltmeter's already, and only one of them can hold it" in problem(REAL + text)
+    assert "already, and only one instrument can hold it; each needs its own" in problem(REAL + text)
 
 
 @pytest.mark.parametrize(

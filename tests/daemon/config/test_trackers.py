@@ -156,6 +156,26 @@ LOADS = """
     """
 
 
+def test_what_moves_one_tracker_is_not_what_measures_another(read):
+    text = """
+        [instruments]
+        kind = "real"
+        [[tracker]]
+        name = "east"
+        [tracker.positioner]
+        port = "/dev/roof"
+        [[tracker]]
+        name = "west"
+        [tracker.load]
+        driver = "agilent6063b"
+        resource = "ASRL/dev/roof::INSTR"
+        """
+    (problem,) = problems(read, text)
+    assert problem.startswith(
+        'tracker[west].load.resource = "ASRL/dev/roof::INSTR": is the positioner.port of the tracker east already'
+    )
+
+
 def test_two_loads_of_one_address_are_behind_an_adapter_each(read):
     assert len(read(LOADS.format("b")).trackers) == 2
     (problem,) = problems(read, LOADS.format("a"))
