@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import Any, Generic, TypeVar
 
+from daemon.api.history import instant
+from daemon.base.clock import iso_utc
 from daemon.base.records import Record, Scan
 from daemon.service.state import kind_of, number, record_json
 
@@ -68,14 +70,30 @@ class ScanLog:
     def note(self, record: Record) -> None:
         """Take in one record."""
         if isinstance(record, Scan):
-            self._scans.append((record.time_utc_s, to_json(record_json(record))))
+            # As whoever asks on from the last one has it: cut to the millisecond.
+            shown_utc_s = instant("time", iso_utc(record.time_utc_s))
+            self._scans.append((shown_utc_s, to_json(record_json(record))))
 
     def page(self, since_utc_s: float) -> bytes:
-        """Return the oldest scans that ended later, at most 500, and whether there are others."""
-        later = (content for utc_s, content in self._scans if utc_s > since_utc_s)
+        """Return the oldest scans that ended later, at most 500, and whether there are others.
+
+        After the time of a scan all that have come behind that one, although the clock was set back in between.
+        """
+        behind = self._behind(since_utc_s)
+        if behind is None:
+            later = (content for utc_s, content in self._scans if utc_s > since_utc_s)
+        else:
+            later = (content for _, content in islice(self._scans, behind, None))
         found = list(islice(later, _MOST_SCANS + 1))
         more = b"true" if len(found) > _MOST_SCANS else b"false"
         return b'{"scans":[' + b",".join(found[:_MOST_SCANS]) + b'],"more":' + more + b"}"
+
+    def _behind(self, since_utc_s: float) -> int | None:
+        """Return how many scans there are up to the newest of that time, or None where there is none of it."""
+        for place, (utc_s, _) in enumerate(reversed(self._scans)):
+            if utc_s == since_utc_s:
+                return len(self._scans) - place
+        return None
 
 
 class Feed:

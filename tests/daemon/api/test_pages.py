@@ -2,9 +2,13 @@
 
 import asyncio
 import json
+import math
 import threading
+import time
+from dataclasses import replace
 
 from daemon.api import pages
+from daemon.api.history import instant
 from daemon.api.pages import Feed, KeptPage, ScanLog
 from daemon.base.records import Event, FaceReading, Quality, Scan
 
@@ -87,6 +91,21 @@ def test_scans_are_written_when_they_come_and_not_when_they_are_asked_for(monkey
         since_utc_s = 1e9 + 5.0 * found[-1]
     assert (found, lengths) == (list(range(1200)), [500, 500, 200])
     assert json.loads(log.page(1e10)) == {"scans": [], "more": False}
+
+
+def test_whoever_asks_on_from_the_last_time_that_was_told_gets_no_scan_twice_and_none_is_left_out():
+    begun = time.time()
+    # Set back by an hour after the third, as somebody sets the clock of a PC.
+    ends = [begun + 5.0 * number - (3600.0 if number > 2 else 0.0) + 1e-4 * number for number in range(6)]
+    log, found, since = ScanLog(), [], -math.inf
+    for number, end_utc_s in enumerate(ends):
+        log.note(replace(scan(number), time_utc_s=end_utc_s))
+        page = json.loads(log.page(since))
+        found += [item["sequence"] for item in page["scans"]]
+        since = instant("since", page["scans"][-1]["time"])
+        assert json.loads(log.page(since)) == {"scans": [], "more": False}
+    assert found == list(range(6))
+    assert [item["sequence"] for item in json.loads(log.page(begun + 7.0))["scans"]] == [2]
 
 
 def test_an_event_is_written_once_for_all_listeners_and_for_none_not_at_all(monkeypatch):
