@@ -4,6 +4,7 @@ The unit tells of a run late and only while Hall pulses come, and it breaks a ru
 dips. So the verdict takes the homing bit, the position and the end switch together.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -122,7 +123,7 @@ class HomingRun:
     def _mismatch(self, seen: AxisObservation) -> str:
         slip, name = self.setup.units(_SLIP_DEG), self.axis.upper()
         stood = self.start if self.stood is None else self.stood
-        if not self.travelled and abs(stood) > slip:
+        if not self.travelled and not (abs(stood) <= slip):
             return (
                 f"axis {name} did not move on its reference run although it stood at {stood:g}:"
                 " its low end switch may be stuck"
@@ -130,8 +131,8 @@ class HomingRun:
         if f"{self.axis}_high" in seen.status.end_switches:
             return f"axis {name} shows both of its end switches closed"
         expected, allowed = self.start - stood, slip if self.trusted else self.setup.units(_LOST_DEG)
-        if self.stood is not None and abs(seen.remain - expected) > allowed:
-            self.stands = seen.remain - expected
+        if self.stood is not None and not (abs(seen.remain - expected) <= allowed):
+            self.stands = seen.remain - expected if math.isfinite(seen.remain - expected) else None
             return (
                 f"axis {name} met its end switch where its count was {seen.remain:g}, not {expected:g}: home it again"
                 " to see whether count or switch is wrong"

@@ -1,6 +1,7 @@
 """A reference run at the bounds of what begins it, ends it and contradicts it, and whole ones on a simulated unit."""
 
 import asyncio
+import math
 
 import pytest
 
@@ -68,6 +69,18 @@ def test_a_trusted_count_may_slip_by_half_a_degree(side):
     assert told.startswith(f"axis A met its end switch where its count was {side * 1.01 * SLIP:g}, not 0")
     assert ended(0.0, remain=side * 1.01 * SLIP).stands == pytest.approx(side * 1.01 * SLIP)
     assert ended(0.0, remain=side * 0.99 * SLIP).stands is None
+
+
+@pytest.mark.parametrize("how", [{}, {"trusted": False, "stood": 100.0}])
+def test_a_count_at_the_switch_that_is_no_number_contradicts_the_switch(how):
+    told = ended(0.0, remain=math.nan, **how)
+    assert told.mismatch.startswith("axis A met its end switch where its count was nan, not ")
+    assert told.stands is None
+
+
+def test_an_axis_that_stood_nowhere_known_and_did_not_move_is_suspicious():
+    looks = ((1.2, 0.0, 0.0, 0.0, LOW), (2.0, 0.0, 0.0, 0.0, LOW))
+    assert "did not move" in run(*looks, before=0.0, trusted=False, stood=math.nan).mismatch
 
 
 def test_an_axis_that_stood_within_half_a_degree_need_not_have_moved():
