@@ -150,5 +150,5 @@ def show(
     if own_mode.text is not None:
         faults.append(own_mode.text)
     alarms.set("positioner-fault", "; ".join(faults) or None)
-    alarms.set("reference", doubts.reference)
+    alarms.set("reference", doubts.lost)
     alarms.set("motor-current", currents.text)

@@ -14,6 +14,7 @@ from drivers.interfaces import Telemetry
 log = logging.getLogger("heliocube.motion")
 
 FILE_NAME = "motion.json"
+_FAULT = "fault "
 NOT_FINISHED = "homing was not finished, the reference is in doubt: home it"
 RESET = "the positioner has restarted and may have lost its reference: home it, or clear the mark"
 
@@ -80,6 +81,8 @@ class Doubts:
     ----------
     reference
         Why the reference is in doubt, or None.
+    lost
+        The same without what `vanished` has, which is an alarm of its own.
     incident
         What moved without an order or did not stop, or None.
     changes
@@ -103,7 +106,7 @@ class Doubts:
     @property
     def vanished(self) -> tuple[str, ...]:
         """The doubts about faults that went away by themselves."""
-        return tuple(text for kind, text in self._doubts.items() if kind.startswith("fault"))
+        return tuple(text for kind, text in self._doubts.items() if kind.startswith(_FAULT))
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -133,7 +136,7 @@ class Doubts:
             return
         for name in self._faults:
             if name not in telemetry.faults:
-                self.doubt(f"fault {name}", f"{name} cleared by itself, the reference may be lost: {self.remedy}")
+                self.doubt(f"{_FAULT}{name}", f"{name} cleared by itself, the reference may be lost: {self.remedy}")
         self._faults = telemetry.faults
         self._save()
 
@@ -150,7 +153,7 @@ class Doubts:
         self.see(before, clearing=True)
         for name in before.faults:
             if fault_text(name) not in shown:
-                self.doubt(f"fault {name}", f"{name} was cleared before anybody had seen it: {self.remedy}")
+                self.doubt(f"{_FAULT}{name}", f"{name} was cleared before anybody had seen it: {self.remedy}")
         for texts in (self._doubts, self._incidents):
             for kind in [kind for kind, text in texts.items() if text in shown]:
                 del texts[kind]
@@ -188,6 +191,7 @@ class Doubts:
     def _sum_up(self) -> None:
         # Asked for at every look at the positioner, some 200,000 times a day, and the same for most of it.
         self.reference = _said_once(self._doubts.values()) or None
+        self.lost = _said_once(text for kind, text in self._doubts.items() if not kind.startswith(_FAULT)) or None
         self.incident = "; ".join(self._incidents.values()) or None
         self.changes += 1
 

@@ -115,6 +115,8 @@ def test_a_fault_that_clears_itself_leaves_a_doubt(run_rig):
         await asyncio.sleep(1000 - now(rig))
         assert not rig.motion.telemetry.faults
         assert "a_overcurrent cleared by itself" in rig.motion.doubt
+        told = [name for name, text in alarms(rig).items() if "a_overcurrent cleared by itself" in text]
+        assert told == ["positioner-fault"], "one cause is one alarm"
         assert rig.mode is Mode.FAULT
 
     run_rig(scenario)
