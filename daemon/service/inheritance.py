@@ -14,7 +14,7 @@ from daemon.base.alarms import kept
 from daemon.base.errors import UserError
 from daemon.base.files import replace_file
 from daemon.base.state import StateFolder
-from daemon.motion import reference
+from daemon.motion import place, reference
 from daemon.received import today
 from daemon.store.place import is_claimed
 from daemon.tracker import budget, law_file, stow_watch, wishes
@@ -37,19 +37,23 @@ _REMEDY = f"give that name back in a table [[tracker]] and restart, or {_LOOK}"
 def hand_on(directory: Path, trackers: Sequence[str]) -> None:
     """Copy each kept file of a folder into those of the trackers that have none, and give it another name.
 
+    Where the axes rest is handed on to one tracker alone: of several nobody knows which of them rested there, and the
+    others would be in doubt for it.
+
     Raises
     ------
     UserError
         The disk does not let it: a service that goes on would have forgotten what is in force.
     """
-    for name in _FILES:
+    for name in (*_FILES, place.FILE_NAME):
         before = directory / name
         if not before.is_file():
             continue
+        heirs = trackers if name != place.FILE_NAME or len(trackers) == 1 else ()
         try:
             # What somebody has damaged is handed on too: whoever reads it says what that means.
             content = before.read_text(encoding="utf-8", errors="replace")
-            for tracker in trackers:
+            for tracker in heirs:
                 own = directory / tracker / name
                 if not own.exists():
                     # As a whole or not at all: half a file would pass for one of its own, and count as a stop.
@@ -57,7 +61,8 @@ def hand_on(directory: Path, trackers: Sequence[str]) -> None:
             before.replace(before.with_name(f"{name}.before"))
         except OSError as error:
             raise UserError(f"{before} cannot be handed on to {', '.join(trackers)}: {error.strerror}") from None
-        log.warning("%s holds for %s from now on", before, ", ".join(trackers))
+        if heirs:
+            log.warning("%s holds for %s from now on", before, ", ".join(heirs))
 
 
 def left_behind(directory: Path, trackers: Sequence[str], own: Path) -> str | None:

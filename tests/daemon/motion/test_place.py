@@ -78,6 +78,27 @@ def test_a_count_that_is_not_where_the_axes_rested_before_the_restart_is_in_doub
     run_rig(scenario, store={"directory": kept}, motion={"rehome": "operator"})
 
 
+def test_a_place_kept_without_a_name_is_that_of_the_one_tracker_that_is_named(run_rig, kept):
+    async def scenario(rig):
+        await rig.until(lambda: rig.motion.doubt, 60, "the doubt")
+        assert "it was moved by hand, or its count is lost" in rig.motion.doubt
+
+    rested_elsewhere(kept)
+    run_rig(scenario, store={"directory": kept}, motion={"rehome": "operator"}, tracker=[{"name": "east"}])
+    assert not (kept / FILE_NAME).exists(), "it is not to be read again by one without a name"
+
+
+def test_of_several_trackers_nobody_knows_which_one_rested_there(run_rig, kept):
+    async def scenario(rig):
+        await asyncio.sleep(60)
+        assert [tracker.motion.doubt for tracker in rig.service.trackers] == [None] * 2
+
+    rested_elsewhere(kept)
+    tables = [{"name": "east"}, {"name": "west"}]
+    run_rig(scenario, store={"directory": kept}, motion={"rehome": "operator"}, tracker=tables)
+    assert not (kept / FILE_NAME).exists()
+
+
 def test_a_simulated_positioner_that_begins_anew_is_expected_nowhere(run_rig, kept, monkeypatch):
     monkeypatch.setattr(ServiceRig, "begins_anew", True)
     rested_elsewhere(kept)
