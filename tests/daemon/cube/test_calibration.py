@@ -258,6 +258,16 @@ def test_the_file_is_found_beside_the_configuration_and_looked_at(tmp_path):
         check_file(config)
 
 
+def test_the_machine_of_a_tracker_alone_needs_no_calibration_file(heliocube, tmp_path):
+    file = tmp_path / "rig.toml"
+    file.write_text("[cube]\ncalibration_file = 'calibration.toml'\n[bridge]\ninsecure = true\n")
+    code, _, err = heliocube("config", "check", file, "--role", "tracker")
+    assert (code, err) == (0, "")
+    for role in ("cube", "both"):
+        code, _, err = heliocube("config", "check", file, "--role", role)
+        assert (code, "there is no calibration file" in err) == (2, True)
+
+
 def test_the_identifier_crosses_the_bridge_and_its_absence_does_too():
     identifier = calibration().identifier
     assert decode(encode(scan(identifier))).calibration == identifier
