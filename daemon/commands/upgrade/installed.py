@@ -58,15 +58,18 @@ class Program:
         return int(done.stdout) if done.returncode == 0 and done.stdout.strip().isdecimal() else None
 
     def _run(self, name: str, *arguments: str) -> "subprocess.CompletedProcess[str]":
-        # Not from where somebody stands: a folder named 'daemon' there would be taken for ours.
-        return subprocess.run(  # noqa: S603 - the release that a person names, or that was installed before
-            [str(self.folder / name), *arguments],
-            capture_output=True,
-            text=True,
-            check=False,
-            cwd="/",
-            timeout=_WITHIN_S,
-        )
+        """Return what a command of it has said; raises `UserError` where it does not end."""
+        command = str(self.folder / name)
+        try:
+            # Not from where somebody stands: a folder named 'daemon' there would be taken for ours.
+            return subprocess.run(  # noqa: S603 - the release that a person names, or that was installed before
+                [command, *arguments], capture_output=True, text=True, check=False, cwd="/", timeout=_WITHIN_S
+            )
+        except subprocess.TimeoutExpired:
+            raise UserError(
+                f"{command} has not answered within {_WITHIN_S:g} s: see what keeps it, such as a slow disk, and give"
+                " the command again; it goes on where it was"
+            ) from None
 
 
 @dataclass(frozen=True, slots=True)

@@ -300,3 +300,12 @@ def test_without_a_release_before_it_is_one_sentence(heliocube, config, to):
     code, out, err = heliocube("rollback", "-c", config, *to)
     assert (code, out, len(err.splitlines())) == (2, "", 1)
     assert "--to" in err
+
+
+def test_a_release_before_that_does_not_answer_is_one_sentence(heliocube, config, program, monkeypatch):
+    monkeypatch.setattr("daemon.commands.upgrade.installed._WITHIN_S", 0.1)
+    to = program(release="exec sleep 1000")
+    code, out, err = heliocube("rollback", "-c", config, "--to", to)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert f"{to.parent / 'python'} has not answered within 0.1 s" in err
+    assert "give the command again" in err
