@@ -4,24 +4,41 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Quality
 from daemon.store.export import KINDS, export
 from daemon.store.runs import StoredRun, ToldBefore, nothing_in, reach_of, runs_of, told_before
 from daemon.store.schema import FILE_NAME
+from daemon.store.tables import COLUMNS
+from daemon.studies.inputs import check_frame, check_table, not_utf8
 from daemon.studies.report.span import ReportSpan, Wanted, times
 from solar.ephemeris import Site
 from solar.frames import Array, Limits
+from solar.tables import unreadable, utc_times
 
 # What no figure is made of would fill the memory in a month.
 _LEFT_OUT = {"session", "source", "sequence", "calibration", "curve", "ghi", *(f"{face}_time" for face in FACES)}
 # The last record belongs to the span.
 _LAST_S = 1.0
 _NOTHING = ToldBefore()
+_DAMAGED = "it is damaged or cut off; export it anew"
+_NUMBERS = {kind: [column.name for column in columns if column.holds == "float"] for kind, columns in COLUMNS.values()}
+_TRUTHS = ("moving", "simulated")
+_NEEDED = {
+    "scans": [f"{face}_{what}" for face in FACES for what in ("w_m2", "quality")],
+    "decisions": ["mode", "target_a_deg", "target_b_deg"],
+    "moves": [f"{when}_{angle}_deg" for when in ("from", "target", "end") for angle in "ab"] + ["outcome"],
+    "poses": ["a_deg", "b_deg", "moving"],
+    "modes": ["before", "after", "why"],
+    "events": ["subject", "text"],
+    "curves": ["pmpp_w", "quality"],
+}
 _WORDS_AGAIN = {"mode", "law", "tracker", *(f"{face}_quality" for face in FACES)}
 
 
@@ -200,19 +217,57 @@ def from_tables(directory: Path, table_format: str) -> dict[str, pd.DataFrame]:
             found[kind] = pd.DataFrame(index=pd.DatetimeIndex([], tz="UTC", name="time"))
             continue
         try:
-            found[kind] = _slim(_read(path))
-        except (OSError, ValueError) as error:
+            table = pd.read_parquet(path) if path.suffix == ".parquet" else _csv(path)
+        except UnicodeDecodeError:
+            raise not_utf8(path) from None
+        except OSError as error:
+            raise UserError(f"{path} cannot be read: {error.strerror or _DAMAGED}") from None
+        except ValueError:
             # pandas and pyarrow derive theirs from ValueError.
-            raise UserError(f"{path} is not a table that can be read: {str(error).splitlines()[0]}") from None
+            raise UserError(f"{path} is not a table that can be read: {_DAMAGED}") from None
+        found[kind] = _slim(_checked(path, kind, table))
     return found
 
 
-def _read(path: Path) -> pd.DataFrame:
-    if path.suffix == ".parquet":
-        return pd.read_parquet(path)
-    table = pd.read_csv(path, index_col="time", keep_default_na=True)
-    table.index = pd.to_datetime(table.index, utc=True, format="ISO8601")
+def _csv(path: Path) -> pd.DataFrame:
+    separator = check_table(path)
+    if not path.stat().st_size:
+        raise UserError(f"{path} is empty: export it anew, or take the file away")
+    try:
+        table = pd.read_csv(path, sep=separator, decimal="," if separator == ";" else ".")
+    except pd.errors.ParserError as error:
+        raise UserError(unreadable(path, separator, error)) from None
+    check_frame(path, table)
     return table
+
+
+def _checked(path: Path, kind: str, table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table by its times, rising; raises `UserError` for a cell or a column that no figure can be made of."""
+    if "time" in table:
+        times = utc_times(table["time"].astype("str"))
+        _refuse(path, table["time"].fillna(""), times.isna(), ", not such as 2022-10-14T08:00Z")
+        table = table.drop(columns="time").set_index(pd.DatetimeIndex(times, name="time"))
+    there = [table.index.name, *table.columns]
+    missing = [name for name in ("time", *_NEEDED[kind]) if name not in there]
+    if missing:
+        raise UserError(f"{path} has no column {missing[0]}: export it anew, and rename none")
+    for name in _NUMBERS[kind]:
+        if name in table and not is_numeric_dtype(table[name]):
+            numbers = pd.to_numeric(table[name], errors="coerce")
+            _refuse(path, table[name], numbers.isna() & table[name].notna(), ", which is not a number")
+            table[name] = numbers
+    for name in _TRUTHS:
+        if name in table and not is_bool_dtype(table[name]):
+            _refuse(path, table[name], ~table[name].isin([True, False]) & table[name].notna(), "; write true or false")
+    # A clock may have been set back while they were written.
+    return table.sort_index(kind="stable")
+
+
+def _refuse(path: Path, column: "pd.Series[Any]", wrong: "pd.Series[bool]", why: str) -> None:
+    """Raise `UserError` with the first cell that is wrong."""
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        raise UserError(f"{path}, row {row + 1}: {column.name} is '{column.iloc[row]}'{why}")
 
 
 def within(tables: dict[str, pd.DataFrame], span: ReportSpan) -> dict[str, pd.DataFrame]:

@@ -269,12 +269,77 @@ def test_a_store_in_a_folder_whose_name_is_no_utf_8_has_its_page(heliocube, stor
     assert "caf\\udce9" in (tmp_path / "2022-10-14-roof.html").read_text(encoding="utf-8")
 
 
-def test_a_damaged_table_is_one_sentence(heliocube, tmp_path):
-    (tmp_path / "scans.csv").write_bytes(b"time,east_w_m2\nnoon,1\n")
-    asked = ("plot", "angles", "--tables", tmp_path, "--site", "48.7,0", "--out", tmp_path / "a.svg")
-    code, _, said = heliocube(*asked)
+@pytest.fixture
+def tables(heliocube, store, tmp_path):
+    """A folder of exported tables, and what asks for pictures of them."""
+    folder = tmp_path / "tables"
+    assert heliocube("export", "--store", store, "--out", folder)[0] == 0
+    asked = ("angles", "light", "motion", "--tables", folder, "--site", "48.7,0", "--out", tmp_path / "a.svg")
+    return folder, asked
+
+
+@pytest.mark.parametrize(
+    ("name", "spoil", "sentence"),
+    [
+        ("scans", lambda _: b"", " is empty: export it anew, or take the file away"),
+        ("scans", lambda text: text.replace(b"time,", b"when,", 1), " has no column time: "),
+        ("scans", lambda text: text.replace(b"east_quality", b"east", 1), " has no column east_quality: "),
+        ("modes", lambda text: text.replace(b"after", b"then", 1), " has no column after: "),
+        ("moves", lambda text: text.replace(b"outcome", b"end", 1), " has no column outcome: "),
+        ("poses", lambda text: text.replace(b"b_deg", b"a_deg", 1), " has two columns a_deg: "),
+        ("scans", lambda text: first_cell(text, 0, b"noon"), ", row 1: time is 'noon', not such as 2022-10-14T08:00Z"),
+        ("scans", lambda text: first_cell(text, 0, b""), ", row 1: time is '', not such as 2022-10-14T08:00Z"),
+        ("poses", lambda text: first_cell(text, 2, b"flat"), ", row 1: a_deg is 'flat', which is not a number"),
+        ("poses", lambda text: first_cell(text, 4, b"perhaps"), ", row 1: moving is 'perhaps'; write true or false"),
+        ("scans", lambda text: text.replace(b"\n", b"\n\xff", 1), " is not text in UTF-8: save it as such"),
+        (
+            "scans",
+            lambda text: text.replace(b"\n", b'\n"', 1),
+            ", line 2: a cell begins with a quotation mark and none",
+        ),
+        ("scans", lambda text: text.replace(b"\n", b"\n,", 1), " has more cells in its lines than names in its header"),
+        ("scans", lambda text: text[:-1] + b",\n", ": there are 23 cells where the header has 22"),
+        ("scans", lambda _: b"PAR1", " is a Parquet file: a CSV file is needed"),
+    ],
+)
+def test_a_damaged_table_is_one_sentence_with_its_place(heliocube, tables, name, spoil, sentence):
+    folder, asked = tables
+    path = folder / f"{name}.csv"
+    path.write_bytes(spoil(path.read_bytes()))
+    code, _, said = heliocube("plot", *asked)
     assert (code, said.count("\n")) == (2, 1)
-    assert f"{tmp_path / 'scans.csv'} is not a table that can be read" in said
+    assert said.startswith(f"heliocube: {path}")
+    assert sentence in said
+
+
+def first_cell(text, column, content):
+    """Return a table with other content in one cell of its first row."""
+    head, row, rest = text.split(b"\n", 2)
+    cells = row.split(b",")
+    cells[column] = content
+    return b"\n".join([head, b",".join(cells), rest])
+
+
+def test_a_damaged_table_of_parquet_is_one_sentence_with_its_place(heliocube, store, tmp_path):
+    folder = tmp_path / "tables"
+    assert heliocube("export", "--store", store, "--out", folder, "--format", "parquet")[0] == 0
+    path = folder / "scans.parquet"
+    path.write_bytes(path.read_bytes()[:-8])
+    code, _, said = heliocube("plot", "light", "--tables", folder, "--site", "48.7,0", "--out", tmp_path / "a.svg")
+    assert (code, said.count("\n")) == (2, 1)
+    assert f"heliocube: {path} is not a table that can be read: it is damaged or cut off; export it anew" in said
+
+
+def test_tables_of_a_clock_that_was_set_back_are_taken_in_the_order_of_their_times(heliocube, tables, tmp_path):
+    folder, asked = tables
+    assert heliocube("plot", *asked)[0] == 0
+    drawn = {path: path.read_bytes() for path in tmp_path.glob("a-*.svg")}
+    assert len(drawn) == 3
+    for path in folder.glob("*.csv"):
+        head, *rows = path.read_text().splitlines()
+        path.write_text("\n".join([head, *rows[len(rows) // 2 :], *rows[: len(rows) // 2], ""]))
+    assert heliocube("plot", *asked, "--force")[0] == 0
+    assert {path: path.read_bytes() for path in tmp_path.glob("a-*.svg")} == drawn
 
 
 @pytest.mark.parametrize(
