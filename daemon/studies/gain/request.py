@@ -1,6 +1,6 @@
 """What a person asks of `heliocube gain`, read and checked."""
 
-import csv
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from daemon.base.errors import UserError
 from daemon.studies.gain.choices import Device
 from daemon.studies.inputs import check_names, check_table, not_utf8, with_point
 from solar.frames import Array
+from solar.tables import CellError, numbered_rows, opened
 
 LARGEST_GRID = 20_000_000
 POINT_COLUMNS = {
@@ -113,31 +114,39 @@ def read_points(path: Path) -> dict[str, Array]:
     """
     separator = check_table(path)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, delimiter=separator, skipinitialspace=True)
-            header = [name.strip().lower() for name in reader.fieldnames or []]
-            reader.fieldnames = header
+        with opened(path) as file:
+            lines = numbered_rows(file, separator)
+            header = [name.strip().lower() for name in next(lines, (1, []))[1]]
             if not header:
                 raise UserError(f"points file {path} is empty")
             missing = [name for name in POINT_COLUMNS if name not in header]
             if missing:
                 raise UserError(f"points file {path} has no column {missing[0]}; found: {', '.join(header)}")
             check_names(f"points file {path}", header, POINT_COLUMNS)
-            rows = [
-                [_cell(path, reader.line_num, name, with_point(row[name] or "", separator)) for name in POINT_COLUMNS]
-                for row in reader
-                if any(isinstance(cell, str) and cell.strip() for cell in row.values())
-            ]
+            rows = [_row(path, line, header, cells, separator) for line, cells in lines if any(map(str.strip, cells))]
     except FileNotFoundError:
         raise UserError(f"there is no points file at {path}") from None
     except UnicodeDecodeError:
         raise not_utf8(f"points file {path}") from None
-    except (OSError, csv.Error) as error:
-        raise UserError(f"points file {path} cannot be read: {error}") from error
+    except CellError as error:
+        raise UserError(f"points file {path}, {error}") from None
+    except (OSError, EOFError, zlib.error) as error:
+        raise UserError(f"points file {path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if not rows:
         raise UserError(f"points file {path} has a header and no data")
     columns = np.array(rows).T
     return dict(zip(POINT_COLUMNS, columns, strict=True))
+
+
+def _row(path: Path, line: int, header: list[str], cells: list[str], separator: str) -> list[float]:
+    # A decimal comma between commas makes two cells of one number, and another one of each behind it.
+    if len(cells) > len(header):
+        raise UserError(
+            f"points file {path}, line {line}: there are {len(cells)} cells where the header has {len(header)}; write"
+            " numbers with a point"
+        )
+    told = dict(zip(header, cells, strict=False))
+    return [_cell(path, line, name, with_point(told.get(name, ""), separator)) for name in POINT_COLUMNS]
 
 
 def _cell(path: Path, line: int, name: str, text: str) -> float:

@@ -1,7 +1,7 @@
 """A table of sites as a person writes it, read and checked before any of them is worked at."""
 
-import csv
-from collections.abc import Iterator, Mapping
+import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
@@ -9,6 +9,7 @@ from typing import get_args
 from daemon.base.errors import UserError
 from daemon.config.simulation import WeatherName
 from daemon.studies.inputs import check_names, check_table, not_utf8, parse_site, with_point
+from solar.tables import CellError, numbered_rows, opened
 
 REQUIRED = ("name", "latitude", "longitude")
 OPTIONAL = ("altitude", "weather", "year")
@@ -60,29 +61,27 @@ def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
     """
     separator = check_table(path)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, delimiter=separator, skipinitialspace=True)
-            reader.fieldnames = [name.strip().lower() for name in reader.fieldnames or []]
-            _check_columns(path, list(reader.fieldnames))
+        with opened(path) as file:
+            rows = numbered_rows(file, separator)
+            names = [name.strip().lower() for name in next(rows, (1, []))[1]]
+            _check_columns(path, names)
             sites = [
-                _site(path, reader.line_num, row, model, separator)
-                for row in reader
-                if None in row or any(map(_says, row.values()))
+                _site(path, line, names, cells, model, separator) for line, cells in rows if any(map(_says, cells))
             ]
-    except OSError as error:
-        raise UserError(f"--sites: {path} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise not_utf8(f"--sites: {path}") from None
-    except csv.Error as error:
-        raise UserError(f"--sites: {path} cannot be read as CSV: {error}") from None
+    except CellError as error:
+        raise UserError(f"--sites: {path} {error}") from None
+    except (OSError, EOFError, zlib.error) as error:
+        raise UserError(f"--sites: {path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if not sites:
         raise UserError(f"--sites: {path} has no line with a site below its heads")
     _check_names(path, sites)
     return sites
 
 
-def _says(cell: str | None) -> bool:
-    return bool(cell and cell.strip())
+def _says(cell: str) -> bool:
+    return bool(cell.strip())
 
 
 def _check_columns(path: Path, names: list[str]) -> None:
@@ -97,11 +96,12 @@ def _check_columns(path: Path, names: list[str]) -> None:
 
 
 def _site(
-    path: Path, line: int, row: Mapping[str | None, str | None], model: WeatherName | None, separator: str
+    path: Path, line: int, names: list[str], row: list[str], model: WeatherName | None, separator: str
 ) -> AskedSite:
     where = f"{path} line {line}"
-    cells = {name: (row.get(name) or "").strip() for name in (*REQUIRED, *OPTIONAL)}
-    if None in row:
+    told = dict(zip(names, row, strict=False))
+    cells = {name: told.get(name, "").strip() for name in (*REQUIRED, *OPTIONAL)}
+    if len(row) > len(names):
         raise UserError(f"--sites: {where} has more cells than there are columns")
     if not cells["name"]:
         raise UserError(f"--sites: {where} has no name")

@@ -306,6 +306,11 @@ def test_a_mistake_is_one_sentence_and_exit_code_two(heliocube, tmp_path, monkey
         (POINTS.replace(",10,15", ",1.5,15"), "line 3: n is '1.5', not a whole number in 1..365"),
         (POINTS.replace(",10,15", ""), "line 3: n is '', not a whole number in 1..365"),
         ("phi_deg,beta_deg,n,lambda_deg\n\xff".encode("latin-1"), "is not text in UTF-8"),
+        (POINTS.replace("45,35", "45,5,35"), "line 2: there are 5 cells where the header has 4"),
+        (
+            POINTS.replace("82,", '"82,'),
+            "line 4: a cell begins with a quotation mark and none ends it: take the mark out",
+        ),
     ],
 )
 def test_a_bad_points_file_is_refused_with_its_place(heliocube, tmp_path, text, sentence):

@@ -44,6 +44,10 @@ def test_each_line_is_a_site_with_its_weather(table, tmp_path):
         (("name,latitude,longitude", "x,north,2"), r"line 2: 'north,2,0' is not LAT,LON"),
         (("name,latitude,longitude", ",1,2"), "line 2 has no name"),
         (("name,latitude,longitude", "x,1,2,3"), "line 2 has more cells than"),
+        (
+            ("name,latitude,longitude,weather", "x,1,2,clear", '"y,3,4,clear', "z,5,6,clear"),
+            "line 3: a cell begins with a quotation mark and none ends it",
+        ),
         (("name,latitude,longitude", "x,1,2"), "line 2 has no weather: name its files there, or with --model"),
         (("name,latitude,longitude,weather", "x,1,2,no.csv"), "line 2: there is no weather file 'no.csv'"),
         (("name,latitude,longitude,weather,year", "x,1,2,clear,soon"), r"'soon' is not a year in 1950\.\.2100"),
