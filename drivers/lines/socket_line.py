@@ -106,14 +106,18 @@ class SocketLine:
             raise LinkLostError(self._device, "has to be opened first")
         now = asyncio.get_running_loop().time
         until_s = now() + LONGEST_DRAIN_S
-        with contextlib.suppress(TimeoutError):
+        try:
             while now() < until_s:
                 async with asyncio.timeout(quiet_s):
                     data = await reader.read(_LONGEST_LINE)
                 if not data:
                     raise self._gone()
                 self._tap("<", data)
-            raise keeps_sending(self._device)
+        except TimeoutError:
+            return
+        except OSError:
+            raise self._gone() from None
+        raise keeps_sending(self._device)
 
     def _gone(self) -> LinkLostError:
         return LinkLostError(self._device, f"{self._host}:{self._port} has closed the connection")

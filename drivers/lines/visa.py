@@ -111,7 +111,7 @@ class VisaLine:
         if self._serial:
             self._write(_CONTROL_C)
             return
-        with contextlib.suppress(self._pyvisa.Error, NotImplementedError, AttributeError):
+        with self._translated(), contextlib.suppress(self._pyvisa.Error, NotImplementedError, AttributeError):
             self._resource.clear()
 
     def drain(self, quiet_s: float) -> None:

@@ -2,6 +2,8 @@
 
 import asyncio
 import contextlib
+import socket
+import struct
 
 import pytest
 
@@ -46,6 +48,28 @@ def test_what_sends_on_and_on_is_told_within_seconds():
                     await line.drain(4.0)
             await line.close()
             await over.wait()
+
+    asyncio.run(act())
+
+
+@pytest.mark.live
+def test_who_resets_the_connection_while_it_is_drained_is_a_lost_link():
+    async def act():
+        opened = asyncio.Event()
+
+        async def reset(_reader, writer):
+            await opened.wait()
+            # With nothing to linger for, the close is a reset.
+            writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            writer.transport.abort()
+
+        async with await asyncio.start_server(reset, "127.0.0.1", 0) as server:
+            line = SocketLine("cube", *server.sockets[0].getsockname())
+            await line.open()
+            opened.set()
+            with pytest.raises(LinkLostError, match="has closed the connection"):
+                await line.drain(60.0)
+            await line.close()
 
     asyncio.run(act())
 

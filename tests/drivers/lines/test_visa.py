@@ -237,3 +237,16 @@ def test_an_adapter_that_another_line_has_is_told_nothing(tmp_path):
     finally:
         line.close()
         adapter.end()
+
+
+def test_an_adapter_that_is_gone_is_a_lost_link_for_a_device_clear_too(tmp_path):
+    adapter = Prologix(Named(b"meter"), tmp_path / "adapter")
+    line = VisaLine(VisaSettings("GPIB0::16::INSTR", prologix_port=str(tmp_path / "adapter")))
+    try:
+        line.send("*IDN?")
+        assert line.receive(10.0) == "meter"
+        adapter.end()
+        with pytest.raises(LinkLostError, match="is gone; has it been unplugged"):
+            line.interrupt()
+    finally:
+        line.close()
