@@ -150,9 +150,13 @@ class ModbusProbe:
             if answer.strip().lower() == "s":
                 return
             found = await self._find(bus, line, units)
-            if len(found) == 1:
+            garbled = [str(each.unit) for each in found if each.text == _GARBLED]
+            if len(found) == 1 and not garbled:
                 break
             many = f"{len(found)} devices answer, at {', '.join(str(each.unit) for each in found)}: take the others off"
+            if garbled:
+                # What is written there would go to all of them.
+                many = f"at {', '.join(garbled)} what answers is garbage: leave one sensor on the line, not two"
             self._say(f"  {many if found else 'nothing answers: is it on, and are speed and parity right?'}")
         sensor = found[0]
         self._say(f"  address {sensor.unit}: {sensor.text}")
@@ -184,7 +188,7 @@ class ModbusProbe:
         while True:
             ask("Written. Switch the sensor off and on, wait ten seconds, and press Enter")
             found = await self._find(bus, line, [wanted])
-            if found and found[0].serial == sensor.serial:
+            if found and found[0].serial == sensor.serial and found[0].text != _GARBLED:
                 self._say(f"  it answers at {wanted} now")
                 return
             self._say(f"  nothing answers at {wanted}")

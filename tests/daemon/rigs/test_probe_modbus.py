@@ -9,9 +9,10 @@ from daemon.base.errors import UserError
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.rigs.probe_modbus import ModbusProbe, unit_range
+from drivers.cube.pyranometers.settings import RegisterMapSettings
 from drivers.errors import DeadlineError
 from sim_drivers.modbus.line import DeviceLineCore
-from sim_drivers.modbus.pyranometers import SimulatedApogee, SimulatedHukseflux, SimulatedSmp
+from sim_drivers.modbus.pyranometers import SimulatedApogee, SimulatedHukseflux, SimulatedMapped, SimulatedSmp
 from sim_drivers.transports import InMemoryModbus
 
 
@@ -192,6 +193,28 @@ def test_two_on_the_line_at_once_are_sent_back():
     said = bus.run(lambda probe: probe.set_addresses(Person(bus, [new, [], [], [], []]), range(1, 9)))
     assert "2 devices answer, at 5, 6: take the others off" in said
     assert [sensor.stored_address for sensor in new] == [5, 6]
+
+
+USED = {"register_number": 2, "number_type": "int16", "address_register": 9}
+
+
+@pytest.mark.parametrize(
+    "new",
+    [
+        [
+            SimulatedMapped(1, 101, lambda _now_s: 99.0, RegisterMapSettings(**USED)),
+            SimulatedMapped(1, 102, bright, RegisterMapSettings(**USED)),
+        ],
+        [SimulatedHukseflux(5, 101, bright), SimulatedHukseflux(5, 102, bright)],
+    ],
+)
+def test_two_of_one_address_on_the_line_at_once_are_sent_back(new):
+    bus = Bus(make="map", map=USED)
+    person = Person(bus, [new, [], [], [], []])
+    said = bus.run(lambda probe: probe.set_addresses(person, range(1, 9)))
+    assert f"at {new[0].address} what answers is garbage: leave one sensor on the line, not two" in said
+    assert "already" not in said
+    assert not [question for question in person.asked if question.startswith("Give")]
 
 
 @pytest.mark.parametrize(
