@@ -39,7 +39,7 @@ class BenchControl:
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
         self._server: asyncio.Server | None = None
-        self._later: set[asyncio.Task[None]] = set()
+        self._later: dict[str, asyncio.Task[None]] = {}
         self._path = bench.directory / SOCKET_NAME
 
     async def __aenter__(self) -> Self:
@@ -63,8 +63,8 @@ class BenchControl:
 
     async def __aexit__(self, *_: object) -> None:
         """Take no more."""
-        for task in self._later:
-            task.cancel()
+        for device in list(self._later):
+            self._forget(device)
         if self._server is not None:
             self._server.close()
         self._path.unlink(missing_ok=True)
@@ -110,9 +110,10 @@ class BenchControl:
         return self._bench.state()
 
     async def unplug(self, device: str, seconds: str = "") -> None:
-        """Pull a plug, for some seconds or until `replug`."""
+        """Pull a plug, for some seconds or until `replug`; what was said of it before counts no more."""
         name = _one_of(device, DEVICES)
         length_s = _number(seconds, 0, 86400) if seconds else None
+        self._forget(name)
         bench = self._bench
         if name == "server":
             await bench.multiplexer.stop()
@@ -125,13 +126,12 @@ class BenchControl:
         else:
             self._host(name).port.unplug()
         if length_s is not None:
-            task = asyncio.create_task(self._replug_after(name, length_s))
-            self._later.add(task)
-            task.add_done_callback(self._later.discard)
+            self._later[name] = asyncio.create_task(self._replug_after(name, length_s))
 
     async def replug(self, device: str) -> None:
         """Plug in again."""
         name, bench = _one_of(device, DEVICES), self._bench
+        self._forget(name)
         if name == "server":
             if not bench.multiplexer.serving:
                 await bench.multiplexer.start(bench.multiplexer.port)
@@ -233,7 +233,8 @@ class BenchControl:
         else:
             keep = _one_of(position, ("kept", "lost")) == "kept"
             self._unit().core.power_cycle(bench.clock.now(), keep_position=keep)
-            await self.unplug("positioner", str(_REENUMERATION_S))
+            if self._unit().port.plugged:
+                await self.unplug("positioner", str(_REENUMERATION_S))
 
     def restart(self, seconds: str) -> None:
         """Restart the positioner while its USB stays."""
@@ -311,7 +312,14 @@ class BenchControl:
 
     async def _replug_after(self, device: str, seconds: float) -> None:
         await asyncio.sleep(seconds)
+        self._later.pop(device, None)
         await self.replug(device)
+
+    def _forget(self, device: str) -> None:
+        """Forget that a plug was to be put back by itself."""
+        task = self._later.pop(device, None)
+        if task is not None:
+            task.cancel()
 
 
 def _is_alive(path: Path) -> bool:

@@ -78,6 +78,23 @@ def test_a_mistaken_command_is_one_sentence(start_bench, tmp_path):
     assert (nobody.returncode, "no bench answers" in nobody.stderr) == (2, True)
 
 
+def test_a_plug_that_is_pulled_again_stays_out_whatever_time_was_said_before(start_bench):
+    bench = start_bench()
+    for device in ("voltmeter", "load", "positioner"):
+        bench.ask("unplug", device, "2")
+    bench.ask("replug", "voltmeter")
+    bench.ask("unplug", "voltmeter")
+    bench.ask("unplug", "load")
+    bench.ask("unplug", "positioner")
+    bench.ask("power-cycle", "positioner")
+    time.sleep(3.0)
+    state = bench.state()
+    assert [state[device]["plugged"] for device in ("voltmeter", "load", "positioner")] == [False] * 3
+    bench.ask("replug", "positioner")
+    bench.ask("power-cycle", "positioner")
+    wait_until(lambda: bench.state()["positioner"]["plugged"], 30.0, "the positioner's port")
+
+
 def test_the_positioner_streams_all_its_screens_and_comes_back_under_the_same_name(start_bench):
     bench = start_bench()
     link = bench.directory / "positioner"
