@@ -100,7 +100,7 @@ class Bench:
         self._source = source
 
     async def run(self, stop: asyncio.Event, ready: Callable[[], None]) -> None:
-        """Plug everything in, call `ready`, and serve until `stop` is set."""
+        """Plug everything in, call `ready`, and serve until `stop` is set; raises what an instrument raises."""
         await self.multiplexer.start()
         if self.cube is not None:
             await self.cube.start()
@@ -120,6 +120,9 @@ class Bench:
                 await stop.wait()
                 for host in hosts:
                     host.cancel()
+        except ExceptionGroup as group:
+            # The others have been cancelled for the first that failed.
+            raise group.exceptions[0] from group
         finally:
             for port in ports:
                 port.unplug()
