@@ -199,18 +199,29 @@ async def _time_moves(
             raise RefusedError("positioner", "has faults or has restarted: home it before it is moved")
         if not (setups[0].allows(start.a_deg) and setups[1].allows(start.b_deg)):
             raise RefusedError("positioner", "stands outside the configured limits, so it is not moved from there")
-        axes: tuple[tuple[AxisName, AxisSetup, float], ...] = (
-            ("a", setups[0], start.a_deg),
-            ("b", setups[1], start.b_deg),
+        axes: tuple[tuple[AxisName, float, float], ...] = (
+            ("a", start.a_deg, _way("a", setups[0], start.a_deg, move_deg)),
+            ("b", start.b_deg, _way("b", setups[1], start.b_deg, move_deg)),
         )
-        for axis, setup, here_deg in axes:
-            way = move_deg if setup.allows(here_deg + move_deg) else -move_deg
+        for axis, here_deg, way in axes:
             for target_deg in (here_deg + way, here_deg):
                 targets = (target_deg, start.b_deg) if axis == "a" else (start.a_deg, target_deg)
                 await _order(positioner, targets, say)
                 say(f"  {axis.upper()} to {target_deg:z.1f} deg: {await _watch(positioner, axis, clock)}")
     finally:
         await positioner.halt()
+
+
+def _way(axis: AxisName, setup: AxisSetup, here_deg: float, move_deg: float) -> float:
+    """Return how far to move an axis, up or down; `RefusedError` where its limits have room for neither."""
+    for way in (move_deg, -move_deg):
+        if setup.allows(here_deg + way):
+            return way
+    raise RefusedError(
+        "positioner",
+        f"is not moved: {axis.upper()} stands at {here_deg:z.1f} deg, and its limits, {setup.minimum_deg:g} to"
+        f" {setup.maximum_deg:g} deg, leave no room for {move_deg:g} deg either way",
+    )
 
 
 async def _order(positioner: PozsolPositioner, targets: tuple[float, float], say: Say) -> None:

@@ -12,9 +12,12 @@ from drivers.transcript import no_tap
 from sim_drivers.pozsol.core import DEAF
 
 
-async def probed(host, say):
+async def probed(host, say, **sections):
     settings = Settings.model_validate(
-        {"instruments": {"kind": "real", "positioner": {"port": str(host.port.link), "telemetry_stale_s": 10.0}}}
+        {
+            "instruments": {"kind": "real", "positioner": {"port": str(host.port.link), "telemetry_stale_s": 10.0}},
+            **sections,
+        }
     )
     return await probe_positioner(settings, SystemClock(), 0.5, 2.0, no_tap, say)
 
@@ -47,3 +50,17 @@ def test_a_target_that_is_not_taken_is_ordered_again_and_that_is_told(positioner
         assert asyncio.run(scene())["geometry_fits"]
         assert len(told("; it is tried again")) == 1
         assert [len(told(f"  {axis} to ")) for axis in "AB"] == [2, 2]
+
+
+def test_limits_too_narrow_for_the_move_are_told_before_anything_moves(positioner_host):
+    said = []
+
+    async def scene():
+        async with positioner_host() as host:
+            await probed(host, said.append, limits={"a_min_deg": -50.0, "b_min_deg": 88.5})
+
+    with pytest.raises(
+        RefusedError, match=r"B stands at 90.0 deg, and its limits, 88.5 to 90 deg, leave no room for 2 "
+    ):
+        asyncio.run(scene())
+    assert not [line for line in said if line.startswith("  A to ")]
