@@ -100,7 +100,8 @@ def energy_ratio(max_h: ArrayLike, received_h: ArrayLike) -> Array:
     Infinite where the device receives nothing (or less than rounding), NaN where there is nothing to receive.
     """
     maximum, received = np.asarray(max_h, dtype=np.float64), np.asarray(received_h, dtype=np.float64)
-    some = received > _ROUNDING * maximum
+    # The signed sum of the horizontal axis may be below zero.
+    some = received > _ROUNDING * np.maximum(maximum, 0.0)
     ratio = np.full(np.broadcast_shapes(maximum.shape, received.shape), np.inf)
     np.divide(maximum, received, out=ratio, where=some)
     ratio[np.broadcast_to(~(maximum > 0.0) | np.isnan(received), ratio.shape)] = np.nan

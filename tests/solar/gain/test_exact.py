@@ -305,3 +305,10 @@ def test_a_horizontal_axis_with_its_back_to_the_sun_loses_all_of_what_a_static_p
 
 def test_some_minutes_of_sun_have_a_ratio_and_the_rounding_of_zero_has_none():
     assert energy_ratio([0.5, 1.0, 1.0], [0.25, 1.5e-15, 0.5e-15]) == pytest.approx([2.0, 1.0 / 1.5e-15, np.inf])
+
+
+def test_what_gains_nothing_over_a_static_panel_in_the_dark_has_no_ratio_and_says_nothing():
+    energies = gain.daily(0.0, 90.0, 80.0, -180.0)
+    assert energies.static == 0.0
+    assert energies.horizontal < 0.0
+    assert np.isnan(energies.eta_hs)
