@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import re
 import socket
 from collections.abc import Awaitable
 from pathlib import Path
@@ -25,6 +26,10 @@ Name = TypeVar("Name", bound=str)
 FACES = ("east", "south", "west", "zenith")
 _REENUMERATION_S = 1.0
 _LONGEST_REQUEST = 65536
+_WHOLE = re.compile(r"-?[0-9]{1,9}")
+_MOST = 1_000_000
+# As far as an address and a register go.
+_OF_A_SENSOR = {"address": (1, 247), "status": (0, 65535), "mode": (0, 65535)}
 
 
 class BenchControl:
@@ -167,7 +172,7 @@ class BenchControl:
 
     def fail(self, code: str, number: str = "1") -> None:
         """Let the next writes to the multiplexer fail."""
-        self._bench.multiplexer.core.fail_next(int(code), _count(number))
+        self._bench.multiplexer.core.fail_next(_whole(code, -_MOST, _MOST), _count(number))
 
     def overcurrent(self, axis: str) -> None:
         """Latch an overcurrent."""
@@ -216,11 +221,13 @@ class BenchControl:
         sensor: Any = self._sensors().sensors[FACES.index(_one_of(face, FACES))]
         name = _one_of(what, tuple(can.partition(" ")[0] for can in PYRANOMETER_CAN))
         if name in ("silent", "speaks"):
+            if value:
+                raise ValueError(f"{name} takes no value")
             sensor.silent = name == "silent"
         elif name == "delay":
             sensor.delay_s = _number(value, 0, 3600)
         else:
-            setattr(sensor, name, _count(value))
+            setattr(sensor, name, _whole(value, *_OF_A_SENSOR.get(name, (0, _MOST))))
 
     async def power_cycle(self, device: str, position: str = "kept") -> None:
         """Switch a device off and on; the positioner's port is gone for a second."""
@@ -347,6 +354,11 @@ def _number(text: str, low: float, high: float) -> float:
 
 
 def _count(text: str) -> int:
-    if not text.isdecimal():
-        raise ValueError(f"'{text}' is not a whole number")
+    return _whole(text, 0, _MOST)
+
+
+def _whole(text: str, low: int, high: int) -> int:
+    # Python turns no text of thousands of digits into a number.
+    if not (_WHOLE.fullmatch(text) and low <= int(text) <= high):
+        raise ValueError(f"'{text}' is not a whole number from {low} to {high}")
     return int(text)

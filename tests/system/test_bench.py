@@ -68,6 +68,8 @@ def test_a_mistaken_command_is_one_sentence(start_bench, tmp_path):
         ("repair", "re_reference"): "there is nothing to end",
         ("drop", "voltmeter", "-1"): "'-1' is not a whole number",
         ("fail", "200220"): "errors of the DAQ driver are negative",
+        ("fail", "many"): "fail: 'many' is not a whole number",
+        ("drop", "voltmeter", "9" * 5000): "999' is not a whole number from 0 to 1000000",
     }
     for command, sentence in mistakes.items():
         with pytest.raises(BenchError, match=re.escape(sentence)):
@@ -229,6 +231,9 @@ def run_python(program, fails=False):
 def test_a_bench_of_pyranometers_is_driven_by_the_file_that_it_writes(start_bench):
     bench = start_bench("--cube", "modbus-pyranometers", "--weather", "clear", "--start", "2022-06-21T12:00Z")
     assert check_file(bench.config).instruments.cube.line == str(bench.directory / "cube")
+    for wrong in (("address", "300"), ("status", "70000"), ("corrupt", ""), ("silent", "3")):
+        with pytest.raises(BenchError, match=f"^pyranometer: '{wrong[1]}' is not a whole|silent takes no value"):
+            bench.ask("pyranometer", "south", *wrong)
     bench.ask("pyranometer", "south", "status", "8")
     # A busy machine lets an answer wait for longer than a sensor does.
     patient = bench.config.with_name("patient.toml")
