@@ -1,5 +1,6 @@
 """Component x fault: what each cell is called in a schedule, or why a simulator cannot do it."""
 
+import math
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
@@ -214,8 +215,15 @@ def refuse_unknown(events: Iterable[Happening], commands: Collection[str]) -> No
 
 
 def _refuse_values(file: Path, events: Iterable[Happening]) -> None:
-    """Raise `UserError` for the first event whose numbers its command or fault does not take."""
+    """Raise `UserError` for the first event out of turn, or whose numbers its command or fault does not take."""
+    before_s = -math.inf
     for event in events:
+        if event.at_s < before_s:
+            raise UserError(
+                f"--schedule: {file}: {event.name} at {event.at_s:g} s stands behind what happens at {before_s:g} s:"
+                " put the events in the order of their times"
+            )
+        before_s = event.at_s
         ranges = value_ranges(event.name)
         takes = ", ".join(f"{low:g}..{high:g}" for low, high in ranges) or "nothing"
         good = len(event.value) == len(ranges)
