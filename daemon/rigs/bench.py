@@ -12,6 +12,7 @@ from typing import Any
 from daemon.base import process
 from daemon.base.clock import LoopClock, SystemClock
 from daemon.base.errors import UserError
+from daemon.base.files import replace_file
 from daemon.base.process import on_signals
 from daemon.base.records import FACES
 from daemon.config.file import override
@@ -43,7 +44,7 @@ def serve_bench(settings: Settings, directory: Path) -> None:
     Raises
     ------
     UserError
-        A weather file or the directory cannot be used, or the settings name trackers.
+        A weather file or the directory cannot be used, the disk is full, or the settings name trackers.
     """
     if settings.tracker:
         names = ", ".join(table.name for table in settings.tracker)
@@ -68,7 +69,10 @@ def serve_bench(settings: Settings, directory: Path) -> None:
                 (CUBE.path, served.instruments.cube.driver),
                 (POSITIONER.path, served.instruments.positioner.driver),
             )
-            file.write_text(f"{_MARK}\n{example('both', _values(served, chosen), chosen)}", encoding="utf-8")
+            try:
+                replace_file(file, f"{_MARK}\n{example('both', _values(served, chosen), chosen)}")
+            except OSError as error:
+                raise UserError(f"{file} cannot be written: {error.strerror}") from None
             sys.stdout.write("ready\n")
             sys.stdout.flush()
 

@@ -1,6 +1,7 @@
 """The bench as independent programs see it: its files, its ports, its commands."""
 
 import asyncio
+import contextlib
 import os
 import re
 import subprocess
@@ -53,6 +54,23 @@ def test_a_second_bench_in_the_same_folder_and_a_file_of_somebody_else_are_refus
     third = heliocube("bench", "--dir", tmp_path)
     assert (third.returncode, "was not written by a bench" in third.stderr) == (2, True)
     assert "Traceback" not in second.stderr + third.stderr
+
+
+def test_a_bench_whose_file_finds_no_room_says_so_and_leaves_no_half_of_it(tmp_path):
+    made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", tmp_path], capture_output=True)
+    if made.returncode:
+        pytest.skip("mounting a small file system needs root")
+    try:
+        with contextlib.suppress(OSError), (tmp_path / "filler").open("wb", buffering=0) as file:
+            while True:
+                file.write(bytes(4096))
+        done = heliocube("bench", "--dir", tmp_path)
+        assert (done.returncode, "Traceback" in done.stderr) == (2, False)
+        last = done.stderr.splitlines()[-1]
+        assert last == f"heliocube: {tmp_path / 'heliocube.toml'} cannot be written: No space left on device"
+        assert [path.name for path in tmp_path.iterdir()] == ["filler"]
+    finally:
+        subprocess.run(["umount", "--lazy", tmp_path], check=True)
 
 
 def test_a_mistaken_command_is_one_sentence(start_bench, tmp_path):
