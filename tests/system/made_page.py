@@ -48,10 +48,13 @@ class MadeSite:
     ----------
     failures
         How many of the next requests for stored records are refused.
+    holds
+        The path of the next request that gets no answer before `let_go`; None where all are answered at once.
     """
 
     def __init__(self, folder, site=Site(10.0, 0.0, 0.0)):  # noqa: B008 - it does not change
         self.folder, self.site, self.failures = folder, site, 0
+        self.holds, self._held = None, []
 
     def keep(self, *records):
         """Write records, as a run of their own."""
@@ -69,15 +72,25 @@ class MadeSite:
     def open(self, context, now_utc_s, mode="tracking", since_utc_s=None):
         """Open the view of the day at an instant, from which on the page's clock runs."""
         since = iso_utc(now_utc_s if since_utc_s is None else since_utc_s)
-        tracker = {"wind": [], "mode": {"name": mode, "since": since}}
+        unit = {"name": TRACKER, "pose": None, "moving": False, "target": None}
+        tracker = {"tracker": unit, "law": {"name": "flat"}, "wind": [], "mode": {"name": mode, "since": since}}
         state = {"speed": 1.0, "site": {"name": "made", **self.site._asdict()}, "trackers": {TRACKER: tracker}}
         context.add_init_script(_STREAM.replace("STATE", json.dumps(state)))
         context.clock.install(time=now_utc_s)
         context.route("**/*", self._answer)
         return browsers.Page(context, URL, "day")
 
+    def let_go(self):
+        """Answer what is held."""
+        while self._held:
+            self._answer(self._held.pop())
+
     def _answer(self, route):
         asked = urlsplit(route.request.url)
+        if asked.path == self.holds:
+            self.holds = None
+            self._held.append(route)
+            return
         query = {name: values[0] for name, values in parse_qs(asked.query).items()}
         if asked.path == "/session":
             route.fulfill(json={"by": None, "services": []})

@@ -219,6 +219,26 @@ def test_at_midnight_the_new_day_is_opened_unless_another_one_was_chosen(context
     assert page.complaints == []
 
 
+def test_a_view_that_is_left_while_its_day_comes_leaves_nothing_behind(context, tmp_path):
+    site = MadeSite(tmp_path)
+    site.keep(*records(MIDNIGHT, MIDNIGHT + HOUR))
+    page = site.open(context, MIDNIGHT + HOUR)
+    shows(page, "2022-09-21 (today)")
+    page.show("fleet")
+    site.holds = "/read/history/events"
+    with page.page.expect_request("**/read/history/events*"):
+        page.show("day")
+    page.show("fleet")
+    page.sees(".fleet tbody", TRACKER)
+    # What comes for the first is here before anything that the second asks for.
+    page.show("day")
+    site.let_go()
+    shows(page, "2022-09-21 (today)")
+    kept, shown = page.page.evaluate("[uPlot.sync('day').plots.length, document.querySelectorAll('.plot').length]")
+    assert kept == shown > 0
+    assert page.complaints == []
+
+
 def test_a_change_of_colours_draws_the_plots_anew(context, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(*records(MIDNIGHT, MIDNIGHT + 2 * HOUR))

@@ -328,7 +328,14 @@ export function day() {
     setAttr(node, "data-source", source);
   }
 
-  return { node, update, redraw: () => held && draw(), close: () => { watcher.disconnect(); plots.clear(); } };
+  // What is still under way belongs to no source then, and is drawn nowhere.
+  function close() {
+    watcher.disconnect();
+    source = null;
+    clear();
+  }
+
+  return { node, update, redraw: () => held && draw(), close };
 }
 
 // The kinds of which there are more than a reply has.
