@@ -246,7 +246,7 @@ class Control(Doors):
         self._act(now_s, mean)
         self._alarms.mute(muted=self.wishes.maintenance is not None)
         self._reminders.remind(self.wishes, sun_known=self._clock_watch.trusted)
-        self._reminders.watch(self._motion, mode, why, sun_known=self._clock_watch.trusted)
+        self._reminders.watch(self._motion, mode, situation, sun_known=self._clock_watch.trusted)
         self._folder.retry()
         self._alarms.set("not-kept", self._folder.trouble)
         self._alarms.set("law-failed", self.pointing.failed_why)

@@ -9,6 +9,7 @@ from daemon.base.clock import Clock
 from daemon.base.records import Event, Mode, Record
 from daemon.config.sections import SiteSettings
 from daemon.motion.state import MotionState
+from daemon.tracker.modes import Data, Situation
 from daemon.tracker.orders import RELEASE
 from daemon.tracker.wishes import Wish, Wishes
 from solar.ephemeris import DAY_S, SunDay, sun_day
@@ -47,7 +48,7 @@ class Reminders:
         self._day: SunDay | None = None
         self._maintenance: Wish | None = None
         self._due_s = math.inf
-        self._fallback_s: float | None = None
+        self._unread_s: float | None = None
         self._without_readings = False
         self._answered_s = clock.monotonic()
         self._connected_s: float | None = None
@@ -64,7 +65,7 @@ class Reminders:
             text = f"{wishes.describe(name)}; a night has passed since: 'heliocube auto' if it was forgotten"
             self._alarms.set("hold-forgotten", text if self._outlasted_a_night(wish) else None)
 
-    def watch(self, motion: MotionState, mode: Mode, why: str, *, sun_known: bool) -> None:
+    def watch(self, motion: MotionState, mode: Mode, situation: Situation, *, sun_known: bool) -> None:
         """Raise what lasts: a positioner that does not answer, readings that are not good."""
         now_s = self._clock.monotonic()
         if not motion.connected:
@@ -79,16 +80,23 @@ class Reminders:
             reason = motion.outage.reason or "its driver has not come back from opening it"
             text = f"for a minute or more the positioner has not answered, or only for moments: {reason}"
             self._alarms.set("positioner-down", text)
-        if mode is not Mode.FALLBACK:
-            self._fallback_s = None
-        elif self._fallback_s is None:
-            self._fallback_s = now_s
-        lasts = self._fallback_s is not None and now_s - self._fallback_s >= _WITHOUT_READINGS_S
+        self._watch_readings(mode, situation, now_s, sun_known=sun_known)
+
+    def _watch_readings(self, mode: Mode, situation: Situation, now_s: float, *, sun_known: bool) -> None:
+        """Raise that the law has no readings by day, also while something else decides where the tracker stands."""
+        data = situation.data
+        if data is Data.FRESH or situation.night_why is not None:
+            self._unread_s = None
+        elif data is Data.BAD and self._unread_s is None:
+            self._unread_s = now_s
+        lasts = self._unread_s is not None and now_s - self._unread_s >= _WITHOUT_READINGS_S
         does = "tracking by the ephemeris" if sun_known else "standing, since the clock is in doubt too,"
+        told = does if mode is Mode.FALLBACK else "no good readings"
         lasted, self._without_readings = self._without_readings, lasts
         # Before that nobody knows whether it is over: after a restart it may be the one that was acknowledged.
-        if lasts or lasted or mode is Mode.TRACKING:
-            self._alarms.set("no-readings", f"{does} for a quarter of an hour: {why}" if lasts else None)
+        if lasts or lasted or data is Data.FRESH:
+            text = f"{told} for a quarter of an hour: {situation.data_why}" if lasts else None
+            self._alarms.set("no-readings", text)
 
     def watch_stow(self, missed_why: str | None, wishes: Wishes) -> None:
         """Raise that a person keeps the tracker from a stow that is wanted and not done; in maintenance nothing."""

@@ -186,8 +186,8 @@ _ALL = (
         "no-readings",
         Severity.WARNING,
         "for 15 minutes of daylight the law has had no good readings",
-        "the tracker follows the ephemeris",
-        "check the cube, its process, the bridge and the network; the mode's reason says which",
+        "unless a person, a stow or a fault keeps it elsewhere, the tracker follows the ephemeris",
+        "check the cube, its process, the bridge and the network; the alarm's text says which",
     ),
     _kind(
         "clock",

@@ -11,6 +11,7 @@ from daemon.base.records import Decision, Event, Mode, ModeChange, Move
 from daemon.commands.status.check import verdict
 from daemon.commands.status.screen import live_screen, render
 from daemon.notify.notices import ServiceWatch
+from daemon.service.operator import Operator
 from daemon.service.state import state_json
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
@@ -38,6 +39,26 @@ def test_without_the_cube_the_tracker_follows_the_sun_and_comes_back(run_rig, in
     assert len(told) == 2
     assert told[0].startswith("the cube is down")
     assert told[1] == "the cube is back"
+
+
+@pytest.mark.parametrize("asked", ["stop", "hold", "stow", "snow"])
+def test_that_the_cube_is_silent_is_an_alarm_too_while_a_person_keeps_the_tracker_elsewhere(run_rig, asked):
+    async def scenario(rig):
+        def alarmed():
+            return {alarm.name: alarm.text for alarm in rig.tracker.alarms.active}.get("no-readings")
+
+        await tracking(rig)
+        await getattr(Operator(rig.tracker, 1.0), asked)("a visit", by="ana")
+        rig.cables.voltmeter.link_up = False
+        await asyncio.sleep(890)
+        assert not alarmed()
+        await rig.until(alarmed, 100, "the alarm")
+        assert alarmed().startswith("no good readings for a quarter of an hour: no good scan for ")
+        assert rig.mode.value == {"stop": "hold"}.get(asked, asked)
+        rig.cables.voltmeter.link_up = True
+        await rig.until(lambda: not alarmed(), 120, "its end")
+
+    run_rig(scenario)
 
 
 @pytest.mark.parametrize(("instrument", "method"), [("multiplexer", "select"), ("voltmeter", "open"), ("cube", "read")])

@@ -12,6 +12,7 @@ from daemon.base.reconnect import Outage
 from daemon.base.records import Event, Mode
 from daemon.base.state import StateFolder
 from daemon.config.sections import SiteSettings
+from daemon.tracker.modes import Data
 from daemon.tracker.reminders import Reminders
 from daemon.tracker.wishes import PROGRAM, Wish, Wishes
 
@@ -49,7 +50,9 @@ class Desk:
         return {alarm.name: alarm.text for alarm in self._alarms.active}
 
     def watched(self, mode=Mode.TRACKING, *, sun_known=True):
-        self.reminders.watch(self.motion, mode, "no good scan", sun_known=sun_known)
+        data = {Mode.FALLBACK: Data.BAD, Mode.TRACKING: Data.FRESH}.get(mode, Data.WAITING)
+        situation = SimpleNamespace(data=data, data_why="no good scan", night_why=None)
+        self.reminders.watch(self.motion, mode, situation, sun_known=sun_known)
         return {alarm.name: alarm.text for alarm in self._alarms.active}
 
     def acknowledge(self):
