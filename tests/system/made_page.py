@@ -73,7 +73,8 @@ class MadeSite:
         """Open the view of the day at an instant, from which on the page's clock runs."""
         since = iso_utc(now_utc_s if since_utc_s is None else since_utc_s)
         unit = {"name": TRACKER, "pose": None, "moving": False, "target": None}
-        tracker = {"tracker": unit, "law": {"name": "flat"}, "wind": [], "mode": {"name": mode, "since": since}}
+        said = {"name": mode, "since": since, "why": "a reason"}
+        tracker = {"tracker": unit, "law": {"name": "flat"}, "wind": [], "mode": said}
         state = {"speed": 1.0, "site": {"name": "made", **self.site._asdict()}, "trackers": {TRACKER: tracker}}
         context.add_init_script(_STREAM.replace("STATE", json.dumps(state)))
         context.clock.install(time=now_utc_s)

@@ -252,59 +252,6 @@ def test_a_change_of_colours_draws_the_plots_anew(context, tmp_path):
         page.page.wait_for_function(f"({INKED})() > 20")
 
 
-def test_a_local_time_has_the_local_date(browser, tmp_path):
-    with browser.new_context(timezone_id="Australia/Sydney") as context:
-        page = MadeSite(tmp_path).open(context, MIDNIGHT)
-        said = page.page.evaluate("""async () => {
-          const { at } = await import("/static/js/format.js");
-          const { log } = await import("/static/js/views/cards.js");
-          const [now, times] = [Date.parse("2022-09-21T00:10:00Z"), ["2022-09-20T13:00:00Z", "2022-09-20T23:50:00Z"]];
-          const card = log();
-          const state = { trackers: {}, news: times.map((time) => ({ time, text: "x" })) };
-          card.update({ state, tracker: null, now });
-          const listed = [...card.node.querySelectorAll("time")].map((each) => each.textContent);
-          return [times.map((time) => at(time, now)), listed];
-        }""")
-    assert said == [
-        ["2022-09-20 23:00 local (13:00 UTC)", "09:50 local (23:50 UTC)"],
-        ["09:50 23:50 UTC", "2022-09-20 23:00 13:00 UTC"],
-    ]
-
-
-def test_what_lasts_over_midnight_gets_its_date_then(context, tmp_path):
-    page = MadeSite(tmp_path).open(context, MIDNIGHT)
-    said = page.page.evaluate("""async () => {
-      const { hero } = await import("/static/js/views/hero.js");
-      const card = hero(null);
-      const since = "2022-09-21T23:10:00Z";
-      const alarm = { name: "reference", severity: "warning", state: "raised", tracker: null, text: "x", since };
-      const tracker = { mode: { name: "hold", since, why: "x" }, wishes: { hold: { since, why: "x" } } };
-      return ["2022-09-21T23:59:59Z", "2022-09-22T00:00:00Z"].map((now) => {
-        const context = { state: { alarms: [alarm] }, entry: { key: "made" }, tracker, now: Date.parse(now) };
-        card.update({ ...context, tracker: { ...tracker, tracker: { name: "roof" } } });
-        return [...card.node.querySelectorAll(".since, .alarm .hint, .wish p")].map((each) => each.textContent);
-      });
-    }""")
-    for before, after in zip(*said, strict=True):
-        assert "since 23:10 local" in before
-        assert "since 2022-09-21 23:10 local" in after
-
-
-def test_a_stop_from_the_day_before_is_told_since_then_after_a_restart_too(context, tmp_path):
-    page = MadeSite(tmp_path).open(context, MIDNIGHT)
-    said = page.page.evaluate("""async () => {
-      const { hero } = await import("/static/js/views/hero.js");
-      const card = hero(null);
-      const wishes = { stop: { since: "2022-09-20T18:12:00Z", why: "x" } };
-      const mode = { name: "hold", asked: "stop", since: "2022-09-21T05:00:00Z", why: "x" };
-      const tracker = { mode, wishes, tracker: { name: "roof" } };
-      card.update({ state: { alarms: [] }, entry: { key: "made" }, tracker, now: Date.parse("2022-09-21T06:12:00Z") });
-      return card.node.querySelector(".since").textContent;
-    }""")
-    assert said.startswith("since 2022-09-20 ")
-    assert said.endswith(", for 12 h 0 min")
-
-
 def test_a_tracker_of_several_has_its_own_news_and_those_of_the_cube(context, tmp_path):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     said = page.page.evaluate("""async () => {
@@ -353,7 +300,7 @@ def test_an_alarm_that_nobody_has_seen_and_a_cube_that_is_down_need_attention(
         """async ([alarms, cube_down_why]) => {
           const { fleet } = await import("/static/js/views/fleet.js");
           const own = (name, mode) => ({
-            tracker: { name, moving: false, target: null, pose: null }, mode: { name: mode },
+            tracker: { name, moving: false, target: null, pose: null }, mode: { name: mode, why: "x" },
             law: { name: "x" }, wind: [],
           });
           const trackers = { east: own("east", "starting"), west: own("west", "night") };

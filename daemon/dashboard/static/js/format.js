@@ -73,4 +73,12 @@ export function at(iso, now) {
   return `${day}${localTime(ms, false)} local (${utcTime(ms, false)} UTC)`;
 }
 
+// The times of UTC that a service has written into a sentence, told as `at` tells others.
+export function inLocal(text, now) {
+  return text.replace(/(\d{4}-\d\d-\d\d) (\d\d:\d\d(?::\d\d)?) UTC/g, (written, day, time) => {
+    const iso = `${day}T${time}Z`;
+    return Number.isNaN(Date.parse(iso)) ? written : at(iso, now);
+  });
+}
+
 export const sentence = (text) => (text ? text[0].toUpperCase() + text.slice(1) : "");

@@ -1,7 +1,7 @@
 // Today, and any day that the store has: light, angles against the sun's path, modes, moves and events.
 
 import { fill, h, setAttr, setText } from "../dom.js";
-import { deg, duration, localTime, num, sentence, utcTime } from "../format.js";
+import { deg, duration, inLocal, localTime, num, sentence, utcTime } from "../format.js";
 import { direction } from "../geometry.js";
 import { dateOf, DAY_MS, lines, numbers, solarDay, startOf, storedDays, withPauses } from "../history.js";
 import { KIND, TITLE } from "./hero.js";
@@ -294,7 +294,7 @@ export function day() {
       ...held.events.map(({ time, subject, text }) => ({ time, text: `${subject}: ${text}` })),
       ...held.moves.map((move) => ({ time: move.time, text: `moved to A ${num(move.end_a_deg, 1)}, B ${num(move.end_b_deg, 1)}° in ${duration(move.duration_s)}${move.outcome === "arrived" ? "" : ` (${move.outcome})`}: ${move.why}` })),
     ].sort((one, other) => other.time.localeCompare(one.time)).slice(0, 200);
-    happened.replaceChildren(...rows.map(({ time, text }) => h("li", null, h("time", { datetime: time }, localTime(Date.parse(time)), h("span", null, ` ${utcTime(Date.parse(time), false)} UTC`)), h("span", null, sentence(text)))));
+    happened.replaceChildren(...rows.map(({ time, text }) => h("li", null, h("time", { datetime: time }, localTime(Date.parse(time)), h("span", null, ` ${utcTime(Date.parse(time), false)} UTC`)), h("span", null, inLocal(sentence(text), Date.parse(time))))));
   }
 
   function show(part) {

@@ -1,9 +1,9 @@
 // All trackers at once: who is where, who is not where the others are, and stow for all.
 
 import { card, fill, h, icon, setAttr, setText } from "../dom.js";
-import { deg, duration, num, sentence, signedDeg } from "../format.js";
+import { deg, duration, inLocal, num, sentence, signedDeg } from "../format.js";
 import { normal, separationDeg } from "../geometry.js";
-import { elapsed, isOld } from "../live.js";
+import { elapsed, isOld, serviceNow } from "../live.js";
 import { target } from "./dome.js";
 import { inAWord, KIND, TITLE } from "./hero.js";
 
@@ -30,7 +30,7 @@ export function fleet(orders) {
     const found = await orders.stowAll();
     if (!found) return;
     ordered = performance.now();
-    results.replaceChildren(...found.map(({ service, accepted, text }) => h("li", { class: accepted ? null : "problem" }, `${service}: ${accepted ? "" : "NOT DONE: "}${text}`)));
+    results.replaceChildren(...found.map(({ service, accepted, text }) => h("li", { class: accepted ? null : "problem" }, `${service}: ${accepted ? "" : "NOT DONE: "}${inLocal(text, Date.now())}`)));
   }
 
   function update({ trackers, live }) {
@@ -77,7 +77,7 @@ function row({ key, label, service, tracker }, connected) {
   const direction = wanted ? normal(wanted.a_deg, wanted.b_deg, latitude) : null;
   const off = pose && direction ? separationDeg(normal(pose.a_deg, pose.b_deg, latitude), direction) : null;
   const alarms = (state?.alarms ?? []).filter((alarm) => alarm.tracker === null || !tracker || alarm.tracker === tracker.tracker.name);
-  return { key, label, state, up: service.up, tracker, old, mode, kind, pose, wanted, off, alarms, extra, why: tracker?.mode.why, group: tracker ? `${state.site.name}/${tracker.law.name}` : null, stale: old || !pose || pose.stale };
+  return { key, label, state, up: service.up, tracker, old, mode, kind, pose, wanted, off, alarms, extra, why: tracker && inLocal(tracker.mode.why, serviceNow(service)), group: tracker ? `${state.site.name}/${tracker.law.name}` : null, stale: old || !pose || pose.stale };
 }
 
 // Set points are held against the median of the same site and law, where there are three or more.

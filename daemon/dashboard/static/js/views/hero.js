@@ -1,7 +1,7 @@
 // The state in one line, the alarms, and who holds what.
 
 import { fill, h, icon, setAttr, setText } from "../dom.js";
-import { at, duration, localDay, sentence } from "../format.js";
+import { at, duration, inLocal, localDay, sentence } from "../format.js";
 
 // Severity of each mode, for colour; the words say the same.
 export const KIND = {
@@ -35,7 +35,7 @@ export function hero(orders) {
     fill(glyph, shown, () => icon(shown));
     setText(whose, entry.label);
     setText(title, headline(service, state, tracker, old));
-    setText(why, sentence(explain(service, state, tracker, old)));
+    setText(why, sentence(inLocal(explain(service, state, tracker, old), now)));
     // The mode begins anew at each restart and after each fault; what a person asked for does not.
     const begun = tracker?.wishes[tracker.mode.asked]?.since ?? tracker?.mode.since;
     setText(since, tracker ? `since ${at(begun, now)}, for ${duration((now - Date.parse(begun)) / 1000)}` : "");
@@ -77,7 +77,7 @@ function alarmList(alarms, tracker, now, acknowledge) {
     ...muted,
     ...alarms.map((alarm) =>
       h("article", { class: "alarm", "data-state": alarm.state, "data-severity": alarm.severity }, icon("fault"),
-        h("div", { class: "told" }, h("h2", null, `${alarm.name}: ${alarm.severity}${alarm.state === "raised" ? "" : `, ${alarm.state}`}`), h("p", null, sentence(alarm.text)),
+        h("div", { class: "told" }, h("h2", null, `${alarm.name}: ${alarm.severity}${alarm.state === "raised" ? "" : `, ${alarm.state}`}`), h("p", null, sentence(inLocal(alarm.text, now))),
           alarm.remedy ? h("p", null, h("strong", null, "What to do: "), typed(alarm.remedy)) : null, h("p", { class: "hint" }, alarmState(alarm, now))),
         alarm.acknowledged_at ? null : h("button", { type: "button", class: "plain", "aria-label": `Acknowledge ${alarm.name}`, onclick: () => acknowledge(alarm) }, "Acknowledge"))),
   ];
@@ -86,5 +86,5 @@ function alarmList(alarms, tracker, now, acknowledge) {
 function wishList(wishes, now) {
   return Object.entries(wishes).filter(([, wish]) => wish).map(([name, wish]) =>
     h("article", { class: "wish" }, icon(name === "buttons" ? "hold" : name),
-      h("p", null, h("strong", null, WISH[name] ?? name), wish.by ? ` by ${wish.by}` : "", wish.since ? ` since ${at(wish.since, now)}` : "", `: ${wish.why}. `, h("em", null, "Ends with Auto."))));
+      h("p", null, h("strong", null, WISH[name] ?? name), wish.by ? ` by ${wish.by}` : "", wish.since ? ` since ${at(wish.since, now)}` : "", `: ${inLocal(wish.why, now)}. `, h("em", null, "Ends with Auto."))));
 }

@@ -1,0 +1,114 @@
+"""The times that the page tells, in a real browser: those of the service in the time zone of whoever looks."""
+
+import pytest
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+from tests.system import browser as browsers  # noqa: E402 - it needs playwright
+from tests.system.made_page import MadeSite  # noqa: E402 - as above
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(browsers.CHROMIUM is None, reason="chromium is not installed: no browser for the dashboard"),
+]
+
+MIDNIGHT = 1663718400.0
+"""2022-09-21T00:00Z."""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with browsers.chromium() as found:
+        yield found
+
+
+@pytest.fixture
+def context(browser):
+    with browser.new_context(viewport=browsers.DESKTOP, timezone_id="UTC") as found:
+        yield found
+
+
+def test_a_local_time_has_the_local_date(browser, tmp_path):
+    with browser.new_context(timezone_id="Australia/Sydney") as context:
+        page = MadeSite(tmp_path).open(context, MIDNIGHT)
+        said = page.page.evaluate("""async () => {
+          const { at } = await import("/static/js/format.js");
+          const { log } = await import("/static/js/views/cards.js");
+          const [now, times] = [Date.parse("2022-09-21T00:10:00Z"), ["2022-09-20T13:00:00Z", "2022-09-20T23:50:00Z"]];
+          const card = log();
+          const state = { trackers: {}, news: times.map((time) => ({ time, text: "x" })) };
+          card.update({ state, tracker: null, now });
+          const listed = [...card.node.querySelectorAll("time")].map((each) => each.textContent);
+          return [times.map((time) => at(time, now)), listed];
+        }""")
+    assert said == [
+        ["2022-09-20 23:00 local (13:00 UTC)", "09:50 local (23:50 UTC)"],
+        ["09:50 23:50 UTC", "2022-09-20 23:00 13:00 UTC"],
+    ]
+
+
+def test_what_lasts_over_midnight_gets_its_date_then(context, tmp_path):
+    page = MadeSite(tmp_path).open(context, MIDNIGHT)
+    said = page.page.evaluate("""async () => {
+      const { hero } = await import("/static/js/views/hero.js");
+      const card = hero(null);
+      const since = "2022-09-21T23:10:00Z";
+      const alarm = { name: "reference", severity: "warning", state: "raised", tracker: null, text: "x", since };
+      const tracker = { mode: { name: "hold", since, why: "x" }, wishes: { hold: { since, why: "x" } } };
+      return ["2022-09-21T23:59:59Z", "2022-09-22T00:00:00Z"].map((now) => {
+        const context = { state: { alarms: [alarm] }, entry: { key: "made" }, tracker, now: Date.parse(now) };
+        card.update({ ...context, tracker: { ...tracker, tracker: { name: "roof" } } });
+        return [...card.node.querySelectorAll(".since, .alarm .hint, .wish p")].map((each) => each.textContent);
+      });
+    }""")
+    for before, after in zip(*said, strict=True):
+        assert "since 23:10 local" in before
+        assert "since 2022-09-21 23:10 local" in after
+
+
+def test_a_stop_from_the_day_before_is_told_since_then_after_a_restart_too(context, tmp_path):
+    page = MadeSite(tmp_path).open(context, MIDNIGHT)
+    said = page.page.evaluate("""async () => {
+      const { hero } = await import("/static/js/views/hero.js");
+      const card = hero(null);
+      const wishes = { stop: { since: "2022-09-20T18:12:00Z", why: "x" } };
+      const mode = { name: "hold", asked: "stop", since: "2022-09-21T05:00:00Z", why: "x" };
+      const tracker = { mode, wishes, tracker: { name: "roof" } };
+      card.update({ state: { alarms: [] }, entry: { key: "made" }, tracker, now: Date.parse("2022-09-21T06:12:00Z") });
+      return card.node.querySelector(".since").textContent;
+    }""")
+    assert said.startswith("since 2022-09-20 ")
+    assert said.endswith(", for 12 h 0 min")
+
+
+def test_times_in_the_sentences_of_a_service_are_told_as_the_page_tells_its_own(browser, tmp_path):
+    with browser.new_context(timezone_id="Europe/Paris") as context:
+        page = MadeSite(tmp_path).open(context, MIDNIGHT)
+        said = page.page.evaluate("""async () => {
+          const { hero } = await import("/static/js/views/hero.js");
+          const { log } = await import("/static/js/views/cards.js");
+          const { Orders } = await import("/static/js/orders.js");
+          const why = "stopped by ben since 2022-09-21 08:18:05 UTC: at 9999-99-99 09:00 UTC I am back";
+          const since = "2022-09-21T08:18:05Z";
+          const alarm = { name: "cube-face", severity: "warning", state: "raised", tracker: null, since,
+            text: "the south face reads 0 since 2022-09-20 21:10 UTC (south)" };
+          const wishes = { hold: { since, why: "other release since 2022-09-20 23:10 UTC" } };
+          const tracker = { mode: { name: "hold", since, why }, wishes, tracker: { name: "roof" } };
+          const [now, state] = [Date.parse("2022-09-21T09:00:00Z"), { alarms: [alarm], trackers: { roof: tracker } }];
+          const [head, news] = [hero(null), log()];
+          head.update({ state, entry: { key: "made" }, tracker, now });
+          news.update({ state: { ...state, news: [{ time: since, text: `control: ${why}` }] }, tracker, now });
+          const outcome = document.createElement("div");
+          new Orders(outcome, () => {}, () => 0).say(`auto: released: ${why}`, "ok");
+          const texts = (node, which) => [...node.querySelectorAll(which)].map((each) => each.textContent);
+          const shown = texts(head.node, ".why, .told > p:not(.hint), .wish p");
+          return [...shown, ...texts(news.node, "li > span"), ...texts(outcome, "p")];
+        }""")
+    begun = "topped by ben since 10:18 local (08:18 UTC): at 9999-99-99 09:00 UTC I am back"
+    assert said == [
+        f"S{begun}",
+        "The south face reads 0 since 2022-09-20 23:10 local (21:10 UTC) (south)",
+        "Held since 10:18 local (08:18 UTC): other release since 01:10 local (23:10 UTC). Ends with Auto.",
+        f"Control: s{begun}",
+        f"Auto: released: s{begun}",
+    ]
