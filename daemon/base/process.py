@@ -237,17 +237,25 @@ def _handed(environment: Mapping[str, str], pid: int) -> list[tuple[str, int]]:
 def on_signals(stop: Callable[[], object]) -> Iterator[None]:
     """Call `stop` on SIGINT, SIGTERM and SIGHUP; works on Windows too, where event loops know no signal handlers.
 
-    A SIGHUP that is ignored at the start, as under nohup, stays ignored.
+    Once one has come, the end of the process has begun: after the block all of them are ignored. A SIGHUP that is
+    ignored at the start, as under nohup, stays ignored.
     """
     numbers = [signal.SIGINT, signal.SIGTERM]
     if sys.platform != "win32" and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
         numbers.append(signal.SIGHUP)
-    before = {number: signal.signal(number, lambda *_: stop()) for number in numbers}
+    ends = False
+
+    def end(*_: object) -> None:
+        nonlocal ends
+        ends = True
+        stop()
+
+    before = {number: signal.signal(number, end) for number in numbers}
     try:
         yield
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            signal.signal(number, signal.SIG_IGN if ends else handler)
 
 
 @contextlib.contextmanager

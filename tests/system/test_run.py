@@ -1,6 +1,7 @@
 """`heliocube run` as a person starts it."""
 
 import collections
+import contextlib
 import fcntl
 import os
 import pty
@@ -64,6 +65,25 @@ def test_a_signal_stops_motion_and_ends_with_0(number):
     assert "motion stopped" in err
     assert "Traceback" not in err
     assert "ended at" in out
+
+
+def test_ctrl_c_again_and_again_takes_nothing_from_the_end_that_the_first_one_began(tmp_path):
+    (tmp_path / "heliocube.toml").write_text(f"[store]\ndirectory = '{tmp_path}/records'\n[api]\nenabled = false\n")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "daemon.commands.main", "run", "--config", tmp_path / "heliocube.toml", "--speed", "30"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert any("moving" in line for line in process.stderr)
+    while process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(0.005)
+    out, err = process.communicate(timeout=240)
+    assert process.returncode == 0, err
+    assert out.splitlines()[-1].endswith("; motion is stopped")
+    assert "interrupted" not in err
 
 
 def test_a_terminal_that_is_closed_ends_the_service_in_good_order():

@@ -25,6 +25,15 @@ HALF_A_BODY = b"POST /login HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localh
 KEPT = b'HTTP/1.1 200 OK\r\nContent-Length: 16\r\n\r\n{"text": "done"}'
 
 
+@pytest.fixture(autouse=True)
+def heard():
+    """A signal that has ended what is served is heard again: the process of the tests goes on."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @asynccontextmanager
 async def served(service="127.0.0.1:9"):
     """Give the address of a dashboard."""
