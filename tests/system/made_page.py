@@ -81,8 +81,9 @@ class MadeSite:
         context.route("**/*", self._answer)
         return browsers.Page(context, URL, "day")
 
-    def let_go(self):
-        """Answer what is held."""
+    def let_go(self, holds=None):
+        """Answer what is held, or would be, and hold the next request for another path."""
+        self.holds = holds
         while self._held:
             self._answer(self._held.pop())
 

@@ -239,6 +239,24 @@ def test_a_view_that_is_left_while_its_day_comes_leaves_nothing_behind(context, 
     assert page.complaints == []
 
 
+def test_while_a_day_is_on_its_way_the_page_says_so(context, tmp_path):
+    site = MadeSite(tmp_path)
+    site.keep(*records(MIDNIGHT - HOUR, MIDNIGHT), *records(MIDNIGHT, MIDNIGHT + HOUR))
+    site.holds = "/read/days"
+    page = site.open(context, MIDNIGHT + HOUR)
+    page.sees(".day .hint", "Loading ...")
+    site.let_go("/read/history/events")
+    page.sees(".day .hint", "Loading 2022-09-21 ...")
+    site.let_go()
+    page.sees(".day .hint", "Shown: ")
+    site.holds = "/read/history/events"
+    page.page.get_by_label("Day before").click()
+    page.sees(".day .hint", "Loading 2022-09-20 ...")
+    site.let_go()
+    page.sees(".day .hint", "Shown: ")
+    assert page.complaints == []
+
+
 def test_a_change_of_colours_draws_the_plots_anew(context, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(*records(MIDNIGHT, MIDNIGHT + 2 * HOUR))

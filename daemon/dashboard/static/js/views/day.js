@@ -64,6 +64,7 @@ export function day() {
       clear();
     }
     asking = true;
+    if (!held) setText(shown, "Loading ...");
     try {
       const found = (await storedDays(service.name)).reverse();
       if (source !== entry.key) return;
@@ -119,6 +120,7 @@ export function day() {
     const begun = performance.now();
     const { service, entry, state } = context;
     const unwanted = () => wish !== null || source !== entry.key;
+    setText(shown, `Loading ${date} ...`);
     try {
       const sun = await solarDay(service.name, date, state.site);
       const from = startOf(date, state.site);
