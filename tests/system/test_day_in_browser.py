@@ -336,6 +336,41 @@ def test_an_alarm_that_nobody_has_seen_and_a_cube_that_is_down_need_attention(
     assert said == headline
 
 
+@pytest.mark.parametrize(
+    ("own", "told"),
+    [
+        ({"cube_down_why": "unplugged"}, "2 trackers: 2 need attention|hold, cube down|tracking, cube down"),
+        (
+            {"bridge": {}, "scan": {"stale": True}},
+            "2 trackers: none needs attention|hold, cube silent|tracking, cube silent",
+        ),
+        ({"bridge": {}, "scan": {"stale": False}}, "2 trackers: none needs attention|hold|tracking"),
+        ({"bridge": {}, "scan": None}, "2 trackers: none needs attention|hold|tracking"),
+    ],
+)
+def test_of_trackers_without_a_cube_the_fleet_says_so_whatever_they_do(context, tmp_path, own, told):
+    page = MadeSite(tmp_path).open(context, MIDNIGHT)
+    said = page.page.evaluate(
+        """async (own) => {
+          const { fleet } = await import("/static/js/views/fleet.js");
+          const unit = (name, mode) => ({
+            tracker: { name, moving: false, target: null, pose: null }, mode: { name: mode, why: "x" },
+            law: { name: "x" }, wind: [],
+          });
+          const trackers = { east: unit("east", "hold"), west: unit("west", "tracking") };
+          const state = { trackers, alarms: [], site: { name: "made", latitude_deg: 10 }, cube_down_why: null, ...own };
+          const service = { name: "s", up: true, at: { running: performance.now(), wall: Date.now() }, state };
+          const rows = Object.keys(trackers).map((key) => ({ key, label: key, service, tracker: trackers[key] }));
+          const view = fleet(null);
+          view.update({ trackers: rows, live: { connected: true } });
+          const modes = [...view.node.querySelectorAll("td[data-name=Mode]")].map((each) => each.textContent);
+          return [view.node.querySelector("h1").textContent, ...modes].join("|");
+        }""",
+        own,
+    )
+    assert said == told
+
+
 def test_a_gain_that_is_not_known_is_a_dash(context, tmp_path):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     said = page.page.evaluate("""async () => {

@@ -10,6 +10,7 @@ import { inAWord, KIND, TITLE } from "./hero.js";
 const HEADS = ["Tracker", "Mode", "A actual / set", "B actual / set", "Off its set point", "Set point off the median", "Wind", "Age", "Alarms"];
 // As independent monitors count a tracker as not available.
 const FAR_DEG = 5;
+const DOWN = ", cube down";
 
 export function fleet(orders) {
   const title = h("h1", null);
@@ -41,7 +42,7 @@ export function fleet(orders) {
     const gone = rows.filter(({ kind, tracker }) => kind === "lost" && !tracker).length;
     const silent = gone === 1 ? "1 service does not answer" : `${gone} services do not answer`;
     const waiting = rows.every(({ state, up }) => !state && up !== false);
-    const troubled = rows.filter(({ kind, alarms }) => kind === "bad" || kind === "lost" || alarms.some(unseen)).length;
+    const troubled = rows.filter(({ kind, cube, alarms }) => kind === "bad" || kind === "lost" || cube === DOWN || alarms.some(unseen)).length;
     setText(title, waiting ? "Connecting ..." : !own.length && gone ? (gone === 1 ? "The service does not answer" : silent) : `${own.length} tracker${own.length === 1 ? "" : "s"}: ${troubled ? `${troubled} need${troubled === 1 ? "s" : ""} attention` : "none needs attention"}`);
     setAttr(node.firstChild, "data-kind", waiting ? "calm" : troubled ? "bad" : own.some(({ kind }) => kind === "warn") ? "warn" : "ok");
     const counts = {};
@@ -65,6 +66,12 @@ export function fleet(orders) {
 // What somebody has acknowledged is looked after, and a notice can wait.
 const unseen = ({ state, severity }) => state !== "acknowledged" && severity !== "notice";
 
+// What is the matter with the cube: a tracker that is stopped, held or stowed does not say so in its mode.
+function cubeOf({ cube_down_why, bridge, scan }) {
+  if (cube_down_why) return DOWN;
+  return bridge && scan?.stale ? ", cube silent" : "";
+}
+
 function row({ key, label, service, tracker }, connected) {
   const state = service.state;
   const extra = elapsed(service);
@@ -77,7 +84,8 @@ function row({ key, label, service, tracker }, connected) {
   const direction = wanted ? normal(wanted.a_deg, wanted.b_deg, latitude) : null;
   const off = pose && direction ? separationDeg(normal(pose.a_deg, pose.b_deg, latitude), direction) : null;
   const alarms = (state?.alarms ?? []).filter((alarm) => alarm.tracker === null || !tracker || alarm.tracker === tracker.tracker.name);
-  return { key, label, state, up: service.up, tracker, old, mode, kind, pose, wanted, off, alarms, extra, why: tracker && inLocal(tracker.mode.why, serviceNow(service)), group: tracker ? `${state.site.name}/${tracker.law.name}` : null, stale: old || !pose || pose.stale };
+  const cube = tracker && !old ? cubeOf(state) : "";
+  return { key, label, state, up: service.up, tracker, old, mode, kind, cube, pose, wanted, off, alarms, extra, why: tracker && inLocal(tracker.mode.why, serviceNow(service)), group: tracker ? `${state.site.name}/${tracker.law.name}` : null, stale: old || !pose || pose.stale };
 }
 
 // Set points are held against the median of the same site and law, where there are three or more.
@@ -103,7 +111,7 @@ function show(line, each) {
   const [, mode, a, b, off, astray, wind, age, alarms] = line.children;
   const moving = each.tracker?.tracker.moving;
   setAttr(line, "data-kind", each.kind);
-  setText(mode, TITLE[each.mode] ? each.mode : sentence(each.mode));
+  setText(mode, `${TITLE[each.mode] ? each.mode : sentence(each.mode)}${each.cube}`);
   setAttr(mode, "title", each.why ?? null);
   setText(a, each.tracker ? `${signedDeg(each.pose?.a_deg)} / ${signedDeg(each.wanted?.a_deg)}` : "–");
   setText(b, each.tracker ? `${deg(each.pose?.b_deg)} / ${deg(each.wanted?.b_deg)}` : "–");
