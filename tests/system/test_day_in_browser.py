@@ -239,6 +239,18 @@ def test_a_view_that_is_left_while_its_day_comes_leaves_nothing_behind(context, 
     assert page.complaints == []
 
 
+def test_the_list_of_a_day_with_much_in_it_says_what_it_leaves_out_and_shows_it(context, tmp_path):
+    site = MadeSite(tmp_path)
+    site.keep(*(Event(MIDNIGHT + 10.0 * number, 0.0, "made", f"number {number}", TRACKER) for number in range(250)))
+    page = site.open(context, MIDNIGHT + HOUR)
+    lines = page.page.locator(".day .log li")
+    playwright.expect(lines).to_have_count(200)
+    page.page.get_by_role("button", name="Show all 250").click()
+    playwright.expect(lines).to_have_count(250)
+    page.sees(".day .log li:last-child", "number 0")
+    assert page.complaints == []
+
+
 def test_while_a_day_is_on_its_way_the_page_says_so(context, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(*records(MIDNIGHT - HOUR, MIDNIGHT), *records(MIDNIGHT, MIDNIGHT + HOUR))

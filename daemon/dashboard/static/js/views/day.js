@@ -11,6 +11,8 @@ const FRESH_MS = 30000;
 // Late in a day the times of numbers are off by up to 4 ms, by the 32 bits that they come in.
 const PAST_MS = 5;
 const AGAIN_MS = 10000;
+// More lines take a person and a browser long; they are there on request.
+const FEW_LINES = 200;
 // uPlot's word for it.
 const EXPAND = 2;
 // What the report takes for a pause: of scans and curves a minute, of all else a quarter of an hour.
@@ -36,13 +38,14 @@ export function day() {
   const summary = h("p", { class: "summary" });
   const figures = h("div", { class: "plots" });
   const happened = h("ol", { class: "log" });
+  const more = h("button", { type: "button", class: "plain", hidden: true, onclick: () => list(Infinity) });
   const zoom = (part) => h("button", { type: "button", class: "plain", onclick: () => show(part) }, part);
   const node = h("div", { class: "day" },
     h("section", { class: "card wide", "aria-label": "Which day" },
       h("div", { class: "choices start" }, h("button", { type: "button", class: "plain", "aria-label": "Day before", onclick: step(-1) }, "←"), h("label", { class: "pick" }, h("span", { class: "sr" }, "Day"), picker), h("button", { type: "button", class: "plain", "aria-label": "Day after", onclick: step(1) }, "→"), zoom("Whole day"), zoom("Daylight"), zoom("Last hour")),
       h("h1", { class: "sr" }, "A day"), summary, shown),
     h("section", { class: "card wide", "aria-label": "Plots" }, figures),
-    h("section", { class: "card wide", "aria-label": "What happened" }, h("h2", null, "What happened"), happened));
+    h("section", { class: "card wide", "aria-label": "What happened" }, h("h2", null, "What happened"), happened, more));
   const plots = new Plots((from, to) => setText(shown, from ? `Shown: ${held && to - from >= (held.to - held.from) / 1000 - 1 ? "the whole solar day, " : ""}${localTime(from * 1000)} to ${localTime(to * 1000)} local time (${utcTime(from * 1000)} to ${utcTime(to * 1000)} UTC). Drag across a plot to zoom, double-click for the whole day.` : ""));
   let source = null;
   let context = null;
@@ -94,6 +97,7 @@ export function day() {
     setText(summary, "");
     setText(shown, "");
     happened.replaceChildren();
+    more.hidden = true;
     held = null;
     wish = null;
   }
@@ -290,13 +294,16 @@ export function day() {
     return `${sun}${num(held.scans.time.length)} scans; ${num(held.moves.length)} ${held.moves.length === 1 ? "move" : "moves"} over ${deg(travel)}.${lasted}${early}`;
   }
 
-  function list() {
+  function list(most = held.most ?? FEW_LINES) {
+    held.most = most;
     const rows = [
       ...held.modes.map(({ time, before, after, why }) => ({ time, text: `${before} → ${after}: ${why}` })),
       ...held.events.map(({ time, subject, text }) => ({ time, text: `${subject}: ${text}` })),
       ...held.moves.map((move) => ({ time: move.time, text: `moved to A ${num(move.end_a_deg, 1)}, B ${num(move.end_b_deg, 1)}° in ${duration(move.duration_s)}${move.outcome === "arrived" ? "" : ` (${move.outcome})`}: ${move.why}` })),
-    ].sort((one, other) => other.time.localeCompare(one.time)).slice(0, 200);
-    happened.replaceChildren(...rows.map(({ time, text }) => h("li", null, h("time", { datetime: time }, localTime(Date.parse(time)), h("span", null, ` ${utcTime(Date.parse(time), false)} UTC`)), h("span", null, inLocal(sentence(text), Date.parse(time))))));
+    ].sort((one, other) => other.time.localeCompare(one.time));
+    setText(more, `Show all ${rows.length}`);
+    more.hidden = rows.length <= most;
+    happened.replaceChildren(...rows.slice(0, most).map(({ time, text }) => h("li", null, h("time", { datetime: time }, localTime(Date.parse(time)), h("span", null, ` ${utcTime(Date.parse(time), false)} UTC`)), h("span", null, inLocal(sentence(text), Date.parse(time))))));
   }
 
   function show(part) {
