@@ -142,3 +142,12 @@ def start_rig(tmp_path, start_bench, start_service):
         return Rig(bench, start_service(bench.config))
 
     return start
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """One chromium for all tests of a module."""
+    from tests.system import browser as browsers  # noqa: PLC0415 - it needs playwright
+
+    with browsers.chromium() as found:
+        yield found

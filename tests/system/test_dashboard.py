@@ -33,12 +33,6 @@ RECEIVED = {
 
 
 @pytest.fixture(scope="module")
-def browser():
-    with browsers.chromium() as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
 def the_site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
     # An hour of light was counted before, of which the page has something to show from the start.

@@ -56,12 +56,6 @@ INKED = """() => {
 }"""
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with browsers.chromium() as found:
-        yield found
-
-
 @pytest.fixture
 def context(browser):
     with browser.new_context(viewport=browsers.DESKTOP, timezone_id="UTC") as found:

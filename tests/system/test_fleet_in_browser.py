@@ -21,12 +21,6 @@ LINES = """cell => {
 }"""
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with browsers.chromium() as found:
-        yield found
-
-
 @pytest.mark.parametrize("width", [360, 390, 430])
 def test_on_a_phone_no_mode_is_broken_within_its_word(browser, tmp_path, width):
     with browser.new_context(viewport={"width": width, "height": 800}) as context:

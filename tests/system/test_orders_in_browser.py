@@ -20,12 +20,6 @@ pytestmark = [
 
 
 @pytest.fixture(scope="module")
-def browser():
-    with browsers.chromium() as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
 def site(tmp_path_factory):
     with browsers.simulated_site(tmp_path_factory.mktemp("site")) as found:
         yield found

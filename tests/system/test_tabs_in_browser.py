@@ -21,12 +21,6 @@ HIDE = """(state) => {
 
 
 @pytest.fixture(scope="module")
-def browser():
-    with browsers.chromium() as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
 def the_site(tmp_path_factory):
     with browsers.simulated_site(tmp_path_factory.mktemp("site")) as found:
         yield found

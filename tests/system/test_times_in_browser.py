@@ -16,12 +16,6 @@ MIDNIGHT = 1663718400.0
 """2022-09-21T00:00Z."""
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with browsers.chromium() as found:
-        yield found
-
-
 @pytest.fixture
 def context(browser):
     with browser.new_context(viewport=browsers.DESKTOP, timezone_id="UTC") as found:

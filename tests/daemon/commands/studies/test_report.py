@@ -1,4 +1,4 @@
-"""`heliocube report` and `heliocube plot`, as the command line has them."""
+"""`heliocube report`, as the command line has it."""
 
 import csv
 import json
@@ -245,21 +245,6 @@ def test_what_changed_in_the_configuration_is_said(heliocube, tmp_path):
     assert changes == ["safety.stow_wind_m_s was 15.0 and is 12.5"]
 
 
-def test_pictures_of_a_store_and_of_exported_tables(heliocube, store, tmp_path):
-    day = ("--store", store, "--day", "2022-10-14")
-    assert heliocube("plot", "light", "motion", *day, "--out", tmp_path / "new" / "day.png")[0] == 0
-    for name in ("day-light.png", "day-motion.png"):
-        assert (tmp_path / "new" / name).read_bytes().startswith(b"\x89PNG")
-    assert heliocube("export", "--store", store, "--out", tmp_path / "tables")[0] == 0
-    tables = ("--tables", tmp_path / "tables", "--site", "48.7,0,156")
-    assert heliocube("plot", "angles", *tables, "--out", tmp_path / "angles.svg")[0] == 0
-    assert "SIMULATED" in (tmp_path / "angles.svg").read_text()
-    for day in ("today", "yesterday"):
-        code, _, said = heliocube("plot", "angles", *tables, "--day", day, "--out", tmp_path / f"{day}.svg")
-        assert (code, said.count("\n")) == (2, 1)
-        assert "no record from " in said
-
-
 def test_a_store_in_a_folder_whose_name_is_no_utf_8_has_its_page(heliocube, store, tmp_path):
     folder = tmp_path / os.fsdecode(b"caf\xe9")
     folder.symlink_to(store)
@@ -267,123 +252,6 @@ def test_a_store_in_a_folder_whose_name_is_no_utf_8_has_its_page(heliocube, stor
     code, told, _ = heliocube("report", *asked)
     assert (code, json.loads(told)["written"]) == (0, [str(tmp_path / "2022-10-14-roof.html")])
     assert "caf\\udce9" in (tmp_path / "2022-10-14-roof.html").read_text(encoding="utf-8")
-
-
-@pytest.fixture
-def tables(heliocube, store, tmp_path):
-    """A folder of exported tables, and what asks for pictures of them."""
-    folder = tmp_path / "tables"
-    assert heliocube("export", "--store", store, "--out", folder)[0] == 0
-    asked = ("angles", "light", "motion", "--tables", folder, "--site", "48.7,0", "--out", tmp_path / "a.svg")
-    return folder, asked
-
-
-@pytest.mark.parametrize(
-    ("name", "spoil", "sentence"),
-    [
-        ("scans", lambda _: b"", " is empty: export it anew, or take the file away"),
-        ("scans", lambda text: text.replace(b"time,", b"when,", 1), " has no column time: "),
-        ("scans", lambda text: text.replace(b"east_quality", b"east", 1), " has no column east_quality: "),
-        ("modes", lambda text: text.replace(b"after", b"then", 1), " has no column after: "),
-        ("moves", lambda text: text.replace(b"outcome", b"end", 1), " has no column outcome: "),
-        ("poses", lambda text: text.replace(b"b_deg", b"a_deg", 1), " has two columns a_deg: "),
-        ("scans", lambda text: first_cell(text, 0, b"noon"), ", row 1: time is 'noon', not such as 2022-10-14T08:00Z"),
-        ("scans", lambda text: first_cell(text, 0, b""), ", row 1: time is '', not such as 2022-10-14T08:00Z"),
-        ("poses", lambda text: first_cell(text, 2, b"flat"), ", row 1: a_deg is 'flat', which is not a number"),
-        ("poses", lambda text: first_cell(text, 4, b"perhaps"), ", row 1: moving is 'perhaps'; write true or false"),
-        ("scans", lambda text: text.replace(b"\n", b"\n\xff", 1), " is not text in UTF-8: save it as such"),
-        (
-            "scans",
-            lambda text: text.replace(b"\n", b'\n"', 1),
-            ", line 2: a cell begins with a quotation mark and none",
-        ),
-        ("scans", lambda text: text.replace(b"\n", b"\n,", 1), " has more cells in its lines than names in its header"),
-        ("scans", lambda text: text[:-1] + b",\n", ": there are 23 cells where the header has 22"),
-        ("scans", lambda _: b"PAR1", " is a Parquet file: a CSV file is needed"),
-    ],
-)
-def test_a_damaged_table_is_one_sentence_with_its_place(heliocube, tables, name, spoil, sentence):
-    folder, asked = tables
-    path = folder / f"{name}.csv"
-    path.write_bytes(spoil(path.read_bytes()))
-    code, _, said = heliocube("plot", *asked)
-    assert (code, said.count("\n")) == (2, 1)
-    assert said.startswith(f"heliocube: {path}")
-    assert sentence in said
-
-
-def first_cell(text, column, content):
-    """Return a table with other content in one cell of its first row."""
-    head, row, rest = text.split(b"\n", 2)
-    cells = row.split(b",")
-    cells[column] = content
-    return b"\n".join([head, b",".join(cells), rest])
-
-
-def test_a_damaged_table_of_parquet_is_one_sentence_with_its_place(heliocube, store, tmp_path):
-    folder = tmp_path / "tables"
-    assert heliocube("export", "--store", store, "--out", folder, "--format", "parquet")[0] == 0
-    path = folder / "scans.parquet"
-    path.write_bytes(path.read_bytes()[:-8])
-    code, _, said = heliocube("plot", "light", "--tables", folder, "--site", "48.7,0", "--out", tmp_path / "a.svg")
-    assert (code, said.count("\n")) == (2, 1)
-    assert f"heliocube: {path} is not a table that can be read: it is damaged or cut off; export it anew" in said
-
-
-def test_tables_of_a_clock_that_was_set_back_are_taken_in_the_order_of_their_times(heliocube, tables, tmp_path):
-    folder, asked = tables
-    assert heliocube("plot", *asked)[0] == 0
-    drawn = {path: path.read_bytes() for path in tmp_path.glob("a-*.svg")}
-    assert len(drawn) == 3
-    for path in folder.glob("*.csv"):
-        head, *rows = path.read_text().splitlines()
-        path.write_text("\n".join([head, *rows[len(rows) // 2 :], *rows[: len(rows) // 2], ""]))
-    assert heliocube("plot", *asked, "--force")[0] == 0
-    assert {path: path.read_bytes() for path in tmp_path.glob("a-*.svg")} == drawn
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            ("moon", "--out", "x.png"),
-            "'moon'; choose from light, angles, received, motion, wind, power",
-        ),
-        (("light", "--out", "x.gif"), "must end in .png or .svg"),
-        (("power", "--out", "new/x.png"), "power: no I-V curve from 2022-10-14 00:00 UTC to 2022-10-15 00:00 UTC in "),
-    ],
-)
-def test_a_picture_that_cannot_be_drawn_is_one_sentence(heliocube, store, tmp_path, monkeypatch, arguments, message):
-    monkeypatch.chdir(tmp_path)
-    code, _, said = heliocube("plot", *arguments, "--store", store, "--day", "2022-10-14")
-    assert (code, said.count("\n")) == (2, 1)
-    assert message in said
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_picture_without_data_keeps_none_of_the_others_back(heliocube, store, tmp_path):
-    asked = ("--store", store, "--day", "2022-10-14", "--out", tmp_path / "day.png", "--json")
-    code, out, said = heliocube("plot", "power", "motion", *asked)
-    assert (code, said.count("\n"), json.loads(out)) == (
-        2,
-        1,
-        {"simulated": True, "written": [str(tmp_path / "day-motion.png")]},
-    )
-    assert "power: no I-V curve from 2022-10-14 00:00 UTC" in said
-    assert [path.name for path in tmp_path.iterdir()] == ["day-motion.png"]
-
-
-def test_a_picture_of_a_wind_that_nobody_measured_is_not_drawn_empty(heliocube, tmp_path):
-    out = tmp_path / "tables"
-    assert heliocube("simulate", "--start", "2022-06-21T11:00Z", "--days", "0.01", "--out", out)[0] == 0
-    poses = (out / "poses.csv").read_text().splitlines()
-    at = poses[0].split(",").index("wind_m_s")
-    rows = [line.split(",") for line in poses[1:]]
-    calm = [poses[0], *(",".join([*row[:at], "", *row[at + 1 :]]) for row in rows)]
-    (out / "poses.csv").write_text("\n".join(calm))
-    code, _, said = heliocube("plot", "wind", "--tables", out, "--site", "48.7,2.2", "--out", tmp_path / "wind.png")
-    assert (code, said.count("\n")) == (2, 1)
-    assert "wind: no reading of the wind from 2022-06-21 11:00 UTC" in said
 
 
 def test_simulate_and_replay_write_the_same_page(heliocube, tmp_path):
