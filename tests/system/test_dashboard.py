@@ -220,7 +220,7 @@ def test_ten_trackers_are_seen_at_once_and_stowed_by_one_button(browser, tmp_pat
         page.page.get_by_role("button", name="Stow all").click()
         page.log_in()
         page.page.get_by_role("button", name="Stow now").click()
-        page.sees(".outcome", "Stow was taken by all 1 services.")
+        page.sees(".outcome", "Stow was taken by the service.")
         page.sees(".hero .why", "10 stow")
         page.sees(".hero .moving", "All 10 stand stowed.")
         modes = [tracker["mode"]["name"] for tracker in site.state()["trackers"].values()]

@@ -170,7 +170,7 @@ def test_stow_for_all_asks_for_the_token_again_when_the_session_is_gone(context,
     page.page.get_by_role("button", name="Stow now").click()
     page.sees("dialog", "Log in first.")
     page.log_in()
-    page.sees(".outcome", "Stow was taken by all 1 services.")
+    page.sees(".outcome", "Stow was taken by the service.")
     assert site.state()["wishes"]["stow"]["by"] == "ana"
     assert page.complaints == []
 
@@ -185,7 +185,7 @@ def test_stow_for_all_asks_for_the_token_of_a_service_that_has_another_now(conte
     page.sees(".outcome", "Stow was NOT taken by 1 of 1 services")
     page.sees("#who", "ana")
     page.log_in()
-    page.sees(".outcome", "Stow was taken by all 1 services.")
+    page.sees(".outcome", "Stow was taken by the service.")
     assert page.complaints == []
 
 

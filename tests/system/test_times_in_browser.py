@@ -75,6 +75,21 @@ def test_a_stop_from_the_day_before_is_told_since_then_after_a_restart_too(conte
     assert said.endswith(", for 12 h 0 min")
 
 
+def test_a_stow_is_let_go_in_so_long_or_nobody_knows_when(context, tmp_path):
+    page = MadeSite(tmp_path).open(context, MIDNIGHT)
+    said = page.page.evaluate("""async () => {
+      const { wind } = await import("/static/js/views/cards.js");
+      const card = wind();
+      const speeds = { speed_m_s: 3, stow_from_m_s: 15, release_below_m_s: 10, age_s: 1 };
+      return [["wind has calmed", 90], ["no reading for 300 s", null], [null, null]].map(([why, release_in_s]) => {
+        const tracker = { wind: [{ name: "roof", ...speeds, why, release_in_s }] };
+        card.update({ tracker, extra: 30, old: false });
+        return [...card.node.querySelectorAll("dd")].at(-1).textContent;
+      });
+    }""")
+    assert said == ["wind has calmed; let go in 1:00 min if it stays calm", "no reading for 300 s", "not asked for"]
+
+
 def test_times_in_the_sentences_of_a_service_are_told_as_the_page_tells_its_own(browser, tmp_path):
     with browser.new_context(timezone_id="Europe/Paris") as context:
         page = MadeSite(tmp_path).open(context, MIDNIGHT)

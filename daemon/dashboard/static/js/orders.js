@@ -171,7 +171,7 @@ export class Orders {
     try {
       const { results } = await this.awaited("Stow: sent to all", () => call("/stow-all", { ...body, given_s: this.time() }));
       const refused = results.filter(({ accepted }) => !accepted).length;
-      this.say(refused ? `Stow was NOT taken by ${refused} of ${results.length} services: see the list` : `Stow was taken by all ${results.length} services.`, refused ? "bad" : "ok");
+      this.say(refused ? `Stow was NOT taken by ${refused} of ${results.length} services: see the list` : `Stow was taken by ${results.length === 1 ? "the service" : `all ${results.length} services`}.`, refused ? "bad" : "ok");
       const locked = results.find(({ status }) => status === 401);
       if (locked && (await this.renewed({ status: 401, message: locked.text }, locked.service))) return this.stowEach(body);
       return results;

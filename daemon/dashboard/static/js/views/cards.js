@@ -99,7 +99,8 @@ function showWind(node, source, extra) {
   const bar = node.querySelector(".speed");
   if (bar) setAttr(bar, "width", measured ? ((200 * Math.min(source.speed_m_s, most)) / most).toFixed(1) : 0);
   setText(values.Heard, source.age_s === null ? "not since the service began" : `${duration(source.age_s + extra)} ago`);
-  setText(values.Stow, source.why ? `${source.why}; ${source.release_in_s === null ? "" : `let go in ${countdown(source.release_in_s - extra)} if it stays calm`}` : "not asked for");
+  const ends = source.release_in_s === null ? "" : `; let go in ${countdown(source.release_in_s - extra)} if it stays calm`;
+  setText(values.Stow, source.why ? source.why + ends : "not asked for");
 }
 
 export function light() {
