@@ -1,11 +1,12 @@
 """A machine of qemu's with a kernel of its own, for lines of a unit that are enforced in no container here."""
 
+import contextlib
 import json
 import platform
 import re
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from boot import probes
@@ -41,6 +42,12 @@ class Emulated:
         self._base = base
         self._answers: Answers = {}
         self._failed: LeftOut | NotSeen | None = None
+
+    def prepare(self) -> str:
+        """Fetch and pack what the machine is started from, unless it is kept; whether it is needed is seen later."""
+        _need_tools()
+        with self._folder() as work:
+            return f"{self._kernel(work).name} and {self._archive(work).name}"
 
     def refuse_addresses(self, units: Mapping[str, str]) -> str:
         """See that units neither send to a foreign address nor hear one, and do both without their lines `IPAddress`.
@@ -87,8 +94,7 @@ class Emulated:
 
     def _start(self, units: Mapping[str, str]) -> Answers:
         _need_tools()
-        with tempfile.TemporaryDirectory(prefix="emulated-", dir=self._cache) as name:
-            work = Path(name)
+        with self._folder() as work:
             console, image = work / "console", work / "image"
             kernel = self._kernel(work)
             # The kernel unpacks one archive after the other.
@@ -100,6 +106,11 @@ class Emulated:
             except NotSeen as error:
                 ended = str(error)
             return _read(console, ended)
+
+    @contextlib.contextmanager
+    def _folder(self) -> Iterator[Path]:
+        with tempfile.TemporaryDirectory(prefix="emulated-", dir=self._cache) as name:
+            yield Path(name)
 
     def _kernel(self, work: Path) -> Path:
         """Return Debian's kernel, fetched with this machine's apt the first time."""

@@ -1,5 +1,6 @@
 """Points about the Debian package: built in the tree, installed, put over the one of the commit before, and purged."""
 
+import json
 import os
 import shutil
 import tarfile
@@ -13,6 +14,7 @@ from boot.restarts import BACK_WITHIN_S, Restarts
 from boot.rig import UNITS, Rig
 from boot.tree import CHECKOUT, ENVIRONMENTS, PACKAGES, Tree
 
+_NOTE = "prepared.json"
 _LEAVES = ("etc/heliocube", "var/lib/heliocube", "var/lib/private/heliocube")
 # Not ours: what the run itself has put there, and what the system keeps about every package and user.
 _NOT_OURS = ("srv", "proc", "sys", "run", "tmp", "var/log", "var/cache", "var/tmp")
@@ -69,12 +71,29 @@ class Packages:
 
     def install(self) -> str:
         """Install that of the commit before into the tree."""
-        self._before = self._files()
+        self._before = _files(self._tree.root)
         self._tree.run("dpkg", "--force-unsafe-io", "--install", f"{PACKAGES}/{self._old}")
         wants = self._tree.root / "etc/systemd/system/multi-user.target.wants"
         if enabled := sorted(path.name for path in wants.glob("heliocube*")):
             raise NotSeen(f"it starts by itself: {enabled}")
         return f"{self._old}; nothing of it is enabled"
+
+    def note(self) -> None:
+        """Write beside the tree what has been made, for a later run."""
+        made = {"base": str(self._tree.base), "old": self._old, "new": self._new}
+        (self._tree.root.parent / _NOTE).write_text(json.dumps(made), encoding="utf-8")
+
+    def noted(self, work: Path) -> bool:
+        """Whether all has been made in a folder."""
+        return (work / _NOTE).exists()
+
+    def adopt(self, work: Path) -> str:
+        """Take over what an earlier run has made and noted."""
+        made = json.loads((work / _NOTE).read_text(encoding="utf-8"))
+        self._tree.place(work, Path(made["base"]))
+        self._old, self._new = made["old"], made["new"]
+        self._before = _files(self._tree.base)
+        return f"{self._old} is installed, {self._new} lies beside it"
 
     def upgrade(self, machine: Machine, rig: Rig, records: Records, restarts: Restarts) -> str:
         """Put this commit's over it at work: nothing moves, both roles come back by themselves, and no scan is lost."""
@@ -131,7 +150,7 @@ class Packages:
         machine.run("dpkg", "--force-unsafe-io", "--purge", "heliocube")
         if running := machine.run("systemctl", "list-units", "--plain", "--no-legend", "heliocube*").strip():
             raise NotSeen(f"still known to systemd: {running}")
-        left = {name for name in self._files() - self._before if not name.startswith(_LEAVES)}
+        left = {name for name in _files(self._tree.root) - self._before if not name.startswith(_LEAVES)}
         if ours := sorted(name for name in left if "heliocube" in name):
             raise NotSeen(f"left: {', '.join(ours[:5])}")
         if gone := [path.name for path in records if not path.exists()]:
@@ -139,14 +158,11 @@ class Packages:
         kept = sorted(path.name for path in (machine.root / "etc/heliocube").iterdir())
         return f"left are {len(records)} stores, the reports, and of /etc/heliocube {', '.join(kept)}"
 
-    def _files(self) -> set[str]:
-        root = str(self._tree.root)
-        names = (
-            f"{folder}/{name}"[len(root) + 1 :]
-            for folder, folders, files in os.walk(root)
-            for name in (*files, *folders)
-        )
-        return {name for name in names if not name.startswith(_NOT_OURS)}
+
+def _files(root: Path) -> set[str]:
+    begin = len(str(root)) + 1
+    names = (f"{folder}/{name}"[begin:] for folder, folders, files in os.walk(root) for name in (*files, *folders))
+    return {name for name in names if not name.startswith(_NOT_OURS)}
 
 
 def _git(*words: str) -> str:

@@ -31,27 +31,47 @@ class Session:
         self._packages = Packages(self._tree)
         self._report = report
 
-    def run(self) -> None:
+    def prepare(self, work: Path) -> None:
+        """Make what is booted in a new folder and leave it there; nothing is left unless all of it could be made."""
+        made = False
+        try:
+            if self._make(work):
+                self._report.point("the emulated machine", self._emulated().prepare)
+                self._packages.note()
+                made = True
+        finally:
+            _end_undisturbed()
+            self._tree.remove(keep=made)
+
+    def run(self, prepared: Path | None = None) -> None:
         """Do all of it, and leave nothing behind whatever happens; `LeftOut` where no container boots."""
         machine = None
         try:
-            if not self._report.point("the tree", self._tree.make):
-                return
-            if not self._report.point("building the packages", self._packages.build):
-                return
-            if not self._report.point("installing", self._packages.install):
+            if prepared is not None and self._packages.noted(prepared):
+                self._report.point("what was prepared", lambda: self._packages.adopt(prepared))
+            elif not self._make(None):
                 return
             machine = Machine(self._tree.root, self._tree.machine, (self._tree.packages, PACKAGES))
             said = machine.boot()
             self._report.point("booting", lambda: said)
             self._look(machine)
         finally:
-            # Who asks twice for an end gets it no sooner, and nothing is left behind.
-            for number in (signal.SIGINT, signal.SIGTERM):
-                signal.signal(number, signal.SIG_IGN)
+            _end_undisturbed()
             if machine is not None:
                 machine.stop()
             self._tree.remove()
+
+    def _make(self, work: Path | None) -> bool:
+        """Make the tree with the package of the commit before installed, and that of this commit beside it."""
+        point = self._report.point
+        return (
+            point("the tree", lambda: self._tree.make(work))
+            and point("building the packages", self._packages.build)
+            and point("installing", self._packages.install)
+        )
+
+    def _emulated(self) -> Emulated:
+        return Emulated(self._tree.cache, self._tree.base)
 
     def _look(self, machine: Machine) -> None:
         rig, point = Rig(machine), self._report.point
@@ -65,7 +85,7 @@ class Session:
         point("an upgrade at work", lambda: self._packages.upgrade(machine, rig, records, restarts))
         point("the way back", lambda: self._packages.go_back(machine, rig, restarts))
         point("manual and completion", lambda: self._packages.pages(machine))
-        sandbox = Sandbox(machine, Emulated(self._tree.cache, self._tree.base))
+        sandbox = Sandbox(machine, self._emulated())
         companions = Companions(machine)
         before = {role: records.scans(role) for role in ROLES}
         point("kill -9", restarts.survive_kill)
@@ -87,3 +107,9 @@ class Session:
         point("a foreign address", sandbox.refuse_addresses)
         point("a foreign device", sandbox.refuse_devices)
         point("a purge", lambda: self._packages.purge(machine))
+
+
+def _end_undisturbed() -> None:
+    """Who asks twice for an end gets it no sooner, and nothing is left behind."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)

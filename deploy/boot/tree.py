@@ -46,14 +46,22 @@ class Tree:
         self.root = Path()
         self.packages = Path()
 
-    def make(self) -> str:
-        """Make the tree, from the cache where it is there, and return what was done in words."""
+    def make(self, work: Path | None = None) -> str:
+        """Make the tree, from the cache where it is there, and return what was done in words.
+
+        Parameters
+        ----------
+        work
+            The folder to make for it; by default one in the cache.
+        """
         self.cache.mkdir(parents=True, exist_ok=True)
         self.base, made = self._base()
+        if work is None:
+            work = Path(tempfile.mkdtemp(prefix="run-", dir=self.cache))
+        else:
+            work.mkdir()
+        self.place(work, self.base)
         fetched = self._fetch_wheels()
-        self._work = Path(tempfile.mkdtemp(prefix="run-", dir=self.cache))
-        self.root = self._work / "root"
-        self.packages = self._work / "packages"
         self.packages.mkdir()
         run("cp", "-a", "--reflink=auto", self.base, self.root)
         for name in (CHECKOUT, WHEELS, PACKAGES):
@@ -63,6 +71,11 @@ class Tree:
         except NotSeen as error:
             raise LeftOut(f"no container runs here: {error}") from None
         return f"{made}, {fetched}"
+
+    def place(self, work: Path, base: Path) -> None:
+        """Say in which folder the tree is, and which Debian it is made from."""
+        self._work, self.base = work, base
+        self.root, self.packages = work / "root", work / "packages"
 
     def _base(self) -> tuple[Path, str]:
         suite = _suite()
@@ -90,12 +103,20 @@ class Tree:
         shutil.rmtree(wheels, ignore_errors=True)
         wheels.mkdir()
         run(
-            *(_python_with_pip(), "-m", "pip", "download", "--quiet", "--disable-pip-version-check"),
+            *(self._python_with_pip(), "-m", "pip", "download", "--quiet", "--disable-pip-version-check"),
             *("--no-deps", "--only-binary", ":all:", "--require-hashes", "--dest", wheels),
             *(part for lock in locks for part in ("--requirement", lock)),
         )
         mark.write_text(key)
         return "wheels fetched"
+
+    def _python_with_pip(self) -> Path:
+        """Make an environment with pip, first of Debian's Python, for which the wheels are to be."""
+        for python in (Path("/usr/bin/python3"), Path(sys.executable)):
+            with contextlib.suppress(NotSeen, OSError):
+                run(python, "-m", "venv", "--clear", self._work / "pip")
+                return self._work / "pip" / "bin" / "python"
+        raise LeftOut("no Python here makes an environment with pip: apt-get install python3-venv")
 
     def link_environments(self) -> None:
         """Let the build find what an earlier run has unpacked and compiled; their names say what is in them."""
@@ -134,9 +155,9 @@ class Tree:
         """A name of its own, since runs may stand side by side."""
         return f"heliocube-test-{os.getpid()}"
 
-    def remove(self) -> None:
-        """Remove what this run has made, but for the cache."""
-        if self._work != Path():
+    def remove(self, *, keep: bool = False) -> None:
+        """Remove what this run has made, but for the cache; a tree that is to be kept stays."""
+        if self._work.is_dir() and self._work != Path() and not keep:
             shutil.rmtree(self._work)
         # What systemd-nspawn has made and does not remove; somebody else's at work cannot be.
         for group in own_cgroups():
@@ -150,13 +171,3 @@ def _suite() -> str:
     lines = Path("/etc/os-release").read_text(encoding="utf-8").splitlines()
     release = dict(line.partition("=")[::2] for line in lines if "=" in line)
     return release.get("VERSION_CODENAME", "bookworm") if release.get("ID") == "debian" else "bookworm"
-
-
-def _python_with_pip() -> str:
-    for python in (ROOT / ".venv" / "bin" / "python", Path(sys.executable), Path("/usr/bin/python3")):
-        try:
-            run(python, "-m", "pip", "--version")
-        except (NotSeen, OSError):
-            continue
-        return str(python)
-    raise LeftOut("no Python here has pip: apt-get install python3-pip, or make test once")
