@@ -149,6 +149,8 @@ class Restarts:
             raise NotSeen(f"with readings again the mode is {mode}")
         self._rig.must_not_move(before)
         wait(self._tracks_in_calm, TRACKS_WITHIN_S, lambda: f"mode tracking; it is {self._rig.mode()}")
+        # What looks next whether it rests would else find it at rest before this move has begun.
+        wait(lambda: not self._is_stowed(), TRACKS_WITHIN_S, lambda: f"the way back; it stands at {self._rig.pose()}")
         return f'back after {took_s:.1f} s, stowed ("{reason}"), released once it was calm'
 
     def _tracks_in_calm(self) -> bool:
