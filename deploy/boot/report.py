@@ -1,5 +1,6 @@
 """The lines that a run prints: one a point, with what was seen and how long it took."""
 
+import threading
 import time
 from collections.abc import Callable
 
@@ -7,7 +8,7 @@ from boot.host import LeftOut, NotSeen
 
 
 class Report:
-    """Prints each point as it is done and remembers whether all were as they should be.
+    """Prints each point as it is done, from any thread, and remembers whether all were as they should be.
 
     Attributes
     ----------
@@ -19,6 +20,7 @@ class Report:
         self.failed = 0
         self._began_s = time.monotonic()
         self._count = 0
+        self._one = threading.Lock()
 
     def point(self, name: str, see: Callable[[], str]) -> bool:
         """Look at one point, print it, and return whether it was as it should be."""
@@ -29,9 +31,10 @@ class Report:
             mark, seen = "left out", str(why)
         except NotSeen as why:
             mark, seen = "FAILED", str(why)
-            self.failed += 1
-        self._count += mark == "ok"
-        print(f"{mark:8} {time.monotonic() - began_s:5.1f} s  {name}: {seen}", flush=True)
+        with self._one:
+            self.failed += mark == "FAILED"
+            self._count += mark == "ok"
+            print(f"{mark:8} {time.monotonic() - began_s:5.1f} s  {name}: {seen}", flush=True)
         return mark == "ok"
 
     def end(self) -> None:

@@ -1,6 +1,7 @@
 """One run of test-boot, from the tree to the last point."""
 
 import signal
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from boot.companions import Companions
@@ -96,17 +97,22 @@ class Session:
         point("systemd-analyze security", sandbox.rate)
         sandbox.prepare()
         point("the sandbox", sandbox.refuse)
-        point("silence reaches people", companions.tell_people)
-        point("the nightly report", companions.report_nightly)
-        point("the watchdog", restarts.thaw)
-        point("ten kills in a minute", restarts.outlive_kills)
-        point("the stores", lambda: records.survive(before))
-        point("the journal's fields", records.have_fields)
-        point("the journal's limits", records.stay_quiet)
-        # Another machine may have to be started for these, which no restart is to wait for.
-        point("a foreign address", sandbox.refuse_addresses)
-        point("a foreign device", sandbox.refuse_devices)
+        # Another machine may have to be started for what is foreign, which no restart is to wait for.
+        with ThreadPoolExecutor(max_workers=1) as beside:
+            foreign = beside.submit(self._look_foreign, sandbox)
+            point("silence reaches people", companions.tell_people)
+            point("the nightly report", companions.report_nightly)
+            point("the watchdog", restarts.thaw)
+            point("ten kills in a minute", restarts.outlive_kills)
+            point("the stores", lambda: records.survive(before))
+            point("the journal's fields", records.have_fields)
+            point("the journal's limits", records.stay_quiet)
+            foreign.result()
         point("a purge", lambda: self._packages.purge(machine))
+
+    def _look_foreign(self, sandbox: Sandbox) -> None:
+        self._report.point("a foreign address", sandbox.refuse_addresses)
+        self._report.point("a foreign device", sandbox.refuse_devices)
 
 
 def _end_undisturbed() -> None:
