@@ -209,6 +209,12 @@ class Telemetry:
         if any(hasattr(value, "item") for value in self.details.values()):
             object.__setattr__(self, "details", {name: _of_python(value) for name, value in self.details.items()})
 
+    @property
+    def needs_homing(self) -> str:
+        """Why its angles are not to be moved by, faults among it, as the words of a sentence; empty where they are."""
+        restarted = "has restarted" if self.was_reset else ""
+        return ", ".join(filter(None, (*self.faults, restarted, self.reference_doubt)))
+
 
 def _of_python(value: Any) -> Any:
     return value.item() if hasattr(value, "item") else value

@@ -9,6 +9,7 @@ from typing import Any
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.config.settings import Settings
+from daemon.rigs.first_look import LONG_ENOUGH_S, watched
 from daemon.rigs.real import positioner_surroundings, pozsol_settings
 from drivers.errors import RefusedError
 from drivers.interfaces import AxisName, PositionerIdentity, Telemetry
@@ -65,9 +66,8 @@ async def probe_positioner(
         say(f"board {identity.board}, firmware {identity.firmware}, serial {identity.serial}")
         start_s = clock.monotonic()
         heard.counts.clear()
-        await asyncio.sleep(seconds)
+        telemetry = await watched(positioner, clock, seconds if move_deg is None else max(seconds, LONG_ENOUGH_S))
         _report_stream(heard.counts, clock.monotonic() - start_s, say)
-        telemetry = await positioner.read_telemetry()
         fields = positioner.fields()
         _report_state(telemetry, fields, say)
         _report_geometry(telemetry, setups, say)
@@ -195,8 +195,8 @@ async def _time_moves(
         await positioner.halt()
         await positioner.disable_autonomy()
         start = await positioner.read_telemetry()
-        if start.faults or start.was_reset:
-            raise RefusedError("positioner", "has faults or has restarted: home it before it is moved")
+        if start.needs_homing:
+            raise RefusedError("positioner", f"is not moved before it is homed, because of: {start.needs_homing}")
         if not (setups[0].allows(start.a_deg) and setups[1].allows(start.b_deg)):
             raise RefusedError("positioner", "stands outside the configured limits, so it is not moved from there")
         axes: tuple[tuple[AxisName, float, float], ...] = (
@@ -245,6 +245,8 @@ async def _watch(positioner: PozsolPositioner, axis: AxisName, clock: Clock) -> 
     while clock.monotonic() < last_s + _STILL_S and clock.monotonic() < begin_s + _MOVE_WITHIN_S:
         await asyncio.sleep(_LOOK_EVERY_S)
         seen = await positioner.read_telemetry()
+        if seen.needs_homing:
+            raise RefusedError("positioner", f"was stopped in its move, because of: {seen.needs_homing}")
         now_position = seen.position_a if axis == "a" else seen.position_b
         if now_position != position:
             if position == start:

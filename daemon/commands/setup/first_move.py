@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from daemon.base.clock import Clock
+from daemon.rigs.first_look import watched
 from drivers.errors import DeviceError, RefusedError
 from drivers.interfaces import AxisName, Positioner, Telemetry
 from solar.frames import Limits
@@ -93,8 +94,8 @@ class Leg:
         angle, other = self.angle(seen), seen.b_deg if self.axis == "a" else seen.a_deg
         way = math.copysign(1.0, self.to_deg - self.from_deg)
         name, still = self.axis.upper(), "B" if self.axis == "a" else "A"
-        if seen.faults:
-            return f"it reports {', '.join(seen.faults)}"
+        if seen.needs_homing:
+            return f"it cannot be relied on: {seen.needs_homing}"
         if seen.button_pressed:
             return "somebody presses a button on its box"
         if not (angle - self.from_deg) * way >= -_ASTRAY_DEG:
@@ -111,10 +112,7 @@ def ready(seen: Telemetry, conflicts: tuple[str, ...], limits: Limits) -> str | 
     """Return why nothing may be moved from here, as a sentence, or None."""
     if conflicts:
         return f"it contradicts the configuration, so no move is made: {'; '.join(conflicts)}"
-    if seen.faults or seen.was_reset or seen.reference_doubt:
-        why = ", ".join([*seen.faults, *(["has restarted"] if seen.was_reset else []), seen.reference_doubt]).strip(
-            ", "
-        )
+    if why := seen.needs_homing:
         return f"it has to be homed first, because of: {why}; 'heliocube home' does that once the service runs"
     if seen.autonomous:
         return "a mode of its own is on and may move it"
@@ -155,7 +153,7 @@ async def first_move(positioner: Positioner, bounds: Bounds, clock: Clock, say: 
         identity = await positioner.open()
         await positioner.halt()
         await positioner.disable_autonomy()
-        start = await positioner.read_telemetry()
+        start = await watched(positioner, clock)
         why_not = ready(start, identity.setup_conflicts, bounds.limits)
         if why_not is not None:
             raise RefusedError("positioner", why_not)

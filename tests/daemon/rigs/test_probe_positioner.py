@@ -64,3 +64,16 @@ def test_limits_too_narrow_for_the_move_are_told_before_anything_moves(positione
     ):
         asyncio.run(scene())
     assert not [line for line in said if line.startswith("  A to ")]
+
+
+def test_an_axis_whose_count_is_in_doubt_is_not_moved(positioner_host):
+    said = []
+
+    async def scene():
+        async with positioner_host() as host:
+            host.core.inject("a_switch_closed", asyncio.get_running_loop().time())
+            await probed(host, said.append)
+
+    with pytest.raises(RefusedError, match=r"is not moved before it is homed, because of: .*switch"):
+        asyncio.run(scene())
+    assert not [line for line in said if line.startswith("  A to ")]

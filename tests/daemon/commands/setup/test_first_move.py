@@ -18,7 +18,14 @@ from solar.frames import Limits
 NARROW = Limits(-5.0, 5.0, 80.0, 90.0)
 
 
-def moved(press_at=None, limits=NARROW, gone_beyond_deg=math.inf, press_beyond_deg=-math.inf):
+def moved(
+    press_at=None,
+    limits=NARROW,
+    gone_beyond_deg=math.inf,
+    press_beyond_deg=-math.inf,
+    fault=None,
+    fault_beyond_deg=-1.0,
+):
     """Make the first move, with a key pressed behind the words of a line; return its result, lines and poses."""
     lines, poses, keys = [], [], []
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
@@ -27,6 +34,8 @@ def moved(press_at=None, limits=NARROW, gone_beyond_deg=math.inf, press_beyond_d
 
         def pressed():
             poses.append(truth(clock.monotonic()))
+            if fault is not None and poses[-1].a_deg > fault_beyond_deg:
+                truth.__self__.inject(fault, clock.monotonic())
             if poses[-1].a_deg > gone_beyond_deg:
                 raise LinkLostError("positioner", "is gone")
             said = press_at is not None and any(press_at in line for line in ("", *lines))
@@ -35,6 +44,8 @@ def moved(press_at=None, limits=NARROW, gone_beyond_deg=math.inf, press_beyond_d
             return keys[-1]
 
         async def scene():
+            if fault is not None and fault_beyond_deg < 0.0:
+                truth.__self__.inject(fault, clock.monotonic())
             try:
                 found = await first_move(positioner, Bounds(limits, 0.8, 0.3), clock, lines.append, pressed)
             except DeviceError as error:
@@ -89,6 +100,19 @@ def test_whatever_ends_a_leg_early_halts_the_axes():
     assert 0.5 < max(pose.a_deg for pose in poses) < 1.5
 
 
+def test_a_unit_whose_count_contradicts_its_switch_is_not_moved():
+    found, lines, _ = moved(fault="a_switch_closed")
+    assert "has to be homed first, because of: axis A shows its low end switch closed" in found
+    assert lines == []
+
+
+def test_a_count_that_comes_into_doubt_on_the_way_stops_it():
+    found, _, poses = moved(fault="a_switch_closed", fault_beyond_deg=0.3)
+    assert found.startswith("it cannot be relied on: axis A shows its low end switch closed")
+    assert found.endswith("; it was stopped")
+    assert max(pose.a_deg for pose in poses) < 1.9
+
+
 def test_a_unit_outside_the_limits_is_not_moved():
     found, lines, _ = moved(limits=Limits(10.0, 20.0, 80.0, 90.0))
     assert "outside the limits" in found
@@ -122,7 +146,7 @@ WEST, STEEPER = Leg("a", 0.0, 2.0, 90.0), Leg("b", 90.0, 88.0, 0.0)
         (WEST, telemetry(a_deg=1.0, b_deg=89.0), "B moved"),
         (WEST, telemetry(a_deg=math.nan), "A went the wrong way"),
         (WEST, telemetry(a_deg=1.0, b_deg=math.nan), "B moved"),
-        (WEST, replace(telemetry(a_deg=1.0), faults=("a_overcurrent",)), "reports a_overcurrent"),
+        (WEST, replace(telemetry(a_deg=1.0), faults=("a_overcurrent",)), "cannot be relied on: a_overcurrent"),
         (WEST, replace(telemetry(a_deg=1.0), button_pressed=True), "button"),
         (STEEPER, telemetry(b_deg=91.0), "B went the wrong way"),
         (STEEPER, telemetry(b_deg=87.0), "B went beyond 88.0 deg"),
