@@ -201,6 +201,10 @@ class Link:
                 async with asyncio.timeout(_LEAVE_WITHIN_S * self._speed):
                     await connection.publish(will)
             raise
+        except (ConnectionLostError, UserError) as error:
+            # A broker that hangs is not left at once, and who looks meanwhile sees a link that is down.
+            self._down_why = str(error)
+            raise
         finally:
             for timer in timers:
                 timer.cancel()
