@@ -1,8 +1,7 @@
 """`heliocube probe`: look at one real instrument, without changing anything unless asked to."""
 
 import asyncio
-from collections.abc import Coroutine, Iterator
-from contextlib import contextmanager
+from collections.abc import Coroutine
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,10 +11,10 @@ import typer
 from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json, teller
 from daemon.commands.options import CONFIG_VARIABLE, CubeOption, TrackerOption
+from daemon.commands.recording import recorded
 
 if TYPE_CHECKING:
     from daemon.config.settings import Settings
-    from drivers.transcript import Direction, Tap
 
 app = typer.Typer(
     help="Query one real instrument and report; nothing is changed unless you ask for it.",
@@ -56,7 +55,7 @@ def positioner(
 
     settings = _settings(config, "positioner", {"port": port}, tracker)
     say = teller(as_json=as_json)
-    with _tap(record) as tap:
+    with recorded(record) as tap:
         _run(probe_positioner(settings, SystemClock(), seconds, move_deg, tap, say), as_json=as_json)
 
 
@@ -76,7 +75,7 @@ def voltmeter(
 
     settings = _settings(config, "voltmeter", {"resource": resource})
     say = teller(as_json=as_json)
-    with _tap(record) as tap:
+    with recorded(record) as tap:
         _run(
             probe_voltmeter(settings, SystemClock().monotonic, tap, say, write=write),
             as_json=as_json,
@@ -96,7 +95,7 @@ def multiplexer(
 
     settings = _settings(config, "multiplexer", {"server": server})
     say = teller(as_json=as_json)
-    with _tap(record) as tap:
+    with recorded(record) as tap:
         _run(probe_multiplexer(settings, tap, say, write=write), as_json=as_json)
 
 
@@ -128,7 +127,7 @@ def cube(
     chosen = name or ("modbus-pyranometers" if config is None or line is not None else None)
     settings, units = settings_for(config, cube=chosen), unit_range(addresses)
     say = teller(as_json=as_json)
-    with _tap(record) as tap:
+    with recorded(record) as tap:
         probe = ModbusProbe(settings, line, SystemClock(), say, tap)
         _run(probe.set_addresses(_ask, units) if set_address else probe.report(units, clear=clear), as_json=as_json)
 
@@ -173,7 +172,7 @@ def load(
     given = {"resource": resource, "driver": None if driver is None else driver.value}
     settings = override(settings, {"load": {name: value for name, value in given.items() if value is not None}})
     say = teller(as_json=as_json)
-    with _tap(record) as tap:
+    with recorded(record) as tap:
         _run(probe_load(settings, SystemClock().monotonic, tap, say, write=write), as_json=as_json)
 
 
@@ -204,49 +203,3 @@ def _run(work: Coroutine[Any, Any, dict[str, Any]], *, as_json: bool) -> None:
         raise UserError(str(error)) from error
     if as_json:
         print_json(found)
-
-
-@contextmanager
-def _tap(record: Path | None) -> "Iterator[Tap]":
-    from daemon.base.clock import SystemClock, iso_utc
-    from daemon.base.files import drop_cut
-    from drivers.transcript import Piece, line_of, no_tap
-
-    if record is None:
-        yield no_tap
-        return
-    clock = SystemClock()
-    start_s = clock.monotonic()
-    try:
-        stream = record.open("x", encoding="utf-8", newline="\n")
-    except FileExistsError:
-        raise UserError(f"{record} is there already and is not overwritten") from None
-    except OSError as error:
-        raise UserError(f"{record} cannot be written: {error.strerror}") from None
-    failed: list[OSError] = []
-
-    def write(text: str) -> None:
-        # An instrument is heard and spoken to by whoever records it: an axis that moves has to be stopped all the same.
-        if not failed:
-            try:
-                stream.write(text)
-            except OSError as error:
-                failed.append(error)
-
-    def tap(direction: "Direction", data: bytes) -> None:
-        write(line_of(Piece(clock.monotonic() - start_s, direction, data)) + "\n")
-
-    write(f"# heliocube probe, {iso_utc(clock.utc())}\n")
-    try:
-        yield tap
-    finally:
-        try:
-            stream.close()
-        except OSError as error:
-            failed.append(error)
-        if failed:
-            drop_cut(record, failed[0])
-    if failed:
-        raise UserError(
-            f"{record} cannot be written: {failed[0].strerror}; all else was done: record it again where there is room"
-        )
