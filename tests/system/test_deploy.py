@@ -7,7 +7,6 @@ import signal
 import socket
 import stat
 import subprocess
-import sys
 import tomllib
 from random import Random
 
@@ -365,23 +364,6 @@ def test_nothing_is_fetched_that_the_locks_do_not_name_by_hash():
         assert all(re.match(r"[\w.-]+(\[\w,]+\])?==\S+", one) and "--hash=sha256:" in one for one in pinned(lock))
     wanted = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
     assert all(re.search(rf"^{re.match(r'[a-z]+', one)[0]}==", lock, re.MULTILINE) for one in wanted)
-
-
-@pytest.mark.parametrize("option", [None, "--prepare", "--prepared"])
-def test_a_machine_that_cannot_boot_a_container_says_so_and_is_no_failure(tmp_path, option):
-    """The boot itself is no test of this suite: deploy/test-boot is a program of its own, which .ci/run starts."""
-    options = ["--cache", tmp_path / "cache", *([option, tmp_path / "boot"] if option else [])]
-    done = run(sys.executable, DEPLOY / "test-boot", *options, env={"PATH": str(tmp_path)})
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("test-boot: left out: a boot needs ")
-    assert done.stdout.count("\n") == 1
-    assert not list(tmp_path.iterdir()), "nothing is made before it is known what there is"
-
-
-def test_a_boot_is_prepared_in_a_new_folder_only(tmp_path):
-    done = run(sys.executable, DEPLOY / "test-boot", "--prepare", tmp_path)
-    assert done.returncode == 2
-    assert "--prepare makes a new folder" in done.stderr
 
 
 @pytest.mark.parametrize(
