@@ -41,9 +41,12 @@ class Rotctld:
                 return
 
     def ask(self, text, until=None):
-        """Send text as another client, and return what comes up to a mark, or in a quarter of a second."""
-        with socket.create_connection(("127.0.0.1", self.port), timeout=20.0 if until else 0.25) as peer:
+        """Send text as another client, and return what comes up to a mark, or until it has answered all."""
+        with socket.create_connection(("127.0.0.1", self.port), timeout=20.0) as peer:
             peer.sendall(text.encode())
+            if until is None:
+                # Who says no more is left when all is answered.
+                peer.shutdown(socket.SHUT_WR)
             heard = b""
             while until is None or until not in heard:
                 try:
