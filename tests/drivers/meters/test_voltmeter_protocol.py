@@ -309,7 +309,7 @@ def test_a_meter_on_gpib_behind_a_prologix_adapter_is_read(tmp_path):
     async def scene():
         settings = VisaSettings("GPIB0::16::INSTR", prologix_port=str(tmp_path / "prologix"))
         # Ten periods of the mains take longer than the 50 ms that the adapter waits as PyVISA-py sets it.
-        meter = Keithley2000(visa(settings), nplc=10.0, deadline_s=2.0)
+        meter = Keithley2000(visa(settings), nplc=10.0, deadline_s=4.0)
         for _ in range(2):
             assert "MODEL 2000" in await meter.open()
             for _ in range(3):
