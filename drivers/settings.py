@@ -69,6 +69,11 @@ def stable_visa(text: str) -> str:
     return text
 
 
+def held_way(resource: str | None, prologix_port: str | None) -> dict[str, str | None]:
+    """Return what an instrument behind VISA holds: its adapter's port, or the VISA name, which counts from there on."""
+    return {"resource": resource} if prologix_port is None else {"prologix_port": prologix_port}
+
+
 def way_of(name: str) -> str:
     """Return what a port, a server or a VISA name leads to: the port itself for a serial line as VISA names it."""
     found = _VISA_RESOURCE.fullmatch(name)

@@ -8,11 +8,10 @@ import numpy as np
 
 from daemon.base.records import FACES
 from daemon.config.conflict import Conflict
-from daemon.config.instruments import VoltmeterSettings
 from daemon.config.link_rules import LINK_RULES
 from daemon.config.plugged import LAW, MULTIPLEXED
 from daemon.config.sections import Sections
-from drivers.settings import way_of
+from drivers.settings import held_way, way_of
 from solar.frames import equator_azimuth_deg
 
 # The Keithley 2000 reads to 120 % of its range; autozero doubles the time of a conversion.
@@ -296,9 +295,10 @@ def each_instrument_has_a_way_of_its_own(settings: Sections) -> Iterator[Conflic
     instruments = settings.instruments
     if instruments.kind != "real":
         return
+    meter = instruments.voltmeter
     owners: dict[str, str] = {}
     for part, values in (
-        ("instruments.voltmeter", _exclusive(instruments.voltmeter) if has_multiplexer(settings) else {}),
+        ("instruments.voltmeter", held_way(meter.resource, meter.prologix_port) if has_multiplexer(settings) else {}),
         ("instruments.positioner", instruments.positioner.exclusive()),
         ("load", settings.load.exclusive()),
     ):
@@ -307,12 +307,6 @@ def each_instrument_has_a_way_of_its_own(settings: Sections) -> Iterator[Conflic
             if value is not None and (other := owners.setdefault(way_of(value), key)) != key:
                 reason = f"is what {other} names already, and only one instrument can hold it; each needs its own"
                 yield Conflict(key, reason, (other,))
-
-
-def _exclusive(meter: VoltmeterSettings) -> dict[str, str | None]:
-    if meter.prologix_port is not None:
-        return {"prologix_port": meter.prologix_port}
-    return {"resource": meter.resource}
 
 
 def the_law_in_the_shadow_is_another(settings: Sections) -> Iterator[Conflict]:

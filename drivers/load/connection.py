@@ -9,7 +9,7 @@ from drivers.lines.threaded import ThreadedLine
 from drivers.lines.visa import VisaLine, VisaSettings
 from drivers.load.sweep import SweepSettings
 from drivers.scpi import ScpiLine
-from drivers.settings import LoadSettings, PortPath, SettingsError, VisaResource
+from drivers.settings import LoadSettings, PortPath, SettingsError, VisaResource, held_way
 from drivers.transcript import Tap, no_tap
 
 _MARGIN_OF_LEAST_V = 0.9
@@ -31,9 +31,7 @@ class VisaLoadSettings(LoadSettings):
 
     def exclusive(self) -> dict[str, str | None]:
         """Return the port of the adapter that it is behind, or else the VISA name, which counts from the adapter on."""
-        if self.prologix_port is not None:
-            return {"prologix_port": self.prologix_port}
-        return {"resource": self.resource}
+        return held_way(self.resource, self.prologix_port)
 
 
 def load_line(settings: VisaLoadSettings, tap: Tap = no_tap) -> ScpiLine:

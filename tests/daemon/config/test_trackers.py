@@ -120,6 +120,22 @@ def test_what_the_command_line_says_holds_for_all(read):
             """,
             'tracker[west].positioner.port = "/dev/roof": is that of the tracker east already',
         ),
+        (
+            """
+            [instruments]
+            kind = "real"
+            [[tracker]]
+            name = "east"
+            [tracker.positioner]
+            port = "/dev/roof"
+            [[tracker]]
+            name = "west"
+            [tracker.load]
+            driver = "agilent6063b"
+            resource = "ASRL/dev/roof::INSTR"
+            """,
+            'tracker[west].load.resource = "ASRL/dev/roof::INSTR": is the positioner.port of the tracker east already',
+        ),
     ],
 )
 def test_a_mistake_in_a_table_is_told_once_with_its_place_and_its_remedy(read, text, expected):
@@ -154,26 +170,6 @@ LOADS = """
     [tracker.load]
     prologix_port = "/dev/adapter-{}"
     """
-
-
-def test_what_moves_one_tracker_is_not_what_measures_another(read):
-    text = """
-        [instruments]
-        kind = "real"
-        [[tracker]]
-        name = "east"
-        [tracker.positioner]
-        port = "/dev/roof"
-        [[tracker]]
-        name = "west"
-        [tracker.load]
-        driver = "agilent6063b"
-        resource = "ASRL/dev/roof::INSTR"
-        """
-    (problem,) = problems(read, text)
-    assert problem.startswith(
-        'tracker[west].load.resource = "ASRL/dev/roof::INSTR": is the positioner.port of the tracker east already'
-    )
 
 
 def test_two_loads_of_one_address_are_behind_an_adapter_each(read):
