@@ -4,9 +4,6 @@ SPA is split in its two natural halves. The geocentric half (declination, right 
 slow to compute and slow to change: it is computed at whole hours and interpolated linearly, which costs less than
 1e-5 deg. The topocentric half (site, parallax, refraction) is exact at every instant. Sources: Reda & Andreas (2004),
 Solar Energy 76, 577, as implemented by :mod:`pvlib.spa`.
-
-pvlib is loaded when a sun is first asked for: with scipy and pandas behind it, it takes longer than reading and
-refusing a configuration, which knows sites and laws from here.
 """
 
 import math
@@ -19,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solar.frames import Array, direction_from_azimuth
+from solar.spa import spa
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -216,9 +214,6 @@ def _first_below(instants: Array, above_deg: Array) -> float | None:
 
 def _topocentric(utc_s: Array, latitude_deg: float, longitude_deg: float, altitude_m: float) -> list[Array]:
     """Azimuth, apparent elevation and geometric elevation [deg] of instants of shape (n,)."""
-    from pvlib import spa
-    from pvlib.atmosphere import alt2pres
-
     sidereal, ascension, declination, distance_au = _geocentric(utc_s)
     hour_angle = spa.local_hour_angle(sidereal, longitude_deg, ascension)
     parallax = spa.equatorial_horizontal_parallax(distance_au)
@@ -228,7 +223,8 @@ def _topocentric(utc_s: Array, latitude_deg: float, longitude_deg: float, altitu
     local_declination = spa.topocentric_sun_declination(declination, x, y, parallax, shift, hour_angle)
     local_hour_angle = spa.topocentric_local_hour_angle(hour_angle, shift)
     geometric = spa.topocentric_elevation_angle_without_atmosphere(latitude_deg, local_declination, local_hour_angle)
-    pressure_hpa = alt2pres(altitude_m) / 100.0
+    # Of the standard atmosphere, as `pvlib.atmosphere.alt2pres` has it.
+    pressure_hpa = ((44331.514 - altitude_m) / 11880.516) ** (1.0 / 0.1902632)
     refraction = spa.atmospheric_refraction_correction(
         pressure_hpa, TEMPERATURE_DEGC, geometric, REFRACTION_AT_HORIZON_DEG
     )
@@ -292,8 +288,6 @@ def _at_hour(hour: int) -> Array:
 
 
 def _geocentric_exact(utc_s: Array) -> Array:
-    from pvlib import spa
-
     delta_t = _delta_t_s(utc_s)
     angles = spa.solar_position_numpy(utc_s, 0, 0, 0, 0, 0, delta_t, 0, 1, sst=True)
     (distance_au,) = spa.solar_position_numpy(utc_s, 0, 0, 0, 0, 0, delta_t, 0, 1, esd=True)
@@ -302,8 +296,6 @@ def _geocentric_exact(utc_s: Array) -> Array:
 
 def _delta_t_s(utc_s: Array) -> Array:
     """Terrestrial time minus universal time [s], constant over a month."""
-    from pvlib import spa
-
     months = utc_s.astype("datetime64[s]").astype("datetime64[M]").astype(np.int64)
     return np.asarray(spa.calculate_deltat(1970 + months // 12, months % 12 + 1), dtype=np.float64)
 

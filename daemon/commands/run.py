@@ -32,9 +32,10 @@ from daemon.bridge.signing import generate_key, load_keys
 from daemon.commands.status.live import LiveView
 from daemon.commands.status.log_above import LogAbove
 from daemon.config.settings import Settings
+from daemon.config.simulation import DEFAULT_START
 from daemon.cube.calibration import calibration_to_run
 from daemon.mqtt.companion import Mqtt, links
-from daemon.rigs.simulated import DEFAULT_START, build_real_rig, build_simulated_rig, build_weather
+from daemon.rigs.real import build_real_rig
 from daemon.service.health import LoopWatch
 from daemon.service.operator_commands import Operators
 from daemon.service.recent import Recent
@@ -201,6 +202,9 @@ def _key_file(settings: Settings, keys: tuple[bytes, ...], service: Service, spe
 def _rig(settings: Settings, role: Role, clock: Clock, duration_s: float) -> Rig:
     if settings.real:
         return build_real_rig(settings, role, clock)
+    # A service on the roof has no simulator in it, and starts in half the time without.
+    from daemon.rigs.simulated import build_simulated_rig, build_weather
+
     weather, warning = build_weather(settings, clock.utc(), clock.utc() + duration_s, with_gaps=True)
     if warning:
         log.warning(warning)

@@ -1,6 +1,7 @@
 """The settings of the simulated rig."""
 
 import difflib
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -11,6 +12,8 @@ from drivers.settings import Positive
 
 LARGEST_SEED = 2**63 - 1
 """A TOML file has no larger whole number."""
+# A day of the paper's measuring campaign, minutes before its first cloud gap: what a visitor sees first.
+DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
 
 WeatherName = Literal["clear", "overcast", "variable", "broken"]
 

@@ -20,8 +20,9 @@ from daemon.config.keys import Chosen
 from daemon.config.keys import keys as every_key
 from daemon.config.plugged import CUBE, LABJACK, MULTIPLEXED, POSITIONER, SCANNING_METER
 from daemon.config.settings import Settings
+from daemon.config.simulation import DEFAULT_START
 from daemon.config.template import FILE_NAME, example
-from daemon.rigs.simulated import DEFAULT_START, BenchPorts, build_weather, run_bench
+from daemon.rigs.simulated import BenchPorts, build_weather, run_bench
 from drivers.positioners.rotctld.driver import RotctldSettings
 from solar.ephemeris import DAY_S
 

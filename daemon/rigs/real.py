@@ -5,12 +5,13 @@ from functools import partial
 from typing import cast
 
 from daemon.base import plugins
-from daemon.base.clock import Clock
+from daemon.base.clock import Clock, SystemClock
 from daemon.base.errors import UserError
+from daemon.base.kernel_clock import synchronised
 from daemon.config.plugged import LOAD, MULTIPLEXED
 from daemon.config.rules import SELF_TESTS
 from daemon.config.settings import Settings
-from daemon.service.rig import Role
+from daemon.service.rig import Rig, Role, TrackerInstruments
 from drivers.interfaces import Cube, ElectronicLoad, Multiplexer, Positioner, Voltmeter
 from drivers.lines.threaded import ThreadedLine
 from drivers.lines.visa import VisaLine, VisaSettings
@@ -167,3 +168,24 @@ def build_load(settings: Settings, tap: Tap = no_tap) -> ElectronicLoad | None:
         return cast("ElectronicLoad", plugins.load(plugins.LOADS, settings.load.driver).build(settings.load, tap))
     except SettingsError as error:
         raise UserError(str(error)) from None
+
+
+def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
+    """Build the real instruments that a role needs; nothing is connected yet.
+
+    Raises
+    ------
+    UserError
+        The settings do not say where one of them is.
+    """
+    trackers = () if role is Role.CUBE else settings.trackers
+    return Rig(
+        cube=None if role is Role.TRACKER else build_cube_of(settings, role, clock),
+        trackers=tuple(
+            TrackerInstruments(build_positioner(own, clock), build_load(own), begins_anew=settings.instruments.bench)
+            for _, own in trackers
+        ),
+        wind_speed_m_s=None,
+        simulated=settings.instruments.bench,
+        clock_synchronised=synchronised if isinstance(clock, SystemClock) else lambda: None,
+    )

@@ -1,4 +1,4 @@
-"""The composition root: the one place that decides between real and simulated, and builds what was decided."""
+"""Simulated instruments, alone or with a cube and two trackers under one sky, and the bench that serves them."""
 
 import asyncio
 import math
@@ -12,21 +12,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from daemon.base import plugins
-from daemon.base.clock import Clock, SystemClock
+from daemon.base.clock import Clock
 from daemon.base.errors import UserError
-from daemon.base.kernel_clock import synchronised
 from daemon.base.records import FACES
 from daemon.config.plugged import LOAD
 from daemon.config.settings import Settings
 from daemon.config.simulation import WeatherName
 from daemon.rigs.measured import CubeInGaps, missing_by_day, weather_notes
-from daemon.rigs.real import (
-    build_cube_of,
-    build_load,
-    build_positioner,
-    build_pozsol,
-    positioner_surroundings,
-)
+from daemon.rigs.real import build_pozsol, positioner_surroundings
 from daemon.rigs.simulated_cube import build_bench_sensors, build_cube_cores, build_simulated_cube
 from daemon.rigs.simulated_positioner import build_unit
 from daemon.rigs.simulated_rotator import build_rotator, build_simulated_rotator, rotator_truth
@@ -49,9 +42,6 @@ from solar.skies.sky import Sky, sky
 
 if TYPE_CHECKING:
     from sim_drivers.pozsol.core import PositionerCore
-
-# A day of the paper's measuring campaign, minutes before its first cloud gap: what a visitor sees first.
-DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
 
 _FLAT = Angles(0.0, 90.0)
 _COVER_EVERY_S = 60.0
@@ -105,27 +95,6 @@ def build_weather(
         return weather, "; ".join(weather_notes(weather, site, from_utc_s, to_utc_s)) or None
     except WeatherError as error:
         raise UserError(str(error)) from error
-
-
-def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
-    """Build the real instruments that a role needs; nothing is connected yet.
-
-    Raises
-    ------
-    UserError
-        The settings do not say where one of them is.
-    """
-    trackers = () if role is Role.CUBE else settings.trackers
-    return Rig(
-        cube=None if role is Role.TRACKER else build_cube_of(settings, role, clock),
-        trackers=tuple(
-            TrackerInstruments(build_positioner(own, clock), build_load(own), begins_anew=settings.instruments.bench)
-            for _, own in trackers
-        ),
-        wind_speed_m_s=None,
-        simulated=settings.instruments.bench,
-        clock_synchronised=synchronised if isinstance(clock, SystemClock) else lambda: None,
-    )
 
 
 def build_simulated_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) -> Rig:

@@ -21,7 +21,8 @@ from daemon.commands.file_check import check_file
 from daemon.config.file import load_settings
 from daemon.config.migrate import migrate
 from daemon.config.settings import Settings
-from daemon.rigs.simulated import DEFAULT_START, build_simulated_rig, build_weather
+from daemon.config.simulation import DEFAULT_START
+from daemon.rigs.simulated import build_simulated_rig, build_weather
 from daemon.service.rig import Role
 from daemon.service.service import Service
 from tests.system.conftest import ROOT

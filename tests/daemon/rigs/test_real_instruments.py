@@ -9,7 +9,7 @@ import pytest
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
 from daemon.config.file import ConfigError, load_settings
-from daemon.rigs.simulated import build_real_rig
+from daemon.rigs.real import build_real_rig
 from daemon.service.rig import Role
 
 pytestmark = pytest.mark.slow
@@ -130,3 +130,19 @@ def test_what_cannot_be_done_with_real_instruments_ends_with_one_sentence_and_2(
     assert sentence in done.stderr
     assert "Traceback" not in done.stderr
     assert "SIMULATED" not in done.stderr + done.stdout
+
+
+def test_a_service_on_the_roof_has_no_simulator_in_it_and_none_of_the_libraries_of_studies(tmp_path):
+    file = tmp_path / "heliocube.toml"
+    file.write_text(REAL + '[bridge]\ninsecure = true\n[api]\nlisten = "127.0.0.1:0"\n')
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", str(HELIOCUBE), "run", "--config", str(file), "--for", "1"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-1000:]
+    loaded = {line.rpartition("|")[2].strip().partition(".")[0] for line in done.stderr.splitlines() if "|" in line}
+    assert "numpy" in loaded
+    assert not loaded & {"sim_drivers", "pvlib", "pandas", "scipy", "h5py", "matplotlib"}
