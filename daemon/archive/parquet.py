@@ -62,7 +62,12 @@ def write_days(address: ArchiveAddress, out: Path, today: date, wanted: date | N
         check_is_archive(connection, address)
         for kind, day in days_of(connection):
             if day < today and wanted in (None, day):
-                yield _written(connection, kind, day, out, again=wanted is not None)
+                try:
+                    written = _written(connection, kind, day, out, again=wanted is not None)
+                except OSError as error:
+                    path = file_of(out, kind, day)
+                    raise UserError(f"--out: {path} cannot be written: {error.strerror or error}") from None
+                yield written
 
 
 def drop_days(address: ArchiveAddress, out: Path, before: date) -> Iterator[ArchivedDay]:
@@ -83,7 +88,7 @@ def drop_days(address: ArchiveAddress, out: Path, before: date) -> Iterator[Arch
                 dropped = _dropped(connection, kind, day, out)
             except OSError as error:
                 path = file_of(out, kind, day)
-                raise UserError(f"--out: {path} cannot be kept for good: {error.strerror}") from None
+                raise UserError(f"--out: {path} cannot be kept for good: {error.strerror or error}") from None
             if dropped is not None:
                 yield dropped
 
@@ -170,11 +175,11 @@ def _written(connection: "psycopg.Connection", kind: str, day: date, out: Path, 
         with part.open("r+b") as file:
             os.fsync(file.fileno())
         part.replace(path)
-    except OSError as error:
+    except OSError:
         # It would keep the room that a full disk lacks.
         with contextlib.suppress(OSError):
             part.unlink()
-        raise UserError(f"--out: {path} cannot be written: {error.strerror}") from None
+        raise
     return ArchivedDay(kind, day, path, count, written=True)
 
 

@@ -10,6 +10,7 @@ import pytest
 from daemon.archive.address import parse_archive
 from daemon.archive.parquet import drop_days, rows_in, write_days
 from daemon.archive.writer import ArchiveWriter, SentPage
+from daemon.base.errors import UserError
 from tests.support.archive import batch_of, origin, pose_row
 from tests.support.postgres import BINARIES, WITHOUT_POSTGRES, Postgres
 
@@ -67,6 +68,17 @@ def test_what_the_database_has_lost_since_stays_in_the_file_of_its_day(postgres,
         assert list(drop_days(address, tmp_path, date(2026, 1, 1))) == []
         writer.take([page, SentPage("lab/late", page.batch)])
     assert [(one.rows, one.written) for one in write_days(address, tmp_path, date(2026, 1, 1))] == [(4, True)]
+
+
+def test_a_file_of_before_that_cannot_be_read_is_one_sentence(database, tmp_path):
+    address = parse_archive(database)
+    with closing(ArchiveWriter(address)) as writer:
+        writer.prepare()
+        writer.take([SentPage("lab/roof", batch_of(origin(), {"poses": [pose_row(0)]}))])
+    # What a disk with bad sectors answers is an OSError too, and as little a file that is not whole.
+    (tmp_path / "poses" / "day=2022-10-14" / "records.parquet").mkdir(parents=True)
+    with pytest.raises(UserError, match=r"^--out: .*/records.parquet cannot be written: .*is a directory"):
+        list(write_days(address, tmp_path, date(2026, 1, 1)))
 
 
 @pytest.mark.skipif(BINARIES is None, reason=WITHOUT_POSTGRES)
