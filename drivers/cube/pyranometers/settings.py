@@ -166,7 +166,8 @@ class PyranometersSettings(CubeDriverSettings):
                 reason = f"is the serial number of the {twin} sensor already; look at the two type plates"
                 yield SettingsConflict(f"{name}.serial", reason, (f"{twin}.serial",))
             make = self.make_of(name)
-            if face.serial is not None and make not in _WITH_SERIAL and self.map.serial_register is None:
+            mapped = make == "map" and self.map.serial_register is not None
+            if face.serial is not None and make not in _WITH_SERIAL and not mapped:
                 reason = f'cannot be checked: a sensor of make "{make}" does not report it; leave it out'
                 if make == "map":
                     reason = "cannot be checked without map.serial_register; set that, or leave it out"

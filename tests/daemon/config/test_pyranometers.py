@@ -26,6 +26,12 @@ MISTAKES = {
         'instruments.cube.east.serial = 7: cannot be checked: a sensor of make "apogee" does not report it;'
         " leave it out"
     ),
+    # The map is that of another face.
+    "make = 'apogee'\n[instruments.cube.east]\nserial = 7\n[instruments.cube.zenith]\nmake = 'map'\nserial = 9\n"
+    "[instruments.cube.map]\nserial_register = 40": (
+        'instruments.cube.east.serial = 7: cannot be checked: a sensor of make "apogee" does not report it;'
+        " leave it out"
+    ),
     "make = 'map'\n[instruments.cube.map]\nfunction = 5": ("instruments.cube.map.function = 5: must be 3 or 4"),
     "make = 'map'\n[instruments.cube.map]\nregister_number = 65535": (
         "instruments.cube.map.register_number = 65535: is the last register, and float32 takes two"
