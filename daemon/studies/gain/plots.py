@@ -40,6 +40,7 @@ _HIGHEST_GAIN_PERCENT = 200.0
 _LOSS = 0.01
 _MOST_SKIES = 19
 _MOST_DOTS = 60
+_MOST_PERCENT = 1e4
 
 
 def draw(kind: PlotKind, request: Request, columns: Columns, sky: SkySource | None, path: Path) -> None:
@@ -71,13 +72,14 @@ def gain_map(request: Request, columns: Columns, sky: SkySource | None) -> Figur
     suffixes = {"": "constant beam, no atmosphere"} | ({"_sky": sky.label} if sky is not None else {})
     figure = Figure(figsize=(1.5 + 4.2 * len(request.against), 0.9 + 4.0 * len(suffixes)), layout="constrained")
     axes = figure.subplots(len(suffixes), len(request.against), sharex=True, sharey=True, squeeze=False)
-    norm = BoundaryNorm(_LEVELS, 256, extend="max")
+    norm = BoundaryNorm(_LEVELS, 256, extend="both")
     grid = (latitudes.size, tilts.size, request.azimuths_deg.size, -1)
     for row, (suffix, label) in zip(axes, suffixes.items(), strict=True):
         for panel, device in zip(row, request.against, strict=True):
             percent = 100.0 * (columns[_RATIOS[device] + suffix].reshape(grid)[:, :, 0, 0].T - 1.0)
-            shown = np.minimum(np.nan_to_num(percent, posinf=1e4), 1e4)
-            panel.contourf(latitudes, tilts, shown, _LEVELS, norm=norm, cmap="viridis", extend="max")
+            # In polar night there is nothing to gain, and nothing is drawn.
+            shown = np.minimum(percent, _MOST_PERCENT)
+            panel.contourf(latitudes, tilts, shown, _LEVELS, norm=norm, cmap="viridis", extend="both")
             lines = panel.contour(latitudes, tilts, shown, _LEVELS[1:], colors="white", linewidths=0.6)
             # On the brightest levels white numbers need a dark edge.
             for text in panel.clabel(lines, fmt="%g", fontsize=8):
@@ -95,7 +97,7 @@ def gain_map(request: Request, columns: Columns, sky: SkySource | None) -> Figur
         panel.set_xlabel("latitude [deg north]")
     for panel in axes[:, 0]:
         panel.set_ylabel("tilt [deg]")
-    bar = figure.colorbar(ScalarMappable(norm, "viridis"), ax=axes, ticks=_LEVELS, extend="max")
+    bar = figure.colorbar(ScalarMappable(norm, "viridis"), ax=axes, ticks=_LEVELS, extend="both")
     bar.set_label("dual axis gains [%]")
     period = "in a year" if request.days is None else f"on day {request.days[0]:.0f}"
     figure.suptitle(f"What a dual axis gains {period}{_azimuth(request)}; dashed: the best tilt", fontsize=12)
@@ -222,15 +224,18 @@ def printed_against_exact(request: Request) -> Figure:
 
 
 def _lowest(tilts: Array, percent: Array) -> Array:
-    """Return the tilt of each column's lowest value, between the tilts by a parabola where they are evenly spaced."""
+    """Return the tilt of each column's lowest value, between the tilts by a parabola where they are evenly spaced.
+
+    NaN where a column has no value.
+    """
     lowest = np.argmin(np.where(np.isnan(percent), np.inf, percent), axis=0)
     inner = np.clip(lowest, 1, tilts.size - 2)
     before, at, after = (np.take_along_axis(percent, (inner + step)[None], axis=0)[0] for step in (-1, 0, 1))
     curvature = before - 2.0 * at + after
     usable = np.isfinite(curvature) & (curvature > 0.0) & (inner == lowest) & (np.ptp(np.diff(tilts)) < 1e-6)
     shift = np.divide(before - after, 2.0 * curvature, out=np.zeros(at.shape), where=usable)
-    refined: Array = tilts[lowest] + shift * (tilts[1] - tilts[0])
-    return refined
+    refined = tilts[lowest] + shift * (tilts[1] - tilts[0])
+    return np.where(np.isfinite(percent).any(axis=0), refined, np.nan)
 
 
 def _sky_tilts(panel: Axes, latitudes: Array, sky: SkySource) -> None:
