@@ -202,7 +202,8 @@ def _modes(found: Findings) -> Iterator[Part]:
             (one.mode, *_when(one.start_utc_s, found), length(one.duration_s), one.why or NO_FIGURE)
             for one in special[:_MOST_LINES]
         ]
-        yield table(("Mode", "UTC", "local", "for", "why"), listed, "When it neither tracked nor slept")
+        name = _of_many("When it neither tracked nor slept", len(special))
+        yield table(("Mode", "UTC", "local", "for", "why"), listed, name)
 
 
 def _moves(found: Findings) -> Iterator[Part]:
@@ -327,7 +328,8 @@ def _runs(found: Findings) -> Iterator[Part]:
     if not changes:
         yield element("p", "No change of the configuration was recorded.")
     else:
-        yield table(("UTC", "local", "key"), changes[:_MOST_LINES], "Changes of the configuration, found at a start")
+        name = _of_many("Changes of the configuration, found at a start", len(changes))
+        yield table(("UTC", "local", "key"), changes[:_MOST_LINES], name)
 
 
 def _events(found: Findings) -> Iterator[Part]:
