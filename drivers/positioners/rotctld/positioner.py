@@ -168,10 +168,11 @@ class RotctldPositioner:
         reply = await self._ask(protocol.SET_POSITION, *aim)
         if reply.error:
             self._aim = None
+            look = "; are rotctld's limits (-C) and offsets (-o) right?" if reply.error in protocol.REFUSALS else ""
             raise RefusedError(
                 _DEVICE,
                 f"did not take azimuth {aim.azimuth_deg:z.2f}, elevation {aim.elevation_deg:z.2f} deg:"
-                f" {protocol.error_text(reply.error)}; are rotctld's limits (-C) and offsets (-o) right?",
+                f" {protocol.error_text(reply.error)}{look}",
             )
 
     async def stop(self) -> None:
@@ -181,9 +182,12 @@ class RotctldPositioner:
         reply = await self._ask(protocol.STOP)
         if reply.error in _WITHOUT_STOP:
             # Such a rotator is sent to where it is, which ends its way as well.
-            await self._ask(protocol.SET_POSITION, *self._known_mount().nearest(await self._position()))
-        elif reply.error:
-            raise self._unreached(protocol.STOP, reply.error)
+            reply = await self._ask(protocol.SET_POSITION, *self._known_mount().nearest(await self._position()))
+            if reply.error in protocol.REFUSALS:
+                # It has been heard and goes on, which `halt` sees.
+                return
+        if reply.error:
+            raise self._unreached(reply.command, reply.error)
 
     async def halt(self) -> None:
         """Send stop every 0.5 s until positions show that the rotator stands, within 12 s and a while."""

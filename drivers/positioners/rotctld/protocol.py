@@ -14,6 +14,8 @@ GET_INFO, DUMP_STATE = "get_info", "dump_state"
 AZIMUTH, ELEVATION, INFO = "Azimuth", "Elevation", "Info"
 
 NOT_IMPLEMENTED, NOT_AVAILABLE = 4, 11
+REFUSALS = (1, 9, 21)
+"""The errors of a command that has come as far as it should and is not carried out."""
 _ERRORS = {
     1: "invalid parameter",
     NOT_IMPLEMENTED: "not implemented",

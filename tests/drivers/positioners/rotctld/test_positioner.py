@@ -231,6 +231,24 @@ def test_a_stop_that_does_not_reach_the_rotator_is_said_with_the_remedy():
         told(lambda driver, _: driver.stop(), stop=ends_with("stop", -5))
 
 
+@pytest.mark.parametrize("error", [-5, -6, -8])
+def test_where_it_is_sent_in_place_of_a_stop_has_to_reach_it_too(error):
+    with pytest.raises(LinkLostError, match=rf"rotctld answers set_pos with .* \(RPRT {error}\): look at the rotator"):
+        told(lambda driver, _: driver.stop(), stop=ends_with("stop", -11), set_pos=ends_with("set_pos", error))
+
+
+@pytest.mark.parametrize("error", [-1, -9, -21])
+def test_one_that_does_not_take_where_it_is_in_place_of_a_stop_is_left_to_who_watches_it(error):
+    _, line = told(lambda driver, _: driver.stop(), stop=ends_with("stop", -4), set_pos=ends_with("set_pos", error))
+    assert line.is_open
+
+
+def test_a_target_that_does_not_reach_the_rotator_puts_no_blame_on_its_limits():
+    with pytest.raises(RefusedError) as caught:
+        told(lambda driver, _: driver.move_to(0.0, 60.0), set_pos=ends_with("set_pos", -6))
+    assert caught.value.message.endswith("elevation 60.00 deg: no connection to the rotator (RPRT -6)")
+
+
 def test_an_answer_to_something_else_ends_the_connection():
     async def ask(driver, line):
         line.says["get_pos"] = line.says["stop"]
