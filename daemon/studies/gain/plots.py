@@ -69,14 +69,16 @@ def gain_map(request: Request, columns: Columns, sky: SkySource | None) -> Figur
         raise UserError(
             "the map needs several latitudes and at least three tilts, such as --lat-range 0:65:1 --tilt 0:90:1"
         )
+    if request.azimuths_deg.size > 1 or (request.days is not None and request.days.size > 1):
+        raise UserError("the map is drawn for one azimuth and one day or the year; give one of each")
     suffixes = {"": "constant beam, no atmosphere"} | ({"_sky": sky.label} if sky is not None else {})
     figure = Figure(figsize=(1.5 + 4.2 * len(request.against), 0.9 + 4.0 * len(suffixes)), layout="constrained")
     axes = figure.subplots(len(suffixes), len(request.against), sharex=True, sharey=True, squeeze=False)
     norm = BoundaryNorm(_LEVELS, 256, extend="both")
-    grid = (latitudes.size, tilts.size, request.azimuths_deg.size, -1)
+    grid = (latitudes.size, tilts.size)
     for row, (suffix, label) in zip(axes, suffixes.items(), strict=True):
         for panel, device in zip(row, request.against, strict=True):
-            percent = 100.0 * (columns[_RATIOS[device] + suffix].reshape(grid)[:, :, 0, 0].T - 1.0)
+            percent = 100.0 * (columns[_RATIOS[device] + suffix].reshape(grid).T - 1.0)
             # In polar night there is nothing to gain, and nothing is drawn.
             shown = np.minimum(percent, _MOST_PERCENT)
             panel.contourf(latitudes, tilts, shown, _LEVELS, norm=norm, cmap="viridis", extend="both")
@@ -109,6 +111,8 @@ def best_tilts(request: Request, sky: SkySource | None) -> Figure:
     latitudes = request.latitudes_deg
     if latitudes.size < 2:
         raise UserError("the best tilt is drawn by latitude: give several, such as --lat-range 0:65:1")
+    if request.azimuths_deg.size > 1:
+        raise UserError("the best tilt is drawn for one azimuth; give one")
     azimuth = request.azimuths_deg[0]
     exact = {
         Device.STATIC: gain.best_tilt_static(latitudes, azimuth),

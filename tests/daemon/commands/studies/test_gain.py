@@ -275,6 +275,15 @@ def test_a_file_of_one_day_has_its_dot_in_the_figure_of_days(heliocube, tmp_path
             ["--lat", "1", "--plot", "f.png", "--plot-kind", "best-tilt"],
             "the best tilt is drawn by latitude: give seve",
         ),
+        (
+            ["--lat-range", "0:2", "--tilt", "0:9:3", "--azimuth", "0,30", "--plot", "f.png"],
+            "the map is drawn for one azimuth and one day or the year; give one of each",
+        ),
+        (
+            ["--lat-range", "0:2", "--tilt", "0:9:3", "--day", "1:9", "--plot", "f.png"],
+            "the map is drawn for one azimuth and one day or the year; give one of each",
+        ),
+        (["--lat-range", "0:2", "--azimuth", "0,30", "--plot", "f.png"], "the best tilt is drawn for one azimuth"),
         (["--lat-range", "0:2", "--printed", "--plot", "f.png"], "the comparison with the paper is drawn for one lat"),
         (["--lat", "1", "--plot-kind", "map"], "--plot-kind needs a file to draw in; add --plot FILE"),
         (["--lat", "1", "--out", "x.csv"], "--out takes a CSV or a Parquet file; add --format csv or --format parquet"),
