@@ -56,7 +56,7 @@ class ScanningMeterSettings(CubeDriverSettings):
         examples=[[101, 102, 103, 104]],
         description="Channels of east, south, west and zenith. Left out: 1 to 4, or 101 to 104 by the make.",
     )
-    meter_range_v: MeterRange = Field(0.1, description="Measuring range; the meter reads up to 1.2 times this.")
+    meter_range_v: MeterRange = Field(1.0, description="Measuring range; the meter reads up to 1.2 times this.")
     nplc: float = Field(1.0, ge=0.02, le=10, description="Integration time, in periods of the mains.")
     visa: Literal["py", "ni"] = Field("py", description="VISA library: PyVISA-py, or NI-VISA if it is installed.")
     baud_rate: Literal[300, 600, 1200, 2400, 4800, 9600, 19200, 57600, 115200] = Field(

@@ -85,7 +85,8 @@ def test_a_range_that_is_not_the_asked_one_on_any_channel_is_refused(range_v, an
     asked = ":SENS:VOLT:DC:RANG? (@101,102,103,104)"
     line = Published(AGILENT | {asked: f"{range_v},{answer},{range_v},{range_v}"})
     around = CubeSurroundings(utc_s=lambda: 0.0, monotonic_s=lambda: 0.0, deadline_s=1.0, switched_meter=None)
-    cube = build(ScanningMeterSettings(driver="scanning-meter", meter="agilent34970a"), around, line)
+    settings = ScanningMeterSettings(driver="scanning-meter", meter="agilent34970a", meter_range_v=0.1)
+    cube = build(settings, around, line)
     if problem is None:
         asyncio.run(cube.open())
     else:
@@ -97,7 +98,7 @@ def test_a_range_that_is_not_the_asked_one_on_any_channel_is_refused(range_v, an
 def test_answers_as_others_have_published_them_are_understood(meter, answers):
     line = Published(answers)
     around = CubeSurroundings(utc_s=lambda: 0.0, monotonic_s=lambda: 0.0, deadline_s=1.0, switched_meter=None)
-    cube = build(ScanningMeterSettings(driver="scanning-meter", meter=meter), around, line)
+    cube = build(ScanningMeterSettings(driver="scanning-meter", meter=meter, meter_range_v=0.1), around, line)
 
     async def act():
         identity = await cube.open()
@@ -111,10 +112,10 @@ def test_answers_as_others_have_published_them_are_understood(meter, answers):
     assert line.sent.count(DIALECTS[meter].scan) == 1
 
 
-def published(answers, meter="agilent34970a", **settings):
+def published(answers, meter="agilent34970a", meter_range_v=0.1):
     line = Published(answers)
     around = CubeSurroundings(utc_s=lambda: 0.0, monotonic_s=lambda: 0.0, deadline_s=1.0, switched_meter=None)
-    return build(ScanningMeterSettings(driver="scanning-meter", meter=meter, **settings), around, line)
+    return build(ScanningMeterSettings(driver="scanning-meter", meter=meter, meter_range_v=meter_range_v), around, line)
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,19 @@ def test_channels_in_any_order_go_to_their_faces(run):
 
 
 @every_make
-@pytest.mark.parametrize("volts", [0.13, -0.5, 200.0])
+def test_the_edge_of_a_cloud_is_read(run, meter):
+    async def act(bench):
+        await bench.cube.open()
+        # 1500 W/m2.
+        bench.volts[bench.channels[1]] = 0.15
+        reading = await bench.cube.read()
+        assert (reading.south.value, reading.south.flaw) == (pytest.approx(0.15, abs=1e-5), None)
+
+    run(meter, act)
+
+
+@every_make
+@pytest.mark.parametrize("volts", [1.3, -5.0, 200.0])
 def test_an_overload_flaws_its_face_alone(run, meter, volts):
     async def act(bench):
         await bench.cube.open()
@@ -236,7 +248,7 @@ def test_a_trigger_source_that_was_changed_at_the_meter_ends_the_readings_and_op
 def test_a_range_that_was_chosen_at_the_meter_ends_the_readings_soon(run, meter):
     async def act(bench):
         await bench.cube.open()
-        bench.core.press_range(1.0, bench.now())
+        bench.core.press_range(10.0, bench.now())
         with pytest.raises(LinkLostError, match=r"RANG\?.* is answered by"):
             await read_often(bench.cube)
         await bench.cube.open()
