@@ -2,6 +2,7 @@
 
 import pytest
 
+from tests.support.addresses import free_port
 from tests.system.processes import wait_until
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -103,3 +104,17 @@ def test_a_tab_behind_another_one_has_the_state_in_its_title(context, site):
     site.order("stop")
     playwright.expect(behind.page).to_have_title("stopped, tracker, SIRTA", timeout=browsers.WITHIN_MS)
     assert behind.text(".hero h1") == "Tracking"
+
+
+def test_the_symbols_stay_when_the_dashboard_is_gone(context, tmp_path):
+    dashboard, url = browsers.run_dashboard(tmp_path, f"127.0.0.1:{free_port()}")
+    page = browsers.Page(context, url)
+    page.sees(".hero h1", "No connection")
+    dashboard.stop()
+    page.sees("#banner", "No connection to the dashboard")
+    page.page.get_by_role("link", name="Control").click()
+    page.sees(".order.stop", "Stop")
+    drawn = page.page.locator("svg > use").evaluate_all("all => all.map((each) => each.getBBox().width > 5)")
+    assert len(drawn) > 12
+    assert all(drawn)
+    assert page.complaints == []

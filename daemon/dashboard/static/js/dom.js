@@ -15,7 +15,7 @@ function make(node, props, children) {
 export const h = (tag, props, ...children) => make(document.createElement(tag), props, children);
 export const s = (tag, props, ...children) => make(document.createElementNS(SVG, tag), props, children);
 
-export const icon = (name) => s("svg", { class: "icon", "aria-hidden": "true" }, s("use", { href: `/static/icons.svg#${name}` }));
+export const icon = (name) => s("svg", { class: "icon", "aria-hidden": "true" }, s("use", { href: `#icon-${name}` }));
 
 export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;
