@@ -63,6 +63,7 @@ def _lines(alarm: dict[str, Any], state: dict[str, Any]) -> "Table":
     from rich.text import Text
 
     from daemon.commands.status.screen import alarm_state
+    from daemon.commands.status.times import in_local
 
     lines = Table.grid(padding=(0, 2))
     lines.add_column(style="dim")
@@ -70,7 +71,7 @@ def _lines(alarm: dict[str, Any], state: dict[str, Any]) -> "Table":
     of = f" of {alarm['tracker']}" if alarm["tracker"] and len(state["trackers"]) > 1 else ""
     style = "bold" if alarm["state"] == "acknowledged" else "bold red"
     rows = {
-        alarm["severity"]: Text(f"{alarm['name']}{of}: {alarm['text']}", style=style),
+        alarm["severity"]: Text(f"{alarm['name']}{of}: {in_local(alarm['text'], state['time'])}", style=style),
         "state": Text(f"{alarm['state']}, {alarm_state(alarm, state)}"),
         "effect": Text(alarm["effect"]),
         "remedy": Text(alarm["remedy"].replace("`", "'")),

@@ -97,13 +97,17 @@ def give(
 ) -> None:
     """Give a command to the service, print what came of it and leave with its exit code."""
     from daemon.api.client import find
+    from daemon.commands.status.times import in_local
 
     which = {} if tracker is None else {"tracker": tracker}
     if why:
         which["why"] = why
-    reply = find(config, api, token_file).command(name, **which, **arguments)
+    try:
+        reply = find(config, api, token_file).command(name, **which, **arguments)
+    except UserError as error:
+        raise type(error)(in_local(str(error))) from None
     if as_json:
         print_json(reply.page)
     else:
-        say(reply.text)
+        say(in_local(reply.text))
     raise typer.Exit(reply.exit_code)

@@ -111,6 +111,12 @@ def test_a_person_at_a_terminal_sees_and_commands_the_service(service, tmp_path)
     assert first == "works, but 1 to look at: SIMULATED, hold, STOPPED by a person"
     assert re.match(r"stow-wanted \(raised, since [-0-9]+ [0-9:]+ (\([-0-9: ]+ )?UTC\)?\): stow is", second), out
 
+    local = r"since ([-0-9]{10} )?[:0-9]{8} \([-0-9: ]+ UTC\): an operator asked"
+    for order in (("stop",), ("goto", "-30", "60"), ("alarms",)):
+        told = " ".join("".join(heliocube(*order, "--config", config, TZ="Europe/Paris")[1:]).split())
+        assert re.search(local, told), told
+        assert not re.search(r"[^(]\d{4}-\d\d-\d\d \d\d:\d\d:\d\d UTC", told), told
+
     code, out, err = heliocube("stop", *at, HELIOCUBE_TOKEN="x" * 43)
     assert (code, out, err) == (
         6,

@@ -5,7 +5,7 @@ from typing import Any
 
 from daemon.base.alarms.kinds import as_typed
 from daemon.base.errors import ExitCode
-from daemon.commands.status.times import moment
+from daemon.commands.status.times import in_local, moment
 
 _HELD = {"stop": "STOPPED by a person", "buttons": "a button was pressed at the unit"}
 
@@ -51,7 +51,7 @@ def _told_better(state: dict[str, Any]) -> Iterator[str]:
 
 def verdict(state: dict[str, Any], health: dict[str, Any]) -> tuple[list[str], ExitCode]:
     """Return the lines of the answer, the first of them the sum, and what the program ends with."""
-    found = troubles(state, health)
+    found = troubles(in_local(state), in_local(health))
     modes = [f"{_of(name, state)}{mode_words(own)}" for name, own in _trackers(state).items()]
     doing = ", ".join(modes) or "reads the cube"
     simulated = "SIMULATED, " if state["simulated"] else ""

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from daemon.base.alarms.kinds import as_typed
 from daemon.commands.status.light import lines_of_light
-from daemon.commands.status.times import dated, moment, zone
+from daemon.commands.status.times import dated, in_local, moment, zone
 
 _MODE_STYLES = {
     "tracking": "bold green",
@@ -38,6 +38,7 @@ _FULL_BAR_W_M2 = 1200.0
 
 def render(state: dict[str, Any]) -> RenderableType:
     """Return one screen for the JSON of /api/state."""
+    state = in_local(state, state["time"])
     return Group(_title(state), _body(state, bars=False), *_news(state, _NEWS))
 
 
@@ -50,7 +51,7 @@ class _Framed:
     """A frame with as many of the latest news as the terminal has lines for: what is cut off would be the newest."""
 
     def __init__(self, state: dict[str, Any]) -> None:
-        self._state = state
+        self._state = in_local(state, state["time"])
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
         body = _body(self._state, bars=True)

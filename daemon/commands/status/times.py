@@ -1,28 +1,52 @@
 """Times as a person at a terminal reads them: the clock on the wall, and UTC beside it."""
 
+import re
 from datetime import UTC, datetime
+from typing import Any
 
 from daemon.base.clock import local_time
 
 _DAY = "%Y-%m-%d"
 _CLOCK = "%H:%M:%S"
+_TO_THE_MINUTE = "%H:%M"
+# As the service writes an instant into a sentence.
+_WRITTEN = re.compile(r"(\d{4}-\d\d-\d\d) (\d\d:\d\d(:\d\d)?) UTC", re.ASCII)
 
 
-def moment(iso_utc: str, now: str | None = None) -> str:
+def moment(iso_utc: str, now: str | None = None, clock: str = _CLOCK) -> str:
     """Return an instant in local time and in UTC, with the date where it is another one than that of `now`.
 
     Parameters
     ----------
     iso_utc, now
         As the interface writes times, such as ``2022-10-14T08:00:00.000Z``; without `now` the date is always there.
+    clock
+        How the time of day is written.
     """
     utc, local = _both(iso_utc)
     dated = now is None or _both(now)[1].date() != local.date()
     day = local.strftime(f"{_DAY} ") if dated else ""
     if local.utcoffset() == utc.utcoffset():
-        return f"{day}{local.strftime(_CLOCK)} UTC"
+        return f"{day}{local.strftime(clock)} UTC"
     utc_day = utc.strftime(f"{_DAY} ") if utc.date() != local.date() else ""
-    return f"{day}{local.strftime(_CLOCK)} ({utc_day}{utc.strftime(_CLOCK)} UTC)"
+    return f"{day}{local.strftime(clock)} ({utc_day}{utc.strftime(clock)} UTC)"
+
+
+def in_local(said: Any, now: str | None = None) -> Any:
+    """Return a text of the service's, or its JSON, whose sentences tell their times as `moment` does."""
+    if isinstance(said, str):
+        return _WRITTEN.sub(lambda found: _retold(found, now), said)
+    if isinstance(said, dict):
+        return {name: in_local(value, now) for name, value in said.items()}
+    return [in_local(value, now) for value in said] if isinstance(said, list) else said
+
+
+def _retold(found: re.Match[str], now: str | None) -> str:
+    day, time, seconds = found.groups()
+    try:
+        return moment(f"{day}T{time}Z", now, _CLOCK if seconds else _TO_THE_MINUTE)
+    except ValueError:
+        return found.group()
 
 
 def dated(iso_utc: str) -> str:

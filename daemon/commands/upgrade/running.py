@@ -8,7 +8,7 @@ from daemon.api.client import NoServiceError, find_unarmed
 from daemon.base.installation import release
 from daemon.base.records import Quality
 from daemon.commands.status.check import mode_words
-from daemon.commands.status.times import moment
+from daemon.commands.status.times import in_local, moment
 from daemon.commands.upgrade.finding import Finding
 from daemon.config.settings import Settings
 from daemon.service.rig import Role
@@ -24,7 +24,7 @@ def asked(settings: Settings, config: Path | None) -> list[Finding] | None:
     client = find_unarmed(config, None, {})
     try:
         state = client.state()
-        return [*program(settings, state["role"]), *service(state, client.health())]
+        return [*program(settings, state["role"]), *service(in_local(state), in_local(client.health()))]
     except NoServiceError as error:
         if isinstance(error.__context__, ConnectionRefusedError):
             return None

@@ -17,7 +17,10 @@ from daemon.commands.status.screen import line, live_screen, render
 from daemon.commands.status.times import moment
 from daemon.service.recent import Recent
 from daemon.service.state import state_json
+from tests.daemon.commands.status.test_times import place
 from tests.support.phases import under_way
+
+__all__ = ["place"]
 
 
 def view_of(rig, console):
@@ -210,6 +213,27 @@ def test_a_stop_from_the_day_before_is_told_since_then_after_a_restart_too(run_r
         assert all(moment("2022-10-11T16:12:00.000Z", "2022-10-12T10:00:00.000Z") in row for row in rows)
 
     run_rig(scenario, store={"directory": tmp_path})
+
+
+@pytest.mark.parametrize("screen", [render, live_screen])
+@pytest.mark.parametrize("place", ["Europe/Paris"], indirect=True)
+@pytest.mark.usefixtures("place")
+def test_times_in_the_sentences_of_a_service_are_told_in_local_time_too(run_rig, screen):
+    async def scenario(rig):
+        recent = Recent()
+        rig.bus.subscribe(recent.note)
+        await under_way(rig)
+        await rig.control.stop("repair", "ana")
+        rig.cables.positioner.link_up = False
+        await asyncio.sleep(120)
+        console = Console(file=io.StringIO(), width=200, height=60)
+        console.print(screen(state_json(rig.see(recent))))
+        text = console.file.getvalue()
+        told = r"stopped by ana since 12:0\d:\d\d \(10:0\d:\d\d UTC\): repair"
+        assert re.search(rf"mode +fault since .*{told}", text)
+        assert re.search(rf"\d  [^\n]*{told}", text)
+
+    run_rig(scenario)
 
 
 def test_the_newest_news_stand_on_a_small_terminal_and_the_oldest_are_left_out(run_rig):

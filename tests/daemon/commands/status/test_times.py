@@ -4,7 +4,7 @@ from zoneinfo import ZoneInfo
 import pytest
 
 from daemon.base.clock import local_time
-from daemon.commands.status.times import dated, moment, zone
+from daemon.commands.status.times import dated, in_local, moment, zone
 
 EVENING = "2026-07-21T22:30:05.000Z"
 
@@ -36,3 +36,14 @@ def test_local_time_stands_first_and_utc_beside_it_each_with_its_date_where_need
 
 def test_the_clocks_of_a_named_zone_are_as_they_are_there_whatever_the_machine_has(place):
     assert f"{local_time(0.0, ZoneInfo('Asia/Kolkata')):%H:%M %Z}" == "05:30 IST"
+
+
+@pytest.mark.parametrize("place", ["Europe/Paris"], indirect=True)
+@pytest.mark.usefixtures("place")
+def test_times_in_sentences_are_told_as_others_are_and_what_is_none_stays():
+    alarm = {"time": EVENING, "text": "the clock went from 2026-07-21 22:30 UTC to 2026-07-22 10:00:05 UTC", "count": 1}
+    told = {**alarm, "text": "the clock went from 00:30 (2026-07-21 22:30 UTC) to 12:00:05 (10:00:05 UTC)"}
+    assert in_local({"alarms": [alarm], "wind": None}, "2026-07-22T11:00:00.000Z") == {"alarms": [told], "wind": None}
+    assert in_local("until 2026-07-21 12:00 UTC") == "until 2026-07-21 14:00 (12:00 UTC)"
+    for none in ("back at 9999-99-99 09:00 UTC", "12:00 UTC", EVENING):
+        assert in_local(none) == none
