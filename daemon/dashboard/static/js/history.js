@@ -18,6 +18,9 @@ function leaving(service) {
   return shown.left.signal;
 }
 
+// Gives up what is still read: of a service that hangs it would keep whatever is read next waiting.
+export const giveUp = () => leaving(null);
+
 async function read(what, service, query) {
   const signal = leaving(service);
   if (reading >= AT_ONCE) await new Promise((resolve) => waiting.push(resolve));

@@ -3,7 +3,7 @@
 import { fill, h, setAttr, setText } from "../dom.js";
 import { deg, duration, inLocal, localTime, num, sentence, utcTime } from "../format.js";
 import { direction } from "../geometry.js";
-import { dateOf, DAY_MS, lines, numbers, solarDay, startOf, storedDays, withPauses } from "../history.js";
+import { dateOf, DAY_MS, giveUp, lines, numbers, solarDay, startOf, storedDays, withPauses } from "../history.js";
 import { KIND, TITLE } from "./hero.js";
 import { Plots } from "./plots.js";
 
@@ -337,10 +337,11 @@ export function day() {
     setAttr(node, "data-source", source);
   }
 
-  // What is still under way belongs to no source then, and is drawn nowhere.
+  // What is still under way is given up; what of it comes all the same belongs to no source then, and is drawn nowhere.
   function close() {
     watcher.disconnect();
     source = null;
+    giveUp();
     clear();
   }
 

@@ -1,0 +1,34 @@
+"""The view of the day in a real browser: how a day is chosen, and what is read for it given up."""
+
+import pytest
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+from daemon.base.records import Event  # noqa: E402 - as below
+from tests.system import browser as browsers  # noqa: E402 - it needs playwright
+from tests.system.made_page import TRACKER, MadeSite  # noqa: E402 - as above
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(browsers.CHROMIUM is None, reason="chromium is not installed: no browser for the dashboard"),
+]
+
+NOON = 1663761600.0
+"""2022-09-21T12:00Z."""
+
+
+def test_what_is_read_for_a_day_is_given_up_when_its_view_is_left(browser, tmp_path):
+    site = MadeSite(tmp_path)
+    site.keep(Event(NOON - 60.0, 0.0, "made", "an event of the day", TRACKER))
+    with browser.new_context(viewport=browsers.DESKTOP) as context:
+        page = site.open(context, NOON)
+        page.sees(".day .log", "an event of the day")
+        page.show("fleet")
+        site.holds = "/read/history/events"
+        with page.page.expect_request("**/read/history/events*"):
+            page.show("day")
+        with page.page.expect_event("requestfailed", lambda request: "/history/events" in request.url, timeout=20_000):
+            page.show("fleet")
+        page.show("day")
+        page.sees(".day .log", "an event of the day")
+        assert page.complaints == []
