@@ -32,3 +32,16 @@ def test_what_is_read_for_a_day_is_given_up_when_its_view_is_left(browser, tmp_p
         page.show("day")
         page.sees(".day .log", "an event of the day")
         assert page.complaints == []
+
+
+def test_the_whole_of_a_day_s_name_is_seen_on_a_phone(browser, tmp_path):
+    site = MadeSite(tmp_path)
+    site.keep(Event(NOON - 60.0, 0.0, "made", "an event of the day", TRACKER))
+    with browser.new_context(viewport=browsers.PHONE, timezone_id="UTC") as context:
+        page = site.open(context, NOON)
+        page.sees(".day .log", "an event of the day")
+        picker, width = page.page.locator(".day select"), "select => select.offsetWidth"
+        assert picker.locator("option").all_inner_texts() == ["2022-09-21 (today)"]
+        shown = picker.evaluate(width)
+        picker.evaluate("select => (select.style = 'width: max-content; min-width: 0')")
+        assert picker.evaluate(width) <= shown
