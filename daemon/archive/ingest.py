@@ -17,6 +17,7 @@ from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier, on_signals
 from daemon.base.reconnect import Backoff, Outage
+from daemon.base.words import counted
 from daemon.config.links import ArchiveSettings, MqttSettings
 from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming, at_once
 from daemon.mqtt.outbox import Message
@@ -203,7 +204,7 @@ class Ingester:
 
     def _note(self, taken: Taken) -> None:
         self.records += taken.added
-        self._manager.status(f"{self.records} records since the start")
+        self._manager.status(f"{counted(self.records, 'record')} since the start")
         for sentence in taken.rivals:
             self._say(sentence, sentence)
 

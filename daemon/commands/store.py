@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from daemon.base.words import counted
 from daemon.commands.answers import JsonOption, print_json, say
 
 app = typer.Typer(help="Work on the file of the records: salvage what a damaged one still holds.", no_args_is_help=True)
@@ -42,4 +43,5 @@ def salvage(
     state = "is damaged" if found.damaged else "is whole"
     say(f"{file} {state}: {counts} could be read; {sum(found.added.values())} of them are new in {into}")
     if found.missing:
-        say(f"{found.missing} records between them are missing: unreadable here, or in another store")
+        missing = counted(found.missing, "record between them is", "records between them are")
+        say(f"{missing} missing: unreadable here, or in another store")

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
+from daemon.base.words import counted
 from daemon.commands.answers import JsonOption, print_json, say
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def send_csv(
     if as_json:
         print_json({"scans": sent, "sent_to": bridge.send_to})
         return
-    Console().print(f"{sent} scans sent to {', '.join(bridge.send_to)}", markup=False, highlight=False)
+    Console().print(f"{counted(sent, 'scan')} sent to {', '.join(bridge.send_to)}", markup=False, highlight=False)
 
 
 def serve(settings: "Settings", directory: Path) -> None:

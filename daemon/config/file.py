@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from daemon.base.errors import UserError
 from daemon.base.files import parse_toml, toml_text
+from daemon.base.words import counted
 from daemon.config import keys, rules
 from daemon.config.keys import Chosen
 from daemon.config.plugged import DRIVER, SECTIONS, Wrong, settled
@@ -72,8 +73,7 @@ class ConfigError(UserError):
     """
 
     def __init__(self, source: str, problems: list[str]) -> None:
-        count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
-        super().__init__("\n  ".join([f"{source} has {count}:", *problems]))
+        super().__init__("\n  ".join([f"{source} has {counted(len(problems), 'problem')}:", *problems]))
         self.problems = tuple(problems)
 
 

@@ -11,6 +11,7 @@ from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.reconnect import Backoff, Outage
 from daemon.base.records import Event, Record
+from daemon.base.words import counted
 from daemon.config.links import MqttSettings
 from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming, VersionRefusedError, at_once
 from daemon.mqtt.outbox import Lane, Message, Outbox
@@ -311,8 +312,8 @@ class Link:
         if text:
             lost = self._outbox.dropped - self._reported_dropped
             self._reported_dropped = self._outbox.dropped
-            dropped = f"; {lost} messages were dropped during the outage, the oldest first" if lost else ""
-            self._report(f"{text}{dropped}")
+            dropped = f"; {counted(lost, 'message was', 'messages were')} dropped during the outage, the oldest first"
+            self._report(f"{text}{dropped if lost else ''}")
 
     def _lost(self, why: str) -> None:
         self._down_why = why

@@ -19,6 +19,7 @@ from uuid import uuid4
 from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage
 from daemon.base.records import Event, Record
+from daemon.base.words import counted
 from daemon.store.aside import aside_text, move_aside
 from daemon.store.schema import FILE_NAME, RUN_COLUMNS, Rows, StoreError, UnusableStoreError, damage, open_for_writing
 from daemon.store.tables import COLUMNS
@@ -307,7 +308,8 @@ class Store:
                 self._reported_lost = self._lost
         self._alarm("store-down", None)
         if reported:
-            self._report(f"writes again; {lost} records were lost" if lost else "writes again; nothing was lost")
+            what = counted(lost, "record was", "records were") if lost else "nothing was"
+            self._report(f"writes again; {what} lost")
 
     def _reason(self, error: Exception) -> str:
         """Return what is wrong in words; of a full disk SQLite has several, some of which do not name it."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from daemon.base.errors import UserError
+from daemon.base.words import counted
 from daemon.config.simulation import WeatherName
 from solar.tables import separator_of
 
@@ -165,8 +166,7 @@ def check_data_files(paths: Sequence[Path], what: str) -> None:
 
 def impossible_note(source: str, count: int, first: str) -> str:
     """Return in a sentence how many numbers of a file cannot be, and where the first of them stands."""
-    values = "1 impossible value" if count == 1 else f"{count} impossible values"
-    return f"{source} has {values}, taken as missing; first {first}"
+    return f"{source} has {counted(count, 'impossible value')}, taken as missing; first {first}"
 
 
 def settings_for(

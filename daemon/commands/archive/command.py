@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from daemon.base.errors import UserError
+from daemon.base.words import counted
 from daemon.commands.answers import JsonOption, print_json, teller
 from daemon.commands.options import CONFIG_VARIABLE
 from daemon.studies.inputs import instant
@@ -95,7 +96,8 @@ def fill(
     if as_json:
         print_json({"store": store, "archive": str(address), "installation": name, **found._asdict()})
         return
-    typer.echo(f"{store}: {found.read} records were read; {found.added} of them are new in {address}, as {name}")
+    read = counted(found.read, "record was", "records were")
+    typer.echo(f"{store}: {read} read; {found.added} of them are new in {address}, as {name}")
 
 
 @app.command()
@@ -131,18 +133,19 @@ def parquet(
     for one in write_days(address, out, today, wanted):
         found.append(one)
         if one.written:
-            tell(f"{one.path}: {one.rows} rows")
+            tell(f"{one.path}: {counted(one.rows, 'row')}")
     if wanted is not None and not found:
         raise UserError(f"--day {day}: {address} has no record of that day")
     dropped = []
     if drop_after is not None:
         for one in drop_days(address, out, today - timedelta(days=drop_after)):
             dropped.append(one)
-            tell(f"{one.kind} of {one.day} dropped: {one.path} has its {one.rows} rows")
+            tell(f"{one.kind} of {one.day} dropped: {one.path} has its {counted(one.rows, 'row')}")
     if as_json:
         print_json({"days": [one._asdict() for one in found], "dropped": [one._asdict() for one in dropped]})
         return
-    tell(f"{sum(one.written for one in found)} of {len(found)} files written, {len(dropped)} days dropped")
+    written = f"{sum(one.written for one in found)} of {counted(len(found), 'file')} written"
+    tell(f"{written}, {counted(len(dropped), 'day')} dropped")
 
 
 def database(config: Path | None, named: str | None) -> "ArchiveAddress":

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from daemon.base.errors import UserError
+from daemon.base.words import counted
 from daemon.commands.options import FILES, RoleChoice, unit_role
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def _greet(screen: "SetupScreen", file: Path, place: Path, answered: int) -> Non
     screen.say(f"Setting up {file}.", "bold")
     screen.say("Enter takes what stands in brackets, 'back' takes the latest answer back, Ctrl-C leaves.")
     if answered:
-        screen.say(f"{answered} answers are there from before, in {place}.")
+        screen.say(f"{counted(answered, 'answer is', 'answers are')} there from before, in {place}.")
 
 
 def _one(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") -> None:

@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from daemon.base.alarms.kinds import as_typed
+from daemon.base.words import counted
 from daemon.commands.status.light import lines_of_light
 from daemon.commands.status.times import dated, in_local, moment, zone
 
@@ -161,7 +162,8 @@ def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
         yield "calibration", _calibration(state["calibration"])
     if state["bridge"] is not None:
         counts = state["bridge"]
-        yield "bridge", Text(f"{counts['accepted']} scans accepted, {counts['lost']} lost, {counts['refused']} refused")
+        accepted = counted(counts["accepted"], "scan")
+        yield "bridge", Text(f"{accepted} accepted, {counts['lost']} lost, {counts['refused']} refused")
     if state["store"] is not None:
         yield "store", _store(state["store"])
     yield from _mqtt(state, time)
@@ -347,7 +349,7 @@ def _calibration(calibration: dict[str, Any]) -> Text:
 
 
 def _store(store: dict[str, Any]) -> Text:
-    counts = f"{store['written']} records written, {store['waiting']} waiting"
+    counts = f"{counted(store['written'], 'record')} written, {store['waiting']} waiting"
     if store["lost"]:
         counts += f", {store['lost']} lost"
     if store["down_why"]:
@@ -361,10 +363,10 @@ def _mqtt(state: dict[str, Any], now: str) -> Iterator[tuple[str, Text]]:
         return
     since = _since(link["since"], now)
     if link["connected"]:
-        text = Text(f"{link['broker']} {since}, {link['sent']} messages sent, {link['received']} received")
+        text = Text(f"{link['broker']} {since}, {counted(link['sent'], 'message')} sent, {link['received']} received")
     else:
         text = Text.assemble((f"not connected {since}: {link['down_why']}", _BAD))
-        text.append(f"; {link['waiting']} messages waiting")
+        text.append(f"; {counted(link['waiting'], 'message')} waiting")
     if link["dropped"]:
         text.append(f", {link['dropped']} dropped {_since(link['dropped_since'], now)}", style=_BAD)
     yield "mqtt", text

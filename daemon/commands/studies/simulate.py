@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from daemon.base.errors import InterruptedEarlyError, UserError
+from daemon.base.words import counted
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ForceOption, LawOption, ReportOption, TrackerOption, ZoneOption
 from daemon.store.outputs import check_outputs
@@ -68,8 +69,8 @@ def report(summary: "Summary", settings: "Settings", out: Path) -> None:
             f"weather {settings.simulation.weather}, seed {settings.simulation.seed}"
         ),
         (
-            f"{summary.scans} scans, {summary.decisions} decisions, {summary.moves} moves, "
-            f"{summary.travel_deg:.0f} degrees of travel"
+            f"{counted(summary.scans, 'scan')}, {counted(summary.decisions, 'decision')}, "
+            f"{counted(summary.moves, 'move')}, {summary.travel_deg:.0f} degrees of travel"
         ),
         f"modes: {hours}",
         *_lines_of_planes(summary.insolation),
@@ -236,7 +237,7 @@ def replay(
         page = {"simulated": True, "rows": done, "law": law, "warnings": warnings, "table": out, "reports": pages}
         print_json(page)
     else:
-        say(f"{done} rows by {law} on a SIMULATED tracker: {out}")
+        say(f"{counted(done, 'row')} by {law} on a SIMULATED tracker: {out}")
         for warning in warnings:
             say(warning)
         tell_pages(pages)

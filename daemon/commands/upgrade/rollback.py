@@ -8,6 +8,7 @@ from daemon.base.errors import UserError
 from daemon.base.files import first_free, give, make_folder, rewrite_file, toml_text, write_new
 from daemon.base.installation import release
 from daemon.base.state import StateFolder
+from daemon.base.words import counted
 from daemon.commands.kept import records_of
 from daemon.commands.options import RoleChoice, unit_role
 from daemon.commands.upgrade.installed import Program
@@ -97,7 +98,8 @@ def _store(directory: Path, to: Program) -> Iterator[str]:
         yield f"{path}: {to.name} can use it as it is"
     elif copy.exists():
         done = go_back(path, copy, now_utc_s)
-        since = f"with {done.records} records that came since" if not done.left_out else "WITHOUT what came since"
+        kept = f"with {counted(done.records, 'record')} that came since"
+        since = "WITHOUT what came since" if done.left_out else kept
         yield f"{path}: as it was before the upgrade, {since}; all of it is in {done.newer}"
         if done.left_out:
             yield f"{done.newer} cannot be read: {done.left_out}"

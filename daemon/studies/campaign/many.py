@@ -7,6 +7,7 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from daemon.base.words import counted
 from daemon.studies.campaign.run import CampaignOutcome, run_schedule
 from daemon.studies.campaign.schedule import Schedule
 from daemon.studies.spread.errors import WorkersError
@@ -68,13 +69,14 @@ class CampaignSummary:
     def lines(self) -> Iterator[str]:
         """Yield it for people; the same for the same schedules, in whatever order they ended."""
         yield (
-            f"{self.done} schedule{'' if self.done == 1 else 's'}, {self.hours:g} h of virtual time,"
-            f" {self.events} events, {self.moves} moves, {len(self.failed)} with a broken promise"
+            f"{counted(self.done, 'schedule')}, {self.hours:g} h of virtual time,"
+            f" {counted(self.events, 'event')}, {counted(self.moves, 'move')}, {len(self.failed)} with a broken promise"
         )
         if self.stop_latencies_s:
+            stops = counted(len(self.stop_latencies_s), "stop")
             yield (
-                f"{len(self.stop_latencies_s)} stops in motion: {statistics.median(self.stop_latencies_s):.2f} s to"
-                f" standstill in truth at the median, {max(self.stop_latencies_s):.2f} s at worst"
+                f"{stops} in motion: {statistics.median(self.stop_latencies_s):.2f}"
+                f" s to standstill in truth at the median, {max(self.stop_latencies_s):.2f} s at worst"
             )
         broken = Counter(promise for _, outcome in self.failed for promise in outcome.promises)
         for promise, count in sorted(broken.items()):

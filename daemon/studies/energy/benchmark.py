@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.base.errors import UserError, raised_at
+from daemon.base.words import counted
 from daemon.config.plugged import FALLBACK_LAW
 from daemon.rigs.measured import by_the_minute, measured_weather
 from daemon.studies.energy.names import BOUND, FIXED, choice
@@ -225,8 +226,8 @@ def _of_parts(weather: DaylightWeather) -> list[str]:
         return []
     text = (
         f"These are parts of days that count as {whole_days:.2f} days in all, but the ways from and to the night"
-        f" position, gone whole in {_days(lit)}, are not less for it: travel and moves per day are more than those of"
-        " whole days."
+        f" position, gone whole in {counted(lit, 'day')}, are not less for it: travel and moves per day are more than"
+        " those of whole days."
     )
     return [text]
 
@@ -238,7 +239,7 @@ def conditions(weather: DaylightWeather, terms: Terms, *, simulated: bool) -> li
     moves = "ideal moves" if np.isinf(terms.drive.speed_deg_per_s) else f"{terms.drive.speed_deg_per_s:g} deg/s"
     lines = [
         *(["SIMULATED: at least one weather file says that it was not measured."] if simulated else []),
-        f"{_days(int(np.count_nonzero(types >= 0)))} ({days}), {len(weather.utc_s)} minutes of daylight.",
+        f"{counted(int(np.count_nonzero(types >= 0)), 'day')} ({days}), {len(weather.utc_s)} minutes of daylight.",
         f"Albedo {terms.albedo:g}; {terms.limits}; {moves}, one axis at a time. Gains are over ideal chronometric.",
         _PVLIB,
     ]
@@ -267,10 +268,6 @@ def _cells(row: EnergyRow) -> list[str]:
     travel = [_rounded(value) for value in (row.travel_deg_per_day, row.return_deg_per_day, row.moves_per_day)]
     numbers = [f"{row.energy_kwh_m2:.1f}", signed(row.gain_pct, 2), *by_type, _rounded(row.share_pct, 1)]
     return [row.law, *numbers, signed(row.worst_clear_day_pct, 3), *travel]
-
-
-def _days(count: int) -> str:
-    return "1 day" if count == 1 else f"{count} days"
 
 
 def _rounded(value: float, digits: int = 0) -> str:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from daemon.base.errors import UserError
+from daemon.base.words import counted
 from daemon.studies.gain.choices import AnswerFormat, Device
 from daemon.studies.gain.evaluate import Columns
 from daemon.studies.text_table import signed, table
@@ -78,7 +79,7 @@ def _show(columns: Columns, console: Console, sky_label: str | None, most_rows: 
     texts = [[name, *(_number(name, value) for value in columns[name][:most_rows])] for name in ordered]
     _print_aligned(list(zip(*texts, strict=True)), console, keys=len(told))
     if rows > most_rows:
-        _print(f"and {rows - most_rows} rows more: --format csv writes them all", console)
+        _print(f"and {counted(rows - most_rows, 'row')} more: --format csv writes them all", console)
     _print("\n" + _LEGEND, console)
     if sky_label:
         _print("..._sky: the same under that sky.", console)

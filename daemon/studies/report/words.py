@@ -3,6 +3,7 @@
 import math
 from datetime import tzinfo
 
+from daemon.base.words import counted
 from daemon.studies.report.availability import Availability
 from daemon.studies.report.material import Material
 from daemon.studies.report.motion import RecordedMotion
@@ -88,7 +89,7 @@ def _gain(gained: Yield) -> str:
 
 
 def _working(motion: RecordedMotion, quality: Availability, alarms: list[AlarmSpan]) -> str:
-    moves = f"{motion.moves} moves over {number(motion.travel_a_deg + motion.travel_b_deg, 0)} degrees"
+    moves = f"{counted(motion.moves, 'move')} over {number(motion.travel_a_deg + motion.travel_b_deg, 0)} degrees"
     valid = number(quality.daylight.valid_pct if quality.daylight.expected else quality.period.valid_pct)
     where = "in daylight" if quality.daylight.expected else "of the period"
     stows = sum(stretch.mode == "stow" for stretch in motion.stretches)
@@ -98,4 +99,4 @@ def _working(motion: RecordedMotion, quality: Availability, alarms: list[AlarmSp
 
 
 def _count(count: int, what: str) -> str:
-    return f"no {what}s" if not count else f"{count} {what}{'s' if count > 1 else ''}"
+    return f"no {what}s" if not count else counted(count, what)

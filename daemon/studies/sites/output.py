@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from daemon.base.words import counted
 from daemon.studies.energy.benchmark import CSV_NUMBERS, UNLIMITED, EnergyRow, csv_cells
 from daemon.studies.sites.study import Benchmark, SiteOutcome
 from daemon.studies.text_table import WIDTH, signed, table
@@ -51,8 +52,8 @@ def as_text(outcomes: Sequence[SiteOutcome], benchmark: Benchmark) -> str:
     lines = [
         *([f"SIMULATED: the weather of {len(modelled)} of {len(used)} was not measured."] if modelled else []),
         (
-            f"{len(used)} lines of the table, {len(names)} sites, {days} days. Gains are over ideal chronometric:"
-            " their median over the lines, the least and the most, each with its site."
+            f"{counted(len(used), 'line')} of the table, {counted(len(names), 'site')}, {counted(days, 'day')}. Gains"
+            " are over ideal chronometric: their median over the lines, the least and the most, each with its site."
         ),
         f"Albedo {terms.albedo:g}; {terms.limits}; {moves}, one axis at a time.",
         UNLIMITED,

@@ -1,6 +1,7 @@
 """A screen that follows the service over its restarts."""
 
 import io
+import re
 from datetime import UTC, datetime
 
 import pytest
@@ -50,6 +51,13 @@ def state(run_rig):
 
     run_rig(scenario)
     return found[0]
+
+
+def test_one_of_a_kind_is_told_as_one(state):
+    state["bridge"]["accepted"] = 1
+    console = Console(file=io.StringIO(), width=160)
+    console.print(render(state))
+    assert re.search("bridge +1 scan accepted, 0 lost", console.file.getvalue())
 
 
 @pytest.mark.parametrize("terminal", [True, False])

@@ -124,6 +124,8 @@ def test_parquet_has_the_same_numbers(heliocube, tmp_path):
 def test_a_long_table_says_how_many_rows_it_left_out(heliocube):
     _, out, _ = heliocube("gain", "--lat", "30", "--day", "1:365")
     assert "and 165 rows more: --format csv writes them all" in out.splitlines()
+    _, out, _ = heliocube("gain", "--lat", "30", "--day", "1:201")
+    assert "and 1 row more: --format csv writes them all" in out.splitlines()
 
 
 def test_beside_a_figure_a_table_is_a_dozen_rows(heliocube, tmp_path):
