@@ -7,6 +7,7 @@ playwright = pytest.importorskip("playwright.sync_api", reason="playwright is no
 from daemon.base.records import Event  # noqa: E402 - as below
 from tests.system import browser as browsers  # noqa: E402 - it needs playwright
 from tests.system.made_page import TRACKER, MadeSite  # noqa: E402 - as above
+from tests.system.test_day_in_browser import scan  # noqa: E402 - as above
 
 pytestmark = [
     pytest.mark.system,
@@ -45,3 +46,20 @@ def test_the_whole_of_a_day_s_name_is_seen_on_a_phone(browser, tmp_path):
         shown = picker.evaluate(width)
         picker.evaluate("select => (select.style = 'width: max-content; min-width: 0')")
         assert picker.evaluate(width) <= shown
+
+
+def test_one_of_a_kind_is_told_as_one(browser, tmp_path):
+    site = MadeSite(tmp_path)
+    site.keep(scan(NOON - 60.0))
+    with browser.new_context(viewport=browsers.DESKTOP) as context:
+        page = site.open(context, NOON)
+        page.sees(".day .summary", "1 scan; 0 moves over 0.0°.")
+        said = page.page.evaluate("""async () => {
+          const { equipment } = await import("/static/js/views/cards.js");
+          const [card, none] = [equipment(), { lost: 0, refused: 0, waiting: 0, down_why: null }];
+          const state = { bridge: { ...none, accepted: 1 }, store: { ...none, written: 1 }, trackers: {} };
+          card.update({ state, tracker: null, now: 0, extra: 0 });
+          return card.node.textContent;
+        }""")
+    assert "1 scan accepted, 0 lost" in said
+    assert "1 record written, 0 wait" in said

@@ -11,6 +11,9 @@ export function num(value, digits = 0, unit = "") {
   return unit ? `${clean} ${unit}` : clean;
 }
 
+// How many there are of something whose plural has an s.
+export const counted = (value, one) => `${num(value)} ${one}${value === 1 ? "" : "s"}`;
+
 export function deg(value, digits = 1) {
   return known(value) ? `${num(value, digits)}°` : UNKNOWN;
 }

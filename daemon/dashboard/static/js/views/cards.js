@@ -1,7 +1,7 @@
 // The smaller cards of the view of now: what comes next, wind, light, equipment, and what happened lately.
 
 import { card, fill, h, s, setAttr, setClass, setText } from "../dom.js";
-import { at, countdown, deg, duration, inLocal, localDay, localTime, num, sentence, signed, signedDeg, utcTime } from "../format.js";
+import { at, countdown, counted, deg, duration, inLocal, localDay, localTime, num, sentence, signed, signedDeg, utcTime } from "../format.js";
 
 function facts(names) {
   const values = {};
@@ -166,10 +166,10 @@ function parts({ state, tracker, extra }) {
   if (state.bridge) {
     const refused = state.bridge.refused;
     const fresh = scan && !scan.stale;
-    rows.push({ name: "Bridge", kind: fresh ? "ok" : "bad", word: fresh ? "works" : "silent", detail: `${num(state.bridge.accepted)} scans accepted, ${num(state.bridge.lost)} lost, ${num(refused)} refused${scan ? `; last ${duration(scan.age_s + extra)} ago` : ""}` });
+    rows.push({ name: "Bridge", kind: fresh ? "ok" : "bad", word: fresh ? "works" : "silent", detail: `${counted(state.bridge.accepted, "scan")} accepted, ${num(state.bridge.lost)} lost, ${num(refused)} refused${scan ? `; last ${duration(scan.age_s + extra)} ago` : ""}` });
   }
   if (tracker?.load) rows.push(up("Load", tracker.load.down_why, tracker.load.identity ?? "not open yet"));
-  rows.push(state.store ? up("Store", state.store.down_why, `${num(state.store.written)} records written, ${num(state.store.waiting)} wait, ${num(state.store.lost)} lost`) : { name: "Store", kind: "off", word: "off", detail: "no store.directory: records are not kept" });
+  rows.push(state.store ? up("Store", state.store.down_why, `${counted(state.store.written, "record")} written, ${num(state.store.waiting)} wait, ${num(state.store.lost)} lost`) : { name: "Store", kind: "off", word: "off", detail: "no store.directory: records are not kept" });
   const link = tracker ? tracker.mqtt : state.mqtt;
   rows.push(link ? { ...up("Broker", link.connected ? null : link.down_why ?? "no connection", `${link.broker}: ${num(link.sent)} sent, ${num(link.waiting)} wait, ${num(link.dropped)} dropped`), ...(link.connected && link.troubles.length ? { kind: "warn", word: "trouble", detail: link.troubles.join("; ") } : {}) } : { name: "Broker", kind: "off", word: "off", detail: "MQTT is not enabled" });
   return rows;

@@ -1,7 +1,7 @@
 // Today, and any day that the store has: light, angles against the sun's path, modes, moves and events.
 
 import { fill, h, setAttr, setText } from "../dom.js";
-import { deg, duration, inLocal, localTime, num, sentence, utcTime } from "../format.js";
+import { counted, deg, duration, inLocal, localTime, num, sentence, utcTime } from "../format.js";
 import { direction } from "../geometry.js";
 import { dateOf, DAY_MS, giveUp, lines, numbers, solarDay, startOf, storedDays, withPauses } from "../history.js";
 import { KIND, TITLE } from "./hero.js";
@@ -291,7 +291,7 @@ export function day() {
     const sun = rise || set ? `Sun${rise}${set} local, highest ${deg(highest_elevation_deg)}. ` : "";
     const early = held.cut.length ? ` The day has more records than fit here: ${held.cut.join(", ")} end early.` : "";
     const lasted = modes.length ? ` ${modes.join(", ")}.` : "";
-    return `${sun}${num(held.scans.time.length)} scans; ${num(held.moves.length)} ${held.moves.length === 1 ? "move" : "moves"} over ${deg(travel)}.${lasted}${early}`;
+    return `${sun}${counted(held.scans.time.length, "scan")}; ${counted(held.moves.length, "move")} over ${deg(travel)}.${lasted}${early}`;
   }
 
   function list(most = held.most ?? FEW_LINES) {
