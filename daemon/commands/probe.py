@@ -1,6 +1,7 @@
 """`heliocube probe`: look at one real instrument, without changing anything unless asked to."""
 
 import asyncio
+import os
 from collections.abc import Coroutine
 from enum import StrEnum
 from pathlib import Path
@@ -53,7 +54,7 @@ def positioner(
     from daemon.base.clock import SystemClock
     from daemon.rigs.probe_positioner import probe_positioner
 
-    settings = _settings(config, "positioner", {"port": port}, tracker)
+    settings = _settings(config, "positioner", {"port": port}, tracker, kept=move_deg is not None)
     say = teller(as_json=as_json)
     with recorded(record) as tap:
         _run(probe_positioner(settings, SystemClock(), seconds, move_deg, tap, say), as_json=as_json)
@@ -177,12 +178,21 @@ def load(
 
 
 def _settings(
-    config: Path | None, instrument: str, given: dict[str, str | None], tracker: str | None = None
+    config: Path | None,
+    instrument: str,
+    given: dict[str, str | None],
+    tracker: str | None = None,
+    *,
+    kept: bool = False,
 ) -> "Settings":
+    """Return the settings for one instrument; with `kept`, also where its service keeps what it must not forget."""
+    from daemon.commands.kept import with_records
     from daemon.config.file import load_settings, override
     from daemon.config.settings import Settings, settings_of_one
 
     settings = load_settings(config) if config is not None else Settings()
+    if kept and config is not None:
+        settings = with_records(settings, config, os.environ)
     if instrument == "positioner":
         settings = settings_of_one(settings, tracker)
     changes = settings.instruments.model_dump()

@@ -57,11 +57,20 @@ def _load(file: StateFile[_Kept], remedy: str) -> _Kept:
         return _Kept(doubts={"unreadable": text})
 
 
-def kept_doubts(folder: StateFolder) -> tuple[str, ...]:
-    """Return what is in doubt in a folder of which no service is at work, a sentence each; nothing is written there."""
+def kept_doubts(folder: StateFolder, seen: Telemetry | None = None) -> tuple[str, ...]:
+    """Return what is in doubt in a folder of which no service is at work, a sentence each; nothing is written there.
+
+    With a look at the positioner of today, also which fault has gone since.
+    """
     # Whose drive it was, and whether that can be homed, is not known.
-    kept = _load(_file_in(folder), "compare it with where it points")
-    return (*kept.incidents.values(), *kept.doubts.values(), *((NOT_FINISHED,) if kept.homing else ()))
+    remedy = "compare it with where it points"
+    kept = _load(_file_in(folder), remedy)
+    gone = () if seen is None else tuple(_vanished(name, remedy) for name in kept.faults if name not in seen.faults)
+    return (*kept.incidents.values(), *kept.doubts.values(), *gone, *((NOT_FINISHED,) if kept.homing else ()))
+
+
+def _vanished(fault: str, remedy: str) -> str:
+    return f"{fault} cleared by itself, the reference may be lost: {remedy}"
 
 
 class Doubts:
@@ -136,7 +145,7 @@ class Doubts:
             return
         for name in self._faults:
             if name not in telemetry.faults:
-                self.doubt(f"{_FAULT}{name}", f"{name} cleared by itself, the reference may be lost: {self.remedy}")
+                self.doubt(f"{_FAULT}{name}", _vanished(name, self.remedy))
         self._faults = telemetry.faults
         self._save()
 

@@ -102,6 +102,19 @@ def test_a_small_move_is_timed_and_the_axes_come_back(start_bench):
     assert bench.state()["pose"] == pytest.approx({"a_deg": 0.0, "b_deg": 90.0}, abs=0.5)
 
 
+def test_what_its_service_has_noted_in_doubt_is_not_moved(start_bench, tmp_path):
+    bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
+    named = tmp_path / "named.toml"
+    named.write_text(f'{bench.config.read_text()}\n[[tracker]]\nname = "east"\n')
+    for file, records in ((bench.config, bench.directory / "records"), (named, tmp_path / "named-records" / "east")):
+        records.mkdir(parents=True)
+        (records / "motion.json").write_text('{"homing": true}')
+        done = probe("positioner", "-c", file, "--seconds", "1", "--move-deg", "2")
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1), (done.stdout, done.stderr)
+        assert f"{records / 'motion.json'} has noted: homing was not finished" in done.stderr
+    assert bench.state()["positioner"]["received"] == {}
+
+
 def test_the_order_to_end_stops_the_move(start_bench, tmp_path):
     bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
     begin_deg = bench.state()["pose"]["a_deg"]

@@ -8,7 +8,7 @@ from daemon.base.process import Notifier
 from daemon.base.records import Bus
 from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
-from daemon.motion.reference import NOT_FINISHED, RESET, Doubts, fault_text
+from daemon.motion.reference import NOT_FINISHED, RESET, Doubts, fault_text, kept_doubts
 from daemon.rigs.real import build_positioner
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from daemon.service.service import Service
@@ -40,6 +40,19 @@ def test_a_fault_that_vanishes_is_a_doubt_unless_we_have_cleared_it():
     doubts.cleared()
     doubts.see(look(), clearing=False)
     assert doubts.texts == (text,)
+
+
+def test_what_was_noted_is_told_to_others_with_the_faults_that_have_gone_since(tmp_path):
+    folder = StateFolder(tmp_path)
+    assert kept_doubts(folder, look()) == ()
+    doubts = Doubts(folder)
+    doubts.note("motion", "A moved without an order")
+    doubts.see(look("a_cable", "b_cable", was_reset=True), clearing=False)
+    doubts.homing_begins()
+    noted = ("A moved without an order", RESET)
+    assert kept_doubts(folder) == (*noted, NOT_FINISHED)
+    gone = "a_cable cleared by itself, the reference may be lost: compare it with where it points"
+    assert kept_doubts(folder, look("b_cable")) == (*noted, gone, NOT_FINISHED)
 
 
 def test_what_the_unit_says_of_its_count_and_its_restart_is_a_doubt():

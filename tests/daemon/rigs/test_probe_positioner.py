@@ -5,7 +5,9 @@ import asyncio
 import pytest
 
 from daemon.base.clock import SystemClock
+from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
+from daemon.motion.reference import Doubts
 from daemon.rigs.probe_positioner import probe_positioner
 from drivers.errors import RefusedError
 from drivers.transcript import no_tap
@@ -77,3 +79,21 @@ def test_an_axis_whose_count_is_in_doubt_is_not_moved(positioner_host):
     with pytest.raises(RefusedError, match=r"is not moved before it is homed, because of: .*switch"):
         asyncio.run(scene())
     assert not [line for line in said if line.startswith("  A to ")]
+
+
+def test_what_the_service_has_left_in_doubt_is_not_moved(positioner_host, tmp_path):
+    Doubts(StateFolder(tmp_path)).homing_begins()
+    kept = (tmp_path / "motion.json").read_bytes()
+    received = []
+
+    async def scene():
+        async with positioner_host() as host:
+            try:
+                await probed(host, received.append, store={"directory": str(tmp_path)})
+            finally:
+                received.append(host.received.total())
+
+    with pytest.raises(RefusedError, match=r"is not moved.*motion\.json has noted: homing was not finished"):
+        asyncio.run(scene())
+    assert received[-1] == 0
+    assert (tmp_path / "motion.json").read_bytes() == kept
