@@ -58,11 +58,14 @@ class LineHost(Generic[Core]):
         self._leaving: deque[tuple[float, bytes]] = deque()
         self._on_line: deque[tuple[float, bytes]] = deque()
         self._wake = asyncio.Event()
+        self._failure: Exception | None = None
 
     async def run(self) -> None:
-        """Receive and send until cancelled."""
+        """Receive and send until cancelled; raises what the instrument raises."""
         while True:
             self._wake.clear()
+            if self._failure is not None:
+                raise self._failure
             if not self._frozen:
                 self._work(self._now())
             due = [queue[0][0] for queue in (self._arriving, self._leaving, self._on_line) if queue]
@@ -70,6 +73,11 @@ class LineHost(Generic[Core]):
                 await self._wake.wait()
             else:
                 await self._wait(min(due) - self._now())
+
+    def fail(self, failure: Exception) -> None:
+        """End `run` with what the instrument raised for somebody who does not ask over this line."""
+        self._failure = failure
+        self._wake.set()
 
     def freeze(self) -> None:
         """Neither send nor take anything."""

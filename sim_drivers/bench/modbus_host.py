@@ -112,6 +112,8 @@ class ModbusHost:
                     replies.add(loop.call_later(max(due_s - self._now(), 0.0), self._send, writer, frame))
         except (OSError, BrokenStreamError):
             return
+        except Exception as failure:  # noqa: BLE001 - whatever a sensor raises ends the bench, as on the serial line
+            self.line.fail(failure)
         finally:
             for timer in replies:
                 timer.cancel()
