@@ -234,11 +234,11 @@ def _handed(environment: Mapping[str, str], pid: int) -> list[tuple[str, int]]:
 
 
 @contextlib.contextmanager
-def on_signals(stop: Callable[[], object]) -> Iterator[None]:
+def on_signals(stop: Callable[[], object]) -> Iterator[Callable[[], None]]:
     """Call `stop` on SIGINT, SIGTERM and SIGHUP; works on Windows too, where event loops know no signal handlers.
 
-    Once one has come, the end of the process has begun: after the block all of them are ignored. A SIGHUP that is
-    ignored at the start, as under nohup, stays ignored.
+    Once one has come, the end of the process has begun: after the block all of them are ignored. What the block is
+    given begins the end without one. A SIGHUP that is ignored at the start, as under nohup, stays ignored.
     """
     numbers = [signal.SIGINT, signal.SIGTERM]
     if sys.platform != "win32" and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
@@ -252,7 +252,7 @@ def on_signals(stop: Callable[[], object]) -> Iterator[None]:
 
     before = {number: signal.signal(number, end) for number in numbers}
     try:
-        yield
+        yield end
     finally:
         for number, handler in before.items():
             signal.signal(number, signal.SIG_IGN if ends else handler)

@@ -323,8 +323,8 @@ async def _run(
 ) -> None:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
-    if for_s is not None:
-        loop.call_later(for_s * speed, stop.set)
-    with on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
+    with on_signals(lambda: loop.call_soon_threadsafe(stop.set)) as end:
+        if for_s is not None:
+            loop.call_later(for_s * speed, end)
         running = (companion.run() for companion in companions if companion is not None)
         await service.run(stop, releases.run(lambda: service.all_is_kept), *running)

@@ -86,6 +86,25 @@ def test_ctrl_c_again_and_again_takes_nothing_from_the_end_that_the_first_one_be
     assert "interrupted" not in err
 
 
+def test_a_signal_while_the_service_ends_by_itself_takes_nothing_from_its_end():
+    process = subprocess.Popen(
+        [sys.executable, "-m", "daemon.commands.main", "run", "--for", "1"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert any(line.startswith("ended at") for line in process.stdout)
+    while process.poll() is None:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            process.send_signal(number)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(0.005)
+    _, err = process.communicate(timeout=240)
+    assert process.returncode == 0, err
+    assert "interrupted" not in err
+    assert "Traceback" not in err
+
+
 def test_a_terminal_that_is_closed_ends_the_service_in_good_order():
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
