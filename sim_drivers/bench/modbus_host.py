@@ -108,6 +108,8 @@ class ModbusHost:
         loop = asyncio.get_running_loop()
         try:
             while data := await reader.read(4096):
+                # One that is due sends at once: there is nothing left to call off.
+                replies = {timer for timer in replies if timer.when() > loop.time()}
                 for due_s, frame in [] if self._frozen else core.feed(data, self._now()):
                     replies.add(loop.call_later(max(due_s - self._now(), 0.0), self._send, writer, frame))
         except (OSError, BrokenStreamError):

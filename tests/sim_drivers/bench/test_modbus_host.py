@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import gc
 import shutil
 
 import pytest
@@ -11,6 +12,8 @@ from daemon.base.clock import SystemClock
 from drivers.cube.pyranometers.driver import build
 from drivers.cube.pyranometers.settings import PyranometersSettings
 from drivers.errors import LinkLostError
+from drivers.modbus.framing import TcpClient
+from drivers.modbus.pdu import READ_HOLDING, read_registers
 from drivers.settings import CubeSurroundings
 from sim_drivers.bench.modbus_host import ModbusHost
 from sim_drivers.modbus.pyranometers import SimulatedApogee, SimulatedHukseflux, SimulatedSmp
@@ -99,6 +102,25 @@ def test_pymodbus_reads_and_writes(tmp_path):
             return night, refused.exception_code, written.isError(), moved, host.sensors[0].status, value
 
     assert asyncio.run(work()) == ([0x10000 - 31], 2, False, [103], 0, 470.0)
+
+
+def test_a_reply_that_was_sent_leaves_no_timer_behind(tmp_path):
+    async def work():
+        async with served(tmp_path) as host:
+            host.sensors[2].delay_s = 0.01
+            reader, writer = await asyncio.open_connection("127.0.0.1", host.tcp_port)
+            framing, seen = TcpClient(), []
+            for _ in range(60):
+                writer.write(framing.begin(read_registers(3, READ_HOLDING, 40, 1)))
+                while framing.feed(await reader.read(4096)) is None:
+                    pass
+                seen.append(sum(isinstance(each, asyncio.TimerHandle) for each in gc.get_objects()))
+            writer.close()
+            await writer.wait_closed()
+            return seen
+
+    seen = asyncio.run(work())
+    assert max(seen) < min(seen) + 10
 
 
 @pytest.mark.live
