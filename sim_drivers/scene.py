@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sim_drivers.weather import Weather
-from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
-from solar.frames import Array, azimuth_from_direction, normal_from_angles
+from solar.ephemeris import Site, extraterrestrial_dni, sun_direction, sun_position
+from solar.frames import Array, normal_from_angles
 from solar.skies.sky import Sky, SkyModel, normal_from_tilt, sky
 
 CHUNK_S = 3600
@@ -72,11 +72,16 @@ class FaceIrradiances(NamedTuple):
     zenith_w_m2: float
 
 
-class SkyState(NamedTuple):
-    """The true sun and sky at one instant: apparent position [deg], irradiances [W/m2]."""
+class SunAngles(NamedTuple):
+    """Where the sun truly stands, apparent [deg]; the azimuth is from North clockwise."""
 
-    sun_azimuth_deg: float
-    sun_elevation_deg: float
+    azimuth_deg: float
+    elevation_deg: float
+
+
+class SkyState(NamedTuple):
+    """The true sky at one instant: irradiances [W/m2]."""
+
     ghi_w_m2: float
     dni_w_m2: float
     dhi_w_m2: float
@@ -174,13 +179,15 @@ class Scene:
             falling = [face[0] for face in self._at(utc_s).faces_w_m2]
         return FaceIrradiances(*(value * shade for value, shade in zip(falling, self._shade, strict=True)))
 
+    def sun_angles(self, utc_s: float) -> SunAngles:
+        """Return where the sun stands, with weather or without."""
+        sun = sun_position(utc_s, *self._site)
+        return SunAngles(float(sun.azimuth_deg), float(sun.elevation_deg))
+
     def sky_state(self, utc_s: float) -> SkyState:
-        """Return the true sun and sky."""
+        """Return the true sky."""
         now = self._sky_at(utc_s)
-        azimuth, elevation = azimuth_from_direction(now.sun, self._site.latitude_deg)
         return SkyState(
-            sun_azimuth_deg=float(azimuth),
-            sun_elevation_deg=float(elevation),
             ghi_w_m2=float(now.ghi_w_m2),
             dni_w_m2=float(now.dni_w_m2),
             dhi_w_m2=float(now.dhi_w_m2),

@@ -25,6 +25,8 @@ from sim_drivers.pv_source import PvSource
 from sim_drivers.scanner.core import ScannerCore
 from sim_drivers.scene import Scene
 from sim_drivers.voltmeter.core import VoltmeterCore
+from sim_drivers.weather import WeatherError
+from solar.frames import Angles
 
 _DISTURBANCE_SEED = 7
 # GPIB, which the load's port stands for, is limited by the instruments: some kilobytes a second.
@@ -133,15 +135,16 @@ class Bench:
             await self.multiplexer.stop()
 
     def state(self) -> dict[str, Any]:
-        """Return the truth, which the instruments may tell or not, as plain data."""
+        """Return the truth, which the instruments may tell or not, as plain data.
+
+        Without weather the light is None, and `light_missing` says why.
+        """
         now, utc_s = self.clock.now(), self.clock.utc()
-        sky = self.scene.sky_state(utc_s)
         return {
             "utc": datetime.fromtimestamp(utc_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),
-            "sun": {"azimuth_deg": sky.sun_azimuth_deg, "elevation_deg": sky.sun_elevation_deg},
-            "sky": {"ghi_w_m2": sky.ghi_w_m2, "dni_w_m2": sky.dni_w_m2, "dhi_w_m2": sky.dhi_w_m2},
-            "faces": self.scene.irradiances(utc_s)._asdict(),
-            **self._tracker_state(now, utc_s),
+            "sun": self.scene.sun_angles(utc_s)._asdict(),
+            **self._light_state(now, utc_s),
+            **self._tracker_state(now),
             "voltmeter": {
                 "plugged": self.voltmeter.port.plugged,
                 "in_use": self.voltmeter.port.in_use,
@@ -171,15 +174,31 @@ class Bench:
             "truth": {name: float(value) for name, value in asdict(self._source.maximum(light)).items()},
         }
 
-    def _tracker_state(self, now: float, utc_s: float) -> dict[str, Any]:
-        """Return where the module points and what falls on it, where that is the bench's."""
+    def _light_state(self, now: float, utc_s: float) -> dict[str, Any]:
+        """Return what falls from the sky, and on the faces; on the module too where the tracker is the bench's."""
+        pose = self._pose(now)
+        try:
+            return {
+                "sky": self.scene.sky_state(utc_s)._asdict(),
+                "faces": self.scene.irradiances(utc_s)._asdict(),
+                **({} if pose is None else {"plane_of_array_w_m2": self.scene.plane_of_array(*pose, utc_s)}),
+            }
+        except WeatherError as error:
+            return {"sky": None, "faces": None, "plane_of_array_w_m2": None, "light_missing": str(error)}
+
+    def _pose(self, now: float) -> Angles | None:
+        """Return where the module points, None where that is not the bench's."""
         host = self.positioner
         if host is None:
+            return None
+        return host.core.truth(now) if isinstance(host, PositionerHost) else host.truth(now)
+
+    def _tracker_state(self, now: float) -> dict[str, Any]:
+        host, pose = self.positioner, self._pose(now)
+        if host is None or pose is None:
             return {}
-        pose = host.core.truth(now) if isinstance(host, PositionerHost) else host.truth(now)
         return {
             "pose": {"a_deg": pose.a_deg, "b_deg": pose.b_deg},
-            "plane_of_array_w_m2": self.scene.plane_of_array(pose.a_deg, pose.b_deg, utc_s),
             "positioner": self._unit_state(host, now) if isinstance(host, PositionerHost) else host.state(now),
         }
 

@@ -45,7 +45,7 @@ def test_the_scene_is_the_sky_of_its_weather(offset):
     weather = GeneratedWeather("variable", SIRTA, 1).at(instant)
     sun, direction = sun_position(MIDNIGHT + offset, *SIRTA), sun_direction(instant, *SIRTA)
     state = here.sky_state(MIDNIGHT + offset)
-    assert (state.sun_azimuth_deg, state.sun_elevation_deg) == pytest.approx(sun[:2], abs=1e-4)
+    assert here.sun_angles(MIDNIGHT + offset) == pytest.approx((sun.azimuth_deg, sun.elevation_deg), abs=1e-4)
     assert state.dni_w_m2 == pytest.approx(weather.dni_w_m2[0], abs=0.5)
     assert state.dhi_w_m2 == pytest.approx(weather.dhi_w_m2[0], abs=0.5)
     assert state.ghi_w_m2 == pytest.approx(weather.ghi_w_m2[0], abs=0.5)

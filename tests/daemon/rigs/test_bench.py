@@ -13,6 +13,7 @@ from daemon.config.settings import Settings
 from daemon.rigs.simulated import run_bench
 from drivers.modbus.framing import RtuClient, TcpClient
 from drivers.modbus.pdu import READ_HOLDING, read_registers
+from sim_drivers.bench.client import request
 from sim_drivers.weather_files import load_weather
 
 pytestmark = [
@@ -67,3 +68,26 @@ def test_a_weather_file_that_has_ended_under_a_bench_ends_it_in_a_sentence(tmp_p
         for each in leave:
             each()
     assert not caplog.records
+
+
+def test_the_truth_in_a_gap_of_the_weather_lacks_the_light_alone(tmp_path):
+    weather = weather_at(tmp_path, "10:00", "10:01", "13:00", "13:01")
+
+    async def act():
+        clock = LoopClock(asyncio.get_running_loop().time, weather.start_utc_s + 3600.0)
+        stop, ready = asyncio.Event(), asyncio.Event()
+        bench = asyncio.create_task(run_bench(Settings(), tmp_path, clock, weather, stop, lambda _ports: ready.set()))
+        try:
+            await ready.wait()
+            return await asyncio.to_thread(request, tmp_path, "state", [])
+        finally:
+            stop.set()
+            await bench
+
+    state = asyncio.run(act())
+    assert "has no weather for 2022-06-21T11:0" in state["light_missing"]
+    assert (state["sky"], state["faces"], state["plane_of_array_w_m2"]) == (None, None, None)
+    assert 60.0 < state["sun"]["elevation_deg"] < 65.0
+    assert state["pose"] == pytest.approx({"a_deg": 0.0, "b_deg": 90.0})
+    assert state["positioner"]["plugged"]
+    assert state["load"]["truth"]["pmpp_w"] == 0.0
