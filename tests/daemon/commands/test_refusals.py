@@ -85,7 +85,7 @@ WRONG = {
     "calibrate field pipe --site 48,2": "pipe is no ordinary file: write its records into one and name that",
     "simulate --out new --start 2022-10-12 --weather pipe": "pipe is no ordinary file: write its records into one",
     "bench --dir file": "--dir: file cannot be a folder: file is a file",
-    "bench-ctl none state": "no bench answers there (No such file or directory); start one",
+    "bench-ctl none fail -201003": "no bench answers there (No such file or directory); start one",
     "energy --sites none.csv --out new": "--sites: none.csv cannot be read: No such file",
     "plot nothing --store there --out new.png": "there is no picture 'nothing'; choose from light",
     "plot light --tables none --out new.png": "none has neither scans.csv nor scans.parquet",
