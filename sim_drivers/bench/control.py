@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import logging
 import re
 import socket
 from collections.abc import Awaitable
@@ -20,6 +21,8 @@ from sim_drivers.bench.verbs import DEVICES, PYRANOMETER_CAN, VERBS
 from sim_drivers.load.instrument import TRIPS
 from sim_drivers.pozsol.core import FAULTS
 from sim_drivers.rotctld.core import ROTATOR_FAULTS
+
+log = logging.getLogger("heliocube.bench")
 
 Name = TypeVar("Name", bound=str)
 
@@ -87,6 +90,8 @@ class BenchControl:
             return await result if isinstance(result, Awaitable) else result
         except ValueError as error:
             raise BenchError(f"{verb}: {error}") from error
+        except OSError as error:
+            raise BenchError(f"{verb}: {error.strerror or error}") from error
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
@@ -320,7 +325,10 @@ class BenchControl:
     async def _replug_after(self, device: str, seconds: float) -> None:
         await asyncio.sleep(seconds)
         self._later.pop(device, None)
-        await self.replug(device)
+        try:
+            await self.replug(device)
+        except OSError as error:
+            log.warning("%s is not plugged in again: %s", device, error.strerror or error)
 
     def _forget(self, device: str) -> None:
         """Forget that a plug was to be put back by itself."""

@@ -6,6 +6,7 @@ It knows the calls that a digital output task makes and no others. Built on the 
 
 import asyncio
 import re
+import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
@@ -37,6 +38,7 @@ TEXTS = {
     TASK_RUNS_NOT: "Write cannot be performed when the task is not started, or several samples are written at once.",
 }
 
+_LOOPBACK = "127.0.0.1"
 _VERSION = {0x1272: 26, 0x1923: 5, 0x2F22: 0}
 _TASK_NAME, _TASK_CHANNELS = 0x1276, 0x1273
 _PRODUCT_TYPE = 0x0631
@@ -95,10 +97,15 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
         return self._server is not None
 
     async def start(self, port: int = 0) -> int:
-        """Serve on a port of loopback, 0 for any, and return it; all tasks of a former run are gone."""
+        """Serve on a port of loopback, 0 for any, and return it; all tasks of a former run are gone.
+
+        Raises `OSError` for a port that another program has.
+        """
+        # As the library binds it, which leaves descriptors open and gives no reason where the port is taken.
+        socket.create_server((_LOOPBACK, port), reuse_port=True).close()
         server = grpc.aio.server()
         stubs.add_NiDAQmxServicer_to_server(self, server)
-        self.port = server.add_insecure_port(f"127.0.0.1:{port}")
+        self.port = server.add_insecure_port(f"{_LOOPBACK}:{port}")
         self._tasks.clear()
         await server.start()
         self._server = server

@@ -13,13 +13,16 @@ from daemon.config.settings import Settings
 from daemon.rigs.simulated import run_bench
 from drivers.modbus.framing import RtuClient, TcpClient
 from drivers.modbus.pdu import READ_HOLDING, read_registers
-from sim_drivers.bench.client import request
+from sim_drivers.bench.client import BenchError, request
+from sim_drivers.weather import GeneratedWeather
 from sim_drivers.weather_files import load_weather
+from tests.system.processes import wait_until
 
 pytestmark = [
     pytest.mark.live,
     pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals"),
 ]
+NOON_UTC_S = 1655812800.0
 QUESTION = read_registers(1, READ_HOLDING, 0, 6)
 
 
@@ -70,24 +73,55 @@ def test_a_weather_file_that_has_ended_under_a_bench_ends_it_in_a_sentence(tmp_p
     assert not caplog.records
 
 
-def test_the_truth_in_a_gap_of_the_weather_lacks_the_light_alone(tmp_path):
-    weather = weather_at(tmp_path, "10:00", "10:01", "13:00", "13:01")
+def on_a_bench(tmp_path, work, driver="multiplexed", weather=None, at_utc_s=NOON_UTC_S):
+    """Return what `work` returns, which is given a way to ask a bench, and its ports."""
+    settings = Settings.model_validate({"instruments": {"cube": {"driver": driver}}})
+    sky = weather or GeneratedWeather("clear", settings.site.place(), 1)
+
+    def ask(verb, *arguments):
+        return request(tmp_path, verb, list(arguments))
 
     async def act():
-        clock = LoopClock(asyncio.get_running_loop().time, weather.start_utc_s + 3600.0)
-        stop, ready = asyncio.Event(), asyncio.Event()
-        bench = asyncio.create_task(run_bench(Settings(), tmp_path, clock, weather, stop, lambda _ports: ready.set()))
+        clock = LoopClock(asyncio.get_running_loop().time, at_utc_s)
+        stop, ready = asyncio.Event(), asyncio.get_running_loop().create_future()
+        bench = asyncio.create_task(run_bench(settings, tmp_path, clock, sky, stop, ready.set_result))
         try:
-            await ready.wait()
-            return await asyncio.to_thread(request, tmp_path, "state", [])
+            return await asyncio.to_thread(work, ask, await ready)
         finally:
             stop.set()
             await bench
 
-    state = asyncio.run(act())
+    return asyncio.run(act())
+
+
+def test_the_truth_in_a_gap_of_the_weather_lacks_the_light_alone(tmp_path):
+    weather = weather_at(tmp_path, "10:00", "10:01", "13:00", "13:01")
+    state = on_a_bench(
+        tmp_path, lambda ask, _ports: ask("state"), weather=weather, at_utc_s=weather.start_utc_s + 3600.0
+    )
     assert "has no weather for 2022-06-21T11:0" in state["light_missing"]
     assert (state["sky"], state["faces"], state["plane_of_array_w_m2"]) == (None, None, None)
     assert 60.0 < state["sun"]["elevation_deg"] < 65.0
     assert state["pose"] == pytest.approx({"a_deg": 0.0, "b_deg": 90.0})
     assert state["positioner"]["plugged"]
     assert state["load"]["truth"]["pmpp_w"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("device", "driver", "port"), [("cube", "modbus-pyranometers", "modbus"), ("server", "multiplexed", "ni_server")]
+)
+def test_what_cannot_be_plugged_in_because_its_port_was_taken_is_told(tmp_path, caplog, device, driver, port):
+    def work(ask, ports):
+        ask("unplug", device)
+        with socket.create_server(("127.0.0.1", getattr(ports, port))):
+            with pytest.raises(BenchError, match=r"^replug: .*in use"):
+                ask("replug", device)
+            ask("unplug", device, "0")
+            wait_until(lambda: caplog.messages, 30.0, "the word of a plug that stays out")
+        ask("replug", device)
+        return ask("state")
+
+    state = on_a_bench(tmp_path, work, driver)
+    (said,) = caplog.messages
+    assert said.startswith(f"{device} is not plugged in again: ")
+    assert state["cube" if device == "cube" else "multiplexer"]["serving" if device == "server" else "plugged"]
