@@ -258,6 +258,8 @@ class BenchControl:
 
     def identity(self, device: str, text: str) -> None:
         """Let a device say that it is something else."""
+        if not (text.isascii() and text.isprintable()):
+            raise ValueError(f"no device can say {text!a}; take printable characters of ASCII")
         if _one_of(device, ("positioner", "voltmeter", "load")) == "positioner":
             self._unit().core.parameters[Field.BOARD] = text
         else:

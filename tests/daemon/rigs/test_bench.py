@@ -125,3 +125,14 @@ def test_what_cannot_be_plugged_in_because_its_port_was_taken_is_told(tmp_path, 
     (said,) = caplog.messages
     assert said.startswith(f"{device} is not plugged in again: ")
     assert state["cube" if device == "cube" else "multiplexer"]["serving" if device == "server" else "plugged"]
+
+
+@pytest.mark.parametrize("device", ["voltmeter", "load", "positioner"])
+def test_a_name_that_an_instrument_cannot_send_is_refused(tmp_path, device):
+    def work(ask, _ports):
+        for name in ("KEITHLEY \u20ac", "KEITHLEY\n"):
+            with pytest.raises(BenchError, match=r"^identity: "):
+                ask("identity", device, name)
+        assert ask("identity", device, "29C3") is None
+
+    on_a_bench(tmp_path, work)
