@@ -231,6 +231,8 @@ class BenchControl:
             sensor.silent = name == "silent"
         elif name == "delay":
             sensor.delay_s = _number(value, 0, 3600)
+        elif not hasattr(sensor, name):
+            raise ValueError(f"a {sensor.state()['make']} has no {name}")
         else:
             setattr(sensor, name, _whole(value, *_OF_A_SENSOR.get(name, (0, _MOST))))
 

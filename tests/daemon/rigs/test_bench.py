@@ -136,3 +136,14 @@ def test_a_name_that_an_instrument_cannot_send_is_refused(tmp_path, device):
         assert ask("identity", device, "29C3") is None
 
     on_a_bench(tmp_path, work)
+
+
+def test_what_a_labjack_does_not_have_is_refused(tmp_path):
+    def work(ask, _ports):
+        for what in ("status", "mode"):
+            with pytest.raises(BenchError, match=rf"^pyranometer: a T7 has no {what}"):
+                ask("pyranometer", "east", what, "3")
+        ask("pyranometer", "east", "silent")
+        return ask("state")["cube"]["sensors"]
+
+    assert [each["silent"] for each in on_a_bench(tmp_path, work, "labjack")] == [True]
