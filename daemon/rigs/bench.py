@@ -23,6 +23,7 @@ from daemon.config.settings import Settings
 from daemon.config.simulation import DEFAULT_START
 from daemon.config.template import FILE_NAME, example
 from daemon.rigs.simulated import BenchPorts, build_weather, run_bench
+from drivers.cube.pyranometers.settings import PyranometersSettings
 from drivers.positioners.rotctld.driver import RotctldSettings
 from solar.ephemeris import DAY_S
 
@@ -50,6 +51,7 @@ def serve_bench(settings: Settings, directory: Path) -> None:
     if settings.tracker:
         names = ", ".join(table.name for table in settings.tracker)
         raise UserError(f"the bench has one tracker and the configuration names {names}: leave its [[tracker]] out")
+    settings = _on_one_line(settings)
     directory = directory.absolute()
     file = _claim(directory)
     process.configure(sys.stderr, journal=False, level=logging.INFO)
@@ -80,6 +82,22 @@ def serve_bench(settings: Settings, directory: Path) -> None:
         stop = asyncio.Event()
         with on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
             runner.run(run_bench(settings, directory, clock, weather, stop, ready))
+
+
+def _on_one_line(settings: Settings) -> Settings:
+    """Return the settings with other addresses for sensors on Modbus that share one on lines of their own."""
+    own = settings.instruments.cube
+    if not isinstance(own, PyranometersSettings):
+        return settings
+    # A device with several faces has all of them at one place.
+    places = [(own.line_of(face), own.face(face).address) for face in FACES]
+    devices = list(dict.fromkeys(places))
+    if len({address for _, address in devices}) == len(devices):
+        return settings
+    values: dict[str, Any] = CUBE.changed(own, {})
+    for face, place in zip(FACES, places, strict=True):
+        values[face] = {**values.get(face, {}), "address": devices.index(place) + 1}
+    return override(settings, {"instruments": settings.instruments.model_dump() | {"cube": values}})
 
 
 def _claim(directory: Path) -> Path:

@@ -264,6 +264,24 @@ def test_a_bench_of_pyranometers_is_driven_by_the_file_that_it_writes(start_benc
     assert "address 4: SMP3 no. 24104" in network.stdout
 
 
+def test_sensors_of_several_lines_are_on_the_one_of_the_bench_with_addresses_of_their_own(start_bench, tmp_path):
+    config = tmp_path / "lines.toml"
+    lines = {"east": "one", "south": "two", "west": "three", "zenith": "four"}
+    config.write_text(
+        '[instruments]\nkind = "real"\n[instruments.cube]\ndriver = "modbus-pyranometers"\n'
+        + "".join(
+            f'[instruments.cube.{face}]\nline = "/dev/serial/by-id/{name}"\naddress = 7\n'
+            for face, name in lines.items()
+        )
+    )
+    bench = start_bench("--config", config)
+    assert [each["address"] for each in bench.state()["cube"]["sensors"]] == [1, 2, 3, 4]
+    cube = check_file(bench.config).instruments.cube
+    assert {(cube.line_of(face), cube.face(face).address) for face in lines} == {
+        (str(bench.directory / "cube"), address) for address in (1, 2, 3, 4)
+    }
+
+
 def test_a_bench_with_a_scanning_meter_is_read_by_the_driver_through_a_pulled_plug(start_bench):
     bench = start_bench("--cube", "scanning-meter", "--weather", "clear", "--start", "2022-06-21T12:00Z")
     settings = check_file(bench.config)
