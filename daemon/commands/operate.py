@@ -105,7 +105,8 @@ def give(
     try:
         reply = find(config, api, token_file).command(name, **which, **arguments)
     except UserError as error:
-        raise type(error)(in_local(str(error))) from None
+        error.args = (in_local(str(error)),)
+        raise
     if as_json:
         print_json(reply.page)
     else:
