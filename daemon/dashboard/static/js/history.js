@@ -12,14 +12,17 @@ let shown = { service: null, left: null };
 // One service is shown at a time: what is still read of another is given up.
 function leaving(service) {
   if (service !== shown.service) {
-    shown.left?.abort();
+    giveUp();
     shown = { service, left: new AbortController() };
   }
   return shown.left.signal;
 }
 
 // Gives up what is still read: of a service that hangs it would keep whatever is read next waiting.
-export const giveUp = () => leaving(null);
+export function giveUp() {
+  shown.left?.abort();
+  shown = { service: null, left: null };
+}
 
 async function read(what, service, query) {
   const signal = leaving(service);
