@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solar.frames import Array, direction_from_azimuth
-from solar.spa import spa
+from solar.spa import load_spa
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -214,6 +214,7 @@ def _first_below(instants: Array, above_deg: Array) -> float | None:
 
 def _topocentric(utc_s: Array, latitude_deg: float, longitude_deg: float, altitude_m: float) -> list[Array]:
     """Azimuth, apparent elevation and geometric elevation [deg] of instants of shape (n,)."""
+    spa = load_spa()
     sidereal, ascension, declination, distance_au = _geocentric(utc_s)
     hour_angle = spa.local_hour_angle(sidereal, longitude_deg, ascension)
     parallax = spa.equatorial_horizontal_parallax(distance_au)
@@ -288,7 +289,7 @@ def _at_hour(hour: int) -> Array:
 
 
 def _geocentric_exact(utc_s: Array) -> Array:
-    delta_t = _delta_t_s(utc_s)
+    spa, delta_t = load_spa(), _delta_t_s(utc_s)
     angles = spa.solar_position_numpy(utc_s, 0, 0, 0, 0, 0, delta_t, 0, 1, sst=True)
     (distance_au,) = spa.solar_position_numpy(utc_s, 0, 0, 0, 0, 0, delta_t, 0, 1, esd=True)
     return np.array([*angles, distance_au])
@@ -297,7 +298,7 @@ def _geocentric_exact(utc_s: Array) -> Array:
 def _delta_t_s(utc_s: Array) -> Array:
     """Terrestrial time minus universal time [s], constant over a month."""
     months = utc_s.astype("datetime64[s]").astype("datetime64[M]").astype(np.int64)
-    return np.asarray(spa.calculate_deltat(1970 + months // 12, months % 12 + 1), dtype=np.float64)
+    return np.asarray(load_spa().calculate_deltat(1970 + months // 12, months % 12 + 1), dtype=np.float64)
 
 
 def _check_place(latitude_deg: float, longitude_deg: float, altitude_m: float) -> None:

@@ -4,12 +4,15 @@ The rest of pvlib brings pandas, scipy and h5py along: two thirds of the time in
 memory, for what it never asks. `pvlib.spa` needs numpy alone.
 """
 
+from functools import cache
 from importlib.machinery import PathFinder
 from importlib.util import find_spec, module_from_spec
 from types import ModuleType
 
 
-def _load() -> ModuleType:
+@cache
+def load_spa() -> ModuleType:
+    """Return `pvlib.spa`; raises `ModuleNotFoundError` where pvlib is not installed."""
     package = find_spec("pvlib")
     found = None if package is None else PathFinder.find_spec("pvlib.spa", package.submodule_search_locations)
     if found is None or found.loader is None:
@@ -17,6 +20,3 @@ def _load() -> ModuleType:
     module = module_from_spec(found)
     found.loader.exec_module(module)
     return module
-
-
-spa = _load()
