@@ -3,6 +3,10 @@
 import asyncio
 
 from daemon.base.clock import Clock
+from daemon.base.state import StateFolder
+from daemon.config.settings import Settings
+from daemon.motion.reference import FILE_NAME, kept_doubts
+from drivers.errors import RefusedError
 from drivers.interfaces import Positioner, Telemetry
 
 LONG_ENOUGH_S = 7.0
@@ -21,3 +25,16 @@ async def watched(positioner: Positioner, clock: Clock, seconds: float = LONG_EN
         if clock.monotonic() >= until_s:
             return seen
         await asyncio.sleep(_LOOKS_EVERY_S)
+
+
+def refuse_noted(settings: Settings, seen: Telemetry) -> None:
+    """Raise `RefusedError` for what its service, which is not at work now, has noted: that would not move it either."""
+    directory = settings.store.directory
+    # What a simulated rig has noted is of another unit.
+    doubts = kept_doubts(StateFolder(directory), seen) if settings.real else ()
+    if directory is not None and doubts:
+        raise RefusedError(
+            "positioner",
+            f"is not moved, because {directory / FILE_NAME} has noted: {'; '.join(doubts)};"
+            " 'heliocube home' or 'heliocube clear' ends that while the service runs",
+        )

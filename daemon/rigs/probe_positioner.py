@@ -8,10 +8,8 @@ from typing import Any
 
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
-from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
-from daemon.motion.reference import FILE_NAME, kept_doubts
-from daemon.rigs.first_look import LONG_ENOUGH_S, watched
+from daemon.rigs.first_look import LONG_ENOUGH_S, refuse_noted, watched
 from daemon.rigs.real import positioner_surroundings, pozsol_settings
 from drivers.errors import RefusedError
 from drivers.interfaces import AxisName, PositionerIdentity, Telemetry
@@ -78,7 +76,7 @@ async def probe_positioner(
         if move_deg is not None:
             if identity.setup_conflicts:
                 raise RefusedError("positioner", "is not moved while it contradicts the configuration, as said above")
-            _refuse_doubtful(settings, telemetry)
+            refuse_noted(settings, telemetry)
             await _time_moves(positioner, setups, move_deg, clock, say)
         for line in _BY_HAND:
             say(line)
@@ -189,19 +187,6 @@ def _report_setup(identity: PositionerIdentity, fields: dict[int, str], say: Say
         say(f"  fields that did not come as numbers, so they were not compared: {missing}")
     if not identity.setup_conflicts:
         say(f"its {compared} agree with the configuration as far as they came")
-
-
-def _refuse_doubtful(settings: Settings, seen: Telemetry) -> None:
-    """Raise `RefusedError` for what its service, which is not at work now, has noted: that would not move it either."""
-    directory = settings.store.directory
-    # What a simulated rig has noted is of another unit.
-    doubts = kept_doubts(StateFolder(directory), seen) if settings.real else ()
-    if directory is not None and doubts:
-        raise RefusedError(
-            "positioner",
-            f"is not moved, because {directory / FILE_NAME} has noted: {'; '.join(doubts)};"
-            " 'heliocube home' or 'heliocube clear' ends that while the service runs",
-        )
 
 
 async def _time_moves(

@@ -16,6 +16,7 @@ from tests.system.processes import wait_until
 pytestmark = pytest.mark.system
 
 WITHIN_S = 90.0
+ACTIONS = "57"
 COLOURS = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
@@ -98,6 +99,14 @@ def test_a_rig_is_set_up_left_taken_up_again_moved_stopped_and_written(start_ben
     first.say("yes\r", "move, or skip]:")
     first.until("! say move, skip or back")
     assert bench.state()["positioner"]["received"] == {}, "nothing moves before it is confirmed"
+    noted = file.parent / "records" / "motion.json"
+    noted.parent.mkdir()
+    noted.write_text('{"homing": true}')
+    first.say("move\r", "move, or skip]:")
+    first.until("has noted: homing was not finished")
+    assert list(bench.state()["positioner"]["received"]) == [ACTIONS], "nothing but a stop is sent to what is in doubt"
+    noted.unlink()
+    noted.parent.rmdir()
     first.say("move\r", "move, or skip]:")
     first.until("to the west: any key stops it")
     first.hang_up()

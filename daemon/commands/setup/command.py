@@ -1,7 +1,9 @@
 """`heliocube setup`: from a bare machine to a checked configuration and a first move, with a person at each step."""
 
 import asyncio
+import os
 from collections.abc import Callable, Coroutine
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -152,13 +154,17 @@ def _act(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") ->
 
 def _move(dialogue: "SetupDialogue", say: Callable[[str], object]) -> float | str:
     from daemon.base.clock import SystemClock
+    from daemon.commands.kept import with_records
     from daemon.commands.setup.any_key import stop_keys
     from daemon.commands.setup.first_move import Bounds, first_move
     from daemon.commands.setup.looks import require_movable
+    from daemon.rigs.first_look import refuse_noted
     from daemon.rigs.real import build_positioner
 
     settings, clock = dialogue.settings(), SystemClock()
     require_movable(settings)
+    # There may be a service of this file, which has known the rig for long.
+    look = partial(refuse_noted, with_records(settings, dialogue.file, os.environ))
     bounds = Bounds(
         settings.limits.limits(), settings.motion.tolerance_deg, settings.instruments.positioner.slowest_deg_per_s
     )
@@ -168,7 +174,7 @@ def _move(dialogue: "SetupDialogue", say: Callable[[str], object]) -> float | st
                 "nothing is moved without a terminal, because a key is what stops the motion: run this in a terminal"
             )
         try:
-            speed = _run(first_move(build_positioner(settings, clock), bounds, clock, say, keys.pressed))
+            speed = _run(first_move(build_positioner(settings, clock), bounds, clock, say, keys.pressed, look))
         except UserError as error:
             if not keys.left:
                 raise

@@ -33,11 +33,16 @@ class SetupDialogue:
         The answers so far.
     file
         The configuration that will be written. One that is there already is the basis of the defaults.
+
+    Attributes
+    ----------
+    file
+        The same.
     """
 
     def __init__(self, kept: SetupAnswers, file: Path) -> None:
         self._kept = kept
-        self._file = file
+        self.file = file
         own: dict[str, Any] = {}
         if file.exists():
             load_settings(file)
@@ -199,7 +204,7 @@ class SetupDialogue:
             return
         if self._own and not self._own.get("instruments.bench", False):
             raise UserError(
-                f"{self._file} is there and not a bench's, whose addresses and clock would take its place: practise"
+                f"{self.file} is there and not a bench's, whose addresses and clock would take its place: practise"
                 " with a file of its own, such as 'heliocube setup practice.toml'"
             )
         if folder is None:
@@ -221,14 +226,14 @@ class SetupDialogue:
         return f"{problem}; {key} is not asked for here: answer what fits it, and change both in the file afterwards"
 
     def _check_role(self, role: str) -> None:
-        if self._file.parent == options.INSTALLED and options.unit_role(self._file) != role:
+        if self.file.parent == options.INSTALLED and options.unit_role(self.file) != role:
             raise UserError(
-                f"no unit starts {self._file} as {role}: cube and tracker are two units, on one machine too; set up"
+                f"no unit starts {self.file} as {role}: cube and tracker are two units, on one machine too; set up"
                 " each, 'heliocube setup /etc/heliocube/cube.toml' and 'heliocube setup /etc/heliocube/tracker.toml'"
             )
 
     def _check_key(self, name: str) -> None:
-        path = self._file.parent / _at_home(self.key_file())
+        path = self.file.parent / _at_home(self.key_file())
         if name != NEW_KEY:
             load_key(path)
         elif path.exists():

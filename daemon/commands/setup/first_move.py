@@ -14,6 +14,7 @@ from solar.frames import Limits
 
 Say = Callable[[str], object]
 Pressed = Callable[[], bool]
+Look = Callable[[Telemetry], object]
 
 STEP_DEG = 2.0
 _STOP_TEST_DEG = 5.0
@@ -134,7 +135,9 @@ def _close_to(limits: Limits, seen: Telemetry) -> bool:
     return outer.contain(seen.a_deg, seen.b_deg)
 
 
-async def first_move(positioner: Positioner, bounds: Bounds, clock: Clock, say: Say, pressed: Pressed) -> float:
+async def first_move(
+    positioner: Positioner, bounds: Bounds, clock: Clock, say: Say, pressed: Pressed, look: Look
+) -> float:
     """Move A and B out and back, then A once more for a person to stop; return the slower axis' speed [deg/s].
 
     Parameters
@@ -143,6 +146,8 @@ async def first_move(positioner: Positioner, bounds: Bounds, clock: Clock, say: 
         Not yet open; closed when this ends, and halted if it ends early.
     pressed
         Tells whether a key has been pressed.
+    look
+        Is shown the positioner before it moves, and raises `DeviceError` for what must not.
 
     Raises
     ------
@@ -157,6 +162,7 @@ async def first_move(positioner: Positioner, bounds: Bounds, clock: Clock, say: 
         why_not = ready(start, identity.setup_conflicts, bounds.limits)
         if why_not is not None:
             raise RefusedError("positioner", why_not)
+        look(start)
         return await _legs(positioner, start, bounds, clock, say, pressed)
     finally:
         await positioner.close()

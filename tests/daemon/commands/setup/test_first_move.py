@@ -25,6 +25,7 @@ def moved(
     press_beyond_deg=-math.inf,
     fault=None,
     fault_beyond_deg=-1.0,
+    look=lambda _seen: None,
 ):
     """Make the first move, with a key pressed behind the words of a line; return its result, lines and poses."""
     lines, poses, keys = [], [], []
@@ -47,7 +48,7 @@ def moved(
             if fault is not None and fault_beyond_deg < 0.0:
                 truth.__self__.inject(fault, clock.monotonic())
             try:
-                found = await first_move(positioner, Bounds(limits, 0.8, 0.3), clock, lines.append, pressed)
+                found = await first_move(positioner, Bounds(limits, 0.8, 0.3), clock, lines.append, pressed, look)
             except DeviceError as error:
                 found = error.message
             before = truth(clock.monotonic())
