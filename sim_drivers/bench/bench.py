@@ -102,16 +102,21 @@ class Bench:
         self._source = source
 
     async def run(self, stop: asyncio.Event, ready: Callable[[], None]) -> None:
-        """Plug everything in, call `ready`, and serve until `stop` is set; raises what an instrument raises."""
-        await self.multiplexer.start()
-        if self.cube is not None:
-            await self.cube.start()
+        """Plug everything in, call `ready`, and serve until `stop` is set; raises what an instrument raises.
+
+        Raises `BenchError` before, where something else has the name of a port.
+        """
         serial: list[PositionerHost | LineHost[Any]] = [self.voltmeter, self.load]
         if isinstance(self.positioner, PositionerHost):
             serial.append(self.positioner)
-        elif self.positioner is not None:
-            await self.positioner.plug()
         lines = [*serial, *([self.cube.line] if self.cube else [])]
+        for line in lines:
+            line.port.check_place()
+        await self.multiplexer.start()
+        if self.cube is not None:
+            await self.cube.start()
+        if isinstance(self.positioner, RotatorHost):
+            await self.positioner.plug()
         ports = [host.port for host in serial]
         for port in ports:
             port.plug()

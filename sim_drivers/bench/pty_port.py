@@ -15,6 +15,8 @@ from collections.abc import Callable
 from enum import Enum, auto
 from pathlib import Path
 
+from sim_drivers.bench.client import BenchError
+
 LOOK_EVERY_S = 0.01
 _CHUNK = 4096
 _LOCAL_MODES = 3
@@ -64,10 +66,16 @@ class PtyPort:
         """Whether what is sent to the user comes back."""
         return self._master is not None and bool(termios.tcgetattr(self._master)[_LOCAL_MODES] & termios.ECHO)
 
+    def check_place(self) -> None:
+        """Raise `BenchError` where something else has the name: a link alone is taken for what a bench has left."""
+        if os.path.lexists(self.link) and not self.link.is_symlink():
+            raise BenchError(f"{self.link} is there and is no port of a bench: move it, or take another folder")
+
     def plug(self) -> None:
-        """Make the port appear; does nothing if it is there."""
+        """Make the port appear; does nothing if it is there. Raises as `check_place`."""
         if self._master is not None:
             return
+        self.check_place()
         master, slave = os.openpty()
         os.set_blocking(master, False)
         beside = self.link.with_name(f".{self.link.name}.new")

@@ -56,6 +56,17 @@ def test_a_second_bench_in_the_same_folder_and_a_file_of_somebody_else_are_refus
     assert "Traceback" not in second.stderr + third.stderr
 
 
+@pytest.mark.parametrize(
+    ("name", "options"), [("load", ()), ("positioner", ()), ("cube", ("--cube", "scanning-meter"))]
+)
+def test_what_has_the_name_of_a_port_stays_and_is_named(tmp_path, name, options):
+    (tmp_path / name).write_text("somebody's own\n")
+    done = heliocube("bench", "--dir", tmp_path, *options)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert f"{tmp_path / name} is there and is no port of a bench" in done.stderr
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: "somebody's own\n"}
+
+
 def test_a_bench_whose_file_finds_no_room_says_so_and_leaves_no_half_of_it(tmp_path):
     made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", tmp_path], capture_output=True)
     if made.returncode:
