@@ -134,7 +134,7 @@ def test_what_cannot_be_done_with_real_instruments_ends_with_one_sentence_and_2(
 
 def test_a_service_on_the_roof_has_no_simulator_in_it_and_none_of_the_libraries_of_studies(tmp_path):
     file = tmp_path / "heliocube.toml"
-    file.write_text(REAL + '[bridge]\ninsecure = true\n[api]\nlisten = "127.0.0.1:0"\n')
+    file.write_text(REAL + '[bridge]\ninsecure = true\nlisten = "127.0.0.1:0"\n[api]\nlisten = "127.0.0.1:0"\n')
     done = subprocess.run(
         [sys.executable, "-X", "importtime", str(HELIOCUBE), "run", "--config", str(file), "--for", "1"],
         capture_output=True,
