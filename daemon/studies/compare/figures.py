@@ -13,7 +13,7 @@ from daemon.studies.compare.fit import Fit
 from daemon.studies.compare.gains import corrected_power
 from daemon.studies.compare.pairs import Pairs, Side
 from daemon.studies.picture_file import save_picture
-from solar.compare import ChainBias
+from solar.compare import ChainBias, longest_gap_s
 from solar.ephemeris import Site, sun_position
 from solar.frames import Array, azimuth_from_direction, equator_azimuth_deg, normal_from_angles
 
@@ -81,17 +81,19 @@ def power_figure(day: Pairs, bias: ChainBias | None, title: str) -> Figure:
     """Draw both powers and the diffuse fraction over a day, as Figures 11 and 13."""
     figure = Figure(figsize=_SIZE, layout="constrained")
     left = figure.subplots()
-    time = _times(day.utc_s)
     cube, chrono = day.names
-    left.plot(time, day.chrono.pmpp_w, color=_CHRONO, linewidth=0.9, linestyle=_CHRONO_LINE, label=chrono)
-    left.plot(time, corrected_power(day, bias), color=_CUBE, linewidth=0.9, label=cube)
+    left.plot(
+        *_parted(day.utc_s, day.chrono.pmpp_w), color=_CHRONO, linewidth=0.9, linestyle=_CHRONO_LINE, label=chrono
+    )
+    left.plot(*_parted(day.utc_s, corrected_power(day, bias)), color=_CUBE, linewidth=0.9, label=cube)
     left.set(ylabel="Pmpp [W]", title=title)
     left.set_ylim(bottom=0.0)
     if np.isfinite(day.diffuse_fraction).any():
         right = left.twinx()
-        right.plot(time, day.diffuse_fraction, color=_SKY, linewidth=0.8, linestyle="-.", label="diffuse fraction")
+        fraction = _parted(day.utc_s, day.diffuse_fraction)
+        right.plot(*fraction, color=_SKY, linewidth=0.8, linestyle="-.", label="diffuse fraction")
         right.set(ylabel="diffuse fraction [-]", ylim=(0.0, 1.05))
-    _clock(left, time)
+    _clock(left, day.utc_s)
     figure.legend(frameon=False, loc="outside lower center", ncols=3)
     return figure
 
@@ -100,19 +102,18 @@ def movement_figure(day: Pairs, site: Site, title: str) -> Figure:
     """Draw inclination and azimuth of both trackers with the sun's zenith angle and azimuth, as Figure 12."""
     figure = Figure(figsize=(9.0, 7.0), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
-    time = _times(day.utc_s)
     sun = sun_position(day.utc_s, *site)
-    upper.plot(time, 90.0 - sun.elevation_deg, color=_SUN, linewidth=1.6, linestyle=":", label="sun")
-    lower.plot(time, _about_equator(sun.azimuth_deg, site), color=_SUN, linewidth=1.6, linestyle=":", label="sun")
+    path = (90.0 - sun.elevation_deg, _about_equator(sun.azimuth_deg, site))
+    for axes, angle in zip((upper, lower), path, strict=True):
+        axes.plot(*_parted(day.utc_s, angle), color=_SUN, linewidth=1.6, linestyle=":", label="sun")
     sides = zip(day.names, (day.cube, day.chrono), (_CUBE, _CHRONO), ("-", _CHRONO_LINE), strict=True)
     for name, side, colour, line in sides:
-        tilt, azimuth = _facing(side, site)
-        upper.plot(time, tilt, color=colour, linewidth=1.0, linestyle=line, label=name)
-        lower.plot(time, azimuth, color=colour, linewidth=1.0, linestyle=line, label=name)
+        for axes, angle in zip((upper, lower), _facing(side, site), strict=True):
+            axes.plot(*_parted(day.utc_s, angle), color=colour, linewidth=1.0, linestyle=line, label=name)
     upper.set(ylabel="inclination, zenith angle [deg]", ylim=(-3.0, 95.0), title=title)
     lower.set(ylabel="azimuth [deg]" if site.latitude_deg >= 0.0 else "azimuth [deg]\nwest of north below 0")
     lower.set_title(f"no azimuth while a tracker lies flat within {_FLAT_DEG:g} deg", fontsize=9)
-    _clock(lower, time)
+    _clock(lower, day.utc_s)
     figure.legend(*upper.get_legend_handles_labels(), frameon=False, loc="outside lower center", ncols=3)
     return figure
 
@@ -140,13 +141,16 @@ def _about_equator(azimuth_deg: Array, site: Site) -> Array:
     return np.where(leaps, np.nan, about)
 
 
-def _times(utc_s: Array) -> NDArray[np.datetime64]:
-    return (utc_s * 1e3).astype("datetime64[ms]")
+def _parted(utc_s: Array, values: Array) -> tuple[NDArray[np.datetime64], Array]:
+    """Return a line with a hole wherever no energy is added, so that none is drawn across."""
+    behind = np.flatnonzero(np.diff(utc_s) > longest_gap_s(utc_s)) + 1
+    time = (np.insert(utc_s, behind, utc_s[behind]) * 1e3).astype("datetime64[ms]")
+    return time, np.insert(values, behind, np.nan)
 
 
-def _clock(axes: Axes, time: NDArray[np.datetime64]) -> None:
+def _clock(axes: Axes, utc_s: Array) -> None:
     axes.xaxis.set_major_formatter(DateFormatter("%H:%M"))  # type: ignore[no-untyped-call]  # matplotlib has no type there
-    first, last = (datetime.fromtimestamp(at.astype(float) / 1e3, UTC) for at in time[[0, -1]])
+    first, last = (datetime.fromtimestamp(at, UTC) for at in utc_s[[0, -1]].tolist())
     # A day of the site may be halves of two of UTC.
     begun = "" if first.date() == last.date() else f"{first:%d %B} to "
     axes.set_xlabel(f"{begun}{last:%d %B %Y}, UTC")

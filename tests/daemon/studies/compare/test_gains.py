@@ -86,3 +86,19 @@ def test_a_day_of_the_site_that_is_two_of_utc_says_so(site, label):
     assert "from UTC  to UTC" in as_text(rows, ("one", "other"))
     assert gain_table(rows, ("one", "other")).columns[2:4] == ("from UTC", "to UTC")
     assert power_figure(pairs, None, "").axes[0].get_xlabel() == label
+
+
+def test_no_line_of_a_figure_crosses_a_time_that_adds_no_energy():
+    utc_s = T0 + np.concatenate([np.arange(8.0, 9.0, 1 / 720), np.arange(12.0, 13.0, 1 / 720)]) * 3600.0
+    pairs = measured(
+        utc_s, np.linspace(50.0, 250.0, utc_s.size), *angles_within(sun_direction(utc_s, *GREENWICH), Limits())
+    )
+    figures = (power_figure(pairs, None, ""), movement_figure(pairs, GREENWICH, ""))
+    lines = [line for figure in figures for axes in figure.axes for line in axes.lines]
+    assert len(lines) == 2 + 3 + 3
+    for line in lines:
+        at, values = (np.asarray(column) for column in line.get_data(orig=True))
+        drawn = np.isfinite(np.asarray(values, dtype=np.float64))
+        across = drawn[1:] & drawn[:-1] & (np.diff(at) > np.timedelta64(60, "s"))
+        assert drawn.sum() == utc_s.size
+        assert not across.any()
