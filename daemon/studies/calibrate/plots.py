@@ -15,11 +15,17 @@ _BEFORE, _AFTER, _LINE = "#D55E00", "#0072B2", "#555555"
 
 
 def draw_comparison(found: Comparison, path: Path, *, simulated: bool) -> None:
-    """Draw each sensor against the reference, and its residual against time and incidence angle; `UserError`."""
+    """Draw to a file, by its ending; raises `UserError`."""
+    save_picture(comparison_figure(found, simulated=simulated), path, dpi=110)
+
+
+def comparison_figure(found: Comparison, *, simulated: bool) -> Figure:
+    """Return each sensor against the reference, and its residual against time and incidence angle."""
     figure = Figure(figsize=(13.0, 2.7 * len(found.faces) + 0.6), layout="constrained")
     axes = figure.subplots(len(found.faces), 3, sharex="col", squeeze=False)
     times = (found.utc_s * 1e3).astype("datetime64[ms]")
-    top = 1.05 * float(np.max(found.reference_w_m2))
+    everything = (found.reference_w_m2, found.before_w_m2, found.irradiance_w_m2)
+    top = 1.05 * max(float(np.max(values)) for values in everything)
     for place, (row, (name, face)) in enumerate(zip(axes, found.faces.items(), strict=True)):
         scatter, in_time, by_angle = row
         for label, values, colour, marker in (
@@ -45,4 +51,4 @@ def draw_comparison(found: Comparison, path: Path, *, simulated: bool) -> None:
     figure.legend(*axes[0][0].get_legend_handles_labels(), markerscale=3.0, loc="outside lower center", ncols=2)
     for panel, label in zip(axes[-1], ("reference [W/m2]", "time [UTC]", "angle of incidence [deg]"), strict=True):
         panel.set_xlabel(label)
-    save_picture(stamped(figure, simulated), path, dpi=110)
+    return stamped(figure, simulated)
