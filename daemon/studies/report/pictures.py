@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.dates import AutoDateLocator, DayLocator, HourLocator, num2date
+from matplotlib.dates import AutoDateLocator, DayLocator, HourLocator, MinuteLocator, RRuleLocator, num2date
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
@@ -46,6 +46,8 @@ _MODE_STYLES = {
 }
 _WIDTH_IN = 9.0
 _MOST_POINTS = 3000
+# Between ticks of the axis of time; so many steps at most, but for spans of more than a day.
+_STEPS_MIN, _MOST_STEPS = (1, 2, 5, 10, 15, 30, 60, 180), 8
 _RC: Any = {
     "svg.fonttype": "none",
     "path.simplify_threshold": 1.0,
@@ -275,7 +277,12 @@ def _finished(figure: Figure, lowest: Axes, drawing: Drawing) -> Figure:
     first, last = _dates(np.array([span.start_utc_s, span.end_utc_s]))
     lowest.set_xlim(first, last)
     if span.duration_s <= 1.5 * DAY_S:
-        lowest.xaxis.set_major_locator(HourLocator(byhour=range(0, 24, 3)))  # type: ignore[no-untyped-call]  # matplotlib has no type there
+        step = next((step for step in _STEPS_MIN if span.duration_s <= _MOST_STEPS * 60.0 * step), _STEPS_MIN[-1])
+        if step < 60:
+            locator: RRuleLocator = MinuteLocator(byminute=range(0, 60, step))  # type: ignore[no-untyped-call]  # matplotlib has no type there
+        else:
+            locator = HourLocator(byhour=range(0, 24, step // 60))  # type: ignore[no-untyped-call]  # as above
+        lowest.xaxis.set_major_locator(locator)
     elif span.duration_s <= 20 * DAY_S:
         lowest.xaxis.set_major_locator(DayLocator())  # type: ignore[no-untyped-call]  # as above
     else:

@@ -2,6 +2,8 @@
 
 import math
 import time
+from dataclasses import replace
+from datetime import UTC
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -128,6 +130,19 @@ def test_the_axis_of_time_says_what_stands_below_it(tmp_path, days, words):
     found = material(days)
     figure = PICTURES["wind"].draw(Drawing(found, light_of(found), motion_of(found), ZoneInfo("Europe/Paris")))
     assert figure.axes[-1].get_xlabel() == words
+
+
+@pytest.mark.parametrize("minutes", [7, 15, 50, 110, 160, 400, 660, 1440])
+def test_the_axis_of_time_of_a_short_span_has_ticks_to_read_it_by(minutes):
+    begins_s = T0 + 6.17 * 3600.0
+    found = replace(material(), span=ReportSpan(begins_s, begins_s + 60.0 * minutes, "part"))
+    axes = PICTURES["wind"].draw(Drawing(found, light_of(found), motion_of(found), UTC)).axes[-1]
+    low, high = axes.get_xlim()
+    ticks = axes.get_xticks()
+    inside = (low <= ticks) & (ticks <= high)
+    assert 3 <= inside.sum() <= 8
+    texts = axes.xaxis.get_major_formatter().format_ticks(ticks[inside])
+    assert len(set(texts)) == len(texts)
 
 
 def test_on_a_machine_whose_zone_is_none_the_axis_of_time_is_in_utc(monkeypatch):
