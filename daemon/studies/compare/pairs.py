@@ -172,7 +172,7 @@ def _read(path: Path) -> pd.DataFrame:
         )
     if table.empty:
         raise UserError(f"{path} holds no measurements: there is nothing below its header")
-    found = pd.DataFrame({"time": _times(table["time"], path), "tracker": table["tracker"].astype(str).str.strip()})
+    found = pd.DataFrame({"time": _times(table["time"], path), "tracker": _trackers(table["tracker"], path)})
     for name in _NUMBERS:
         found[name] = _numbers(table[name], path) if name in table else np.nan
     found[SIMULATED] = _truths(table[SIMULATED], path) if SIMULATED in table else False
@@ -191,11 +191,17 @@ def _csv(path: Path) -> pd.DataFrame:
     separator = check_table(path)
     decimal = "," if separator == ";" else "."
     try:
-        table = pd.read_csv(path, sep=separator, decimal=decimal, skipinitialspace=True)
+        names = pd.read_csv(path, sep=separator, nrows=0, skipinitialspace=True).columns
+        # Otherwise pandas takes 'NA' for none, even behind a converter, and '01' for 1.
+        as_written: Any = {name: "={}".format for name in names if name.strip().lower() == "tracker"}
+        table = pd.read_csv(path, sep=separator, decimal=decimal, skipinitialspace=True, converters=as_written)
     except pd.errors.ParserError as error:
         raise UserError(unreadable(path, separator, error)) from None
     table = table.rename(columns=lambda name: name.strip().lower())
     check_frame(path, table)
+    if as_written:
+        trackers = table["tracker"].str[1:]
+        table["tracker"] = trackers.mask(trackers == "")
     # A comma behind the last name makes a column without one.
     return table.drop(
         columns=[name for name in table if str(name).startswith("unnamed: ") and table[name].isna().all()]
@@ -237,6 +243,16 @@ def _times(column: Any, path: Path) -> Array:
         raise UserError(f"{path}, row {row + 1}: '{column.iloc[row]}' is not a time; write 2022-10-14T08:00:05Z")
     seconds: Array = times.dt.tz_localize(None).to_numpy("datetime64[us]").astype(np.int64) / 1e6
     return seconds
+
+
+def _trackers(column: "pd.Series[Any]", path: Path) -> "pd.Series[str]":
+    names = column.fillna("").astype(str).str.strip()
+    nameless = np.flatnonzero(names == "")
+    if nameless.size:
+        raise UserError(
+            f"{path}, row {nameless[0] + 1}: there is no tracker's name; write whose power it is, or take the row out"
+        )
+    return names
 
 
 def _numbers(column: "pd.Series[float]", path: Path) -> "pd.Series[float]":
