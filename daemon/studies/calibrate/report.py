@@ -71,7 +71,18 @@ def comparison_lines(found: Comparison) -> list[str]:
             for label, field in _ROWS
         ]
         lines += ["", *_aligned(table)]
+    if strayed := _strayed(found):
+        told = (
+            f"Doubtful: most of the series of {', '.join(strayed)} were dropped, and the rest may agree by chance; "
+            "check that all times are UTC, the lag of the clocks (--lag), and that all lie level."
+        )
+        lines += ["", told]
     return lines
+
+
+def _strayed(found: Comparison) -> list[str]:
+    """Return the sensors of whose series most disagree with the gain."""
+    return [name for name, face in found.faces.items() if face.series.kept.mean() < 0.5]
 
 
 def comparison_page(found: Comparison) -> dict[str, Any]:
@@ -81,6 +92,7 @@ def comparison_page(found: Comparison) -> dict[str, Any]:
         "common_minutes": found.minutes,
         "lag_s": found.lag_s,
         "lag_known": found.lag_known,
+        "doubtful": bool(_strayed(found)),
         "agreement": {
             name: {"before": face.before._asdict(), "after": face.after._asdict()} for name, face in found.faces.items()
         },

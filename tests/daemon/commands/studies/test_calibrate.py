@@ -135,6 +135,18 @@ def test_a_number_that_cannot_be_is_a_missing_reading_and_is_counted(heliocube, 
     assert f"{tables[3]} has {2 * len(bad)} {told} east_mv -9999, not in -1000..1000" in second
 
 
+def test_series_of_which_most_are_dropped_are_called_doubtful(heliocube, tmp_path):
+    tables = beside(tmp_path, ahead_s=3600.0, weather="clear")
+    out = tmp_path / "c.toml"
+    code, told, _ = heliocube("calibrate", "cube", *tables, *SITE, "--out", out)
+    line = "Doubtful: most of the series of east, south, west, zenith were dropped, and the rest may agree by chance; "
+    assert code == 0
+    assert f"{line}check that" in " ".join(told.split())
+    assert "# Doubtful: " in out.read_text()
+    right = ("calibrate", "cube", *tables, *SITE, "--out", tmp_path / "right.toml", "--lag", "3600", "--json")
+    assert json.loads(heliocube(*right)[1])["doubtful"] is False
+
+
 def test_voltages_in_volts_are_told(heliocube, tmp_path):
     reference, sensors = beside(tmp_path, days=1)
     header, *lines = (line.split(",") for line in sensors.read_text().splitlines())
