@@ -234,11 +234,14 @@ def _csv(path: Path) -> pd.DataFrame:
     if not path.stat().st_size:
         raise UserError(f"{path} is empty: export it anew, or take the file away")
     try:
-        table = pd.read_csv(path, sep=separator, decimal="," if separator == ";" else ".")
+        # Otherwise pandas takes the name 'NA' for none, even behind a converter, and '01' for 1.
+        named: Any = {"tracker": "={}".format}
+        table = pd.read_csv(path, sep=separator, decimal="," if separator == ";" else ".", converters=named)
     except pd.errors.ParserError as error:
         raise UserError(unreadable(path, separator, error)) from None
     check_frame(path, table)
-    return table
+    # A record of the cube or of the process names no tracker.
+    return table.assign(tracker=table["tracker"].str[1:]) if "tracker" in table else table
 
 
 def _checked(path: Path, kind: str, table: pd.DataFrame) -> pd.DataFrame:

@@ -1,6 +1,7 @@
 """`heliocube plot`: pictures of a store and of exported tables."""
 
 import json
+from unittest.mock import ANY
 
 import pytest
 
@@ -67,6 +68,20 @@ def test_a_damaged_table_is_one_sentence_with_its_place(heliocube, tables, name,
     assert (code, said.count("\n")) == (2, 1)
     assert said.startswith(f"heliocube: {path}")
     assert sentence in said
+
+
+@pytest.mark.parametrize("name", ["roof", "01", "NA"])
+def test_a_record_of_no_tracker_is_no_tracker_beside_the_one_of_the_tables(heliocube, tables, tmp_path, name):
+    folder, asked = tables
+    drawn = []
+    for event in ("", "2022-10-14T09:00:00Z,1.0,cube,the cube is back,,true,1\n"):
+        for path in folder.glob("*.csv"):
+            path.write_text(path.read_text().replace(",roof", f",{name}"))
+        (folder / "events.csv").write_text(f"time,time_monotonic_s,subject,text,tracker,simulated,run\n{event}")
+        assert heliocube("plot", *asked, "--tracker", name, "--force") == (0, ANY, "")
+        assert heliocube("plot", *asked, "--force") == (0, ANY, "")
+        drawn.append({path: path.read_bytes() for path in tmp_path.glob("a-*.svg")})
+    assert drawn[0] == drawn[1]
 
 
 def first_cell(text, column, content):
