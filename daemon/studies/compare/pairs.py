@@ -181,8 +181,8 @@ def _read(path: Path) -> pd.DataFrame:
     if wild.any():
         row = int(np.flatnonzero(wild)[0])
         raise UserError(
-            f"{path}, row {row + 1}: pmpp_w is {found['pmpp_w'].iloc[row]:g} W, which no module of a tracker gives"
-            f" ({low:g}..{high:g} W)"
+            f"{path}, row {found.index[row] + 1}: pmpp_w is {found['pmpp_w'].iloc[row]:g} W, which no module of a"
+            f" tracker gives ({low:g}..{high:g} W)"
         )
     return found
 
@@ -217,8 +217,8 @@ def _leave_out_impossible(frame: pd.DataFrame, path: Path) -> str | None:
         return None
     row, column = np.argwhere(wrong)[0].tolist()
     frame[columns] = np.where(wrong, np.nan, values)
-    first = f"in row {row + 1}: {columns[column]} {values[row, column]:g}, not in {LOWEST_W_M2:g}..{HIGHEST_W_M2:g}"
-    return impossible_note(str(path), int(wrong.sum()), first)
+    value = f"{columns[column]} {values[row, column]:g}, not in {LOWEST_W_M2:g}..{HIGHEST_W_M2:g}"
+    return impossible_note(str(path), int(wrong.sum()), f"in row {frame.index[row] + 1}: {value}")
 
 
 def _refuse_contradictions(frame: pd.DataFrame) -> None:
@@ -240,7 +240,9 @@ def _times(column: Any, path: Path) -> Array:
         times = utc_times(column.astype(str))
     if times.isna().any():
         row = int(np.flatnonzero(times.isna())[0])
-        raise UserError(f"{path}, row {row + 1}: '{column.iloc[row]}' is not a time; write 2022-10-14T08:00:05Z")
+        raise UserError(
+            f"{path}, row {column.index[row] + 1}: '{column.iloc[row]}' is not a time; write 2022-10-14T08:00:05Z"
+        )
     seconds: Array = times.dt.tz_localize(None).to_numpy("datetime64[us]").astype(np.int64) / 1e6
     return seconds
 
@@ -250,7 +252,8 @@ def _trackers(column: "pd.Series[Any]", path: Path) -> "pd.Series[str]":
     nameless = np.flatnonzero(names == "")
     if nameless.size:
         raise UserError(
-            f"{path}, row {nameless[0] + 1}: there is no tracker's name; write whose power it is, or take the row out"
+            f"{path}, row {column.index[nameless[0]] + 1}: there is no tracker's name; write whose power it is, or take"
+            " the row out"
         )
     return names
 
@@ -260,7 +263,9 @@ def _numbers(column: "pd.Series[float]", path: Path) -> "pd.Series[float]":
     wrong = numbers.isna() & column.notna()
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
-        raise UserError(f"{path}, row {row + 1}: {column.name} is '{column.iloc[row]}', which is not a number")
+        raise UserError(
+            f"{path}, row {column.index[row] + 1}: {column.name} is '{column.iloc[row]}', which is not a number"
+        )
     return numbers
 
 
@@ -269,7 +274,9 @@ def _truths(column: "pd.Series[Any]", path: Path) -> "pd.Series[bool]":
     wrong = ~words.isin(("true", "false"))
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
-        raise UserError(f"{path}, row {row + 1}: {column.name} is '{column.iloc[row]}'; write true or false")
+        raise UserError(
+            f"{path}, row {column.index[row] + 1}: {column.name} is '{column.iloc[row]}'; write true or false"
+        )
     return words == "true"
 
 

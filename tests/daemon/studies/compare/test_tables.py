@@ -32,3 +32,23 @@ def test_a_row_that_does_not_say_whose_power_it_is_is_refused(tmp_path, name):
     for table, row in ((path, 19), (parquet, 18)):
         with pytest.raises(UserError, match=rf"{table.name}, row {row}: there is no tracker's name"):
             read_tables([table])
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    ["noon,one,1,1", "2022-10-12T10:00:00Z,,1,1", "2022-10-12T10:00:00Z,one,x,1", "2022-10-12T10:00:00Z,one,9999,1"],
+)
+def test_a_row_of_empty_cells_is_counted_among_those_before_a_wrong_one(tmp_path, wrong):
+    path = tmp_path / "powers.csv"
+    path.write_text(f"time,tracker,pmpp_w,ghi_w_m2\n2022-10-12T09:00:00Z,one,1,1\n,,,\n{wrong}\n")
+    with pytest.raises(UserError, match=r"powers\.csv, row 3: "):
+        read_tables([path])
+
+
+def test_an_irradiance_that_cannot_be_is_told_with_its_row(tmp_path):
+    path = tmp_path / "powers.csv"
+    path.write_text(
+        "time,tracker,pmpp_w,ghi_w_m2\n2022-10-12T09:00:00Z,one,1,1\n,,,\n2022-10-12T10:00:00Z,one,1,-9999\n"
+    )
+    (note,) = read_tables([path])[1]
+    assert "first in row 3: ghi_w_m2 -9999" in note
