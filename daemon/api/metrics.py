@@ -201,7 +201,9 @@ def _bridge(found: _Families, seen: Snapshot) -> None:
     if counts is None:
         return
     found.count("bridge_accepted", "Scans accepted from the bridge.", counts.accepted)
-    found.count("bridge_lost", "Scans that never came.", counts.lost)
+    # What comes after all is no longer lost, but Prometheus takes a count that falls for one that has begun anew.
+    about = "Scans that had not come when a later one had."
+    found.count("bridge_lost", about, counts.lost + counts.reordered)
     for reason in _REFUSALS:
         found.count("bridge_refused", "Datagrams refused, by reason.", attrgetter(reason)(counts), reason=reason)
 

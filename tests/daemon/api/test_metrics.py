@@ -1,5 +1,9 @@
 """The metrics: what is among them, and by what name."""
 
+from dataclasses import replace
+
+from daemon.api.metrics import Metrics
+from tests.daemon.bridge.desk import Desk, scan
 from tests.support.phases import under_way
 
 
@@ -29,3 +33,16 @@ def test_faults_of_a_positioner_that_does_not_answer_are_not_zero_but_not_there(
         assert b"heliocube_faults" not in (await call.get("/metrics")).body
 
     serve(scenario)
+
+
+def test_the_count_of_lost_scans_never_falls_since_prometheus_takes_a_fall_for_a_restart(run_rig):
+    async def scenario(rig):
+        desk, lost = Desk(), []
+        for number in (3, 40, 41, 20, 21, 43, 2, 1):
+            desk.follow(scan(number))
+            text = Metrics(replace(rig.see(), bridge=desk.receiver.statistics), {}).text().decode()
+            (line,) = [line for line in text.splitlines() if line.startswith("heliocube_bridge_lost_total ")]
+            lost.append(float(line.split()[1]))
+        assert lost == [0.0, 36.0, 36.0, 36.0, 36.0, 37.0, 38.0, 39.0]
+
+    run_rig(scenario)
