@@ -145,10 +145,12 @@ def show(
     """Raise and end the alarms that follow from what is known of the positioner."""
     alarms.set("unexplained-motion", doubts.incident_of("motion"))
     alarms.set("deaf-to-stop", doubts.incident_of("deaf"))
-    alarms.set("positioner-setup", "; ".join(identity.setup_conflicts) or None if identity else None)
-    faults = [*(fault_text(name) for name in telemetry.faults), *doubts.vanished]
-    if own_mode.text is not None:
-        faults.append(own_mode.text)
-    alarms.set("positioner-fault", "; ".join(faults) or None)
-    alarms.set("reference", doubts.lost)
+    conflicts = identity.setup_conflicts if identity else ()
+    alarms.set("positioner-setup", "; ".join(conflicts) or None, of=conflicts)
+    # That a fault which somebody has seen goes away is no news: it is told by its name in both sentences.
+    vanished, own = doubts.vanished, () if own_mode.text is None else (own_mode.text,)
+    faults = [*(fault_text(name) for name in telemetry.faults), *vanished.values(), *own]
+    alarms.set("positioner-fault", "; ".join(faults) or None, of=(*telemetry.faults, *vanished, *own))
+    lost = doubts.lost
+    alarms.set("reference", lost, of=() if lost is None else lost.split("; "))
     alarms.set("motor-current", currents.text)

@@ -113,9 +113,9 @@ class Doubts:
             self.doubt("homing", NOT_FINISHED)
 
     @property
-    def vanished(self) -> tuple[str, ...]:
-        """The doubts about faults that went away by themselves."""
-        return tuple(text for kind, text in self._doubts.items() if kind.startswith(_FAULT))
+    def vanished(self) -> dict[str, str]:
+        """The doubts about faults that went away by themselves, by the names of the faults."""
+        return {kind.removeprefix(_FAULT): text for kind, text in self._doubts.items() if kind.startswith(_FAULT)}
 
     @property
     def texts(self) -> tuple[str, ...]:

@@ -115,7 +115,7 @@ class StowWatch:
         self._clock = clock
         self._alarms = alarms
         self._wake = wake
-        self._silent: list[str] | None = None
+        self._silent: dict[str, str] | None = None
         self._failed: list[str] | None = None
         self._kept: Set[str] | None = None
         self._gust_m_s = math.nan
@@ -133,13 +133,13 @@ class StowWatch:
     def reasons(self, now_s: float) -> tuple[str, ...]:
         """Poll every source at this monotonic time and return all reasons to stow, none of them twice."""
         found: dict[str, str] = {}
-        silent: list[str] = []
+        silent: dict[str, str] = {}
         for source in self._sources:
             why, status = source.poll(now_s)
             if why is not None:
                 found[source.name] = why
             if status.silent:
-                silent.append(_of_silent(status))
+                silent[source.name] = _of_silent(status)
             # What was read by this very poll; NaN is no reading.
             if status.age_s < _POLL_EVERY_S and not status.speed_m_s <= self._gust_m_s and status.speed_m_s >= 0.0:
                 self._gust_m_s = status.speed_m_s
@@ -147,7 +147,7 @@ class StowWatch:
             self._keep(found)
         if silent != self._silent:
             self._silent = silent
-            self._alarms.set("stow-source-silent", "; ".join(silent) or None)
+            self._alarms.set("stow-source-silent", "; ".join(silent.values()) or None, of=silent)
         self._tell_failed()
         return tuple(dict.fromkeys(found.values())) if found else ()
 

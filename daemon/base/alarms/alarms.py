@@ -73,8 +73,8 @@ class Alarms:
     def set(self, name: str, text: str | None, *, of: Iterable[str] = (), worse: bool = False) -> None:
         """Raise the alarm `name`, or end it with None. A new text for one that is on replaces the old one silently.
 
-        Where the old text has not all the words `of`, or what it tells has become `worse`, the new one is raised as
-        another alarm would be: nobody has seen what it tells.
+        Where the old text has not all the words or sentences `of`, or what it tells has become `worse`, the new one is
+        raised as another alarm would be: nobody has seen what it tells.
         """
         if self._muted:
             if text is None:
@@ -195,5 +195,5 @@ class Alarms:
 
 
 def tells(text: str, of: Iterable[str]) -> bool:
-    """Return whether the text of an alarm has all the words `of`."""
-    return set(of) <= set(re.findall(r"\w+", text))
+    """Return whether the text of an alarm has all of these words, or sentences, each whole."""
+    return all(re.search(rf"(?<!\w){re.escape(each)}(?!\w)", text) for each in of)

@@ -122,6 +122,46 @@ def test_a_fault_that_clears_itself_leaves_a_doubt(run_rig):
     run_rig(scenario)
 
 
+def states(rig):
+    return {alarm.name: alarm.state for alarm in rig.tracker.alarms.active}
+
+
+def test_a_second_fault_is_news_to_whoever_has_seen_the_first_and_that_it_went_is_none(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.unit.inject("a_overcurrent", now(rig))
+        await rig.until(lambda: "positioner-fault" in states(rig), 10, "the fault")
+        rig.tracker.alarms.acknowledge("ana")
+        await asyncio.sleep(10)
+        assert states(rig)["positioner-fault"] == "acknowledged"
+        rig.unit.inject("b_overcurrent", now(rig))
+        await rig.until(lambda: "b_overcurrent" in alarms(rig)["positioner-fault"], 10, "the second fault")
+        assert states(rig)["positioner-fault"] == "raised"
+        rig.tracker.alarms.acknowledge("ana")
+        rig.unit.power_cycle(now(rig))
+        await rig.until(lambda: "b_overcurrent cleared by itself" in alarms(rig)["positioner-fault"], 30, "its end")
+        assert states(rig) == {"positioner-fault": "acknowledged", "reference": "raised"}
+
+    run_rig(scenario)
+
+
+def test_a_second_doubt_is_news_to_whoever_has_seen_the_first(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.unit.power_cycle(now(rig))
+        await rig.until(lambda: "reference" in states(rig), 30, "the restart")
+        rig.tracker.alarms.acknowledge("ana")
+        await asyncio.sleep(10)
+        assert states(rig)["reference"] == "acknowledged"
+        rig.motion.home()
+        await asyncio.sleep(10)
+        rig.motion.rest()
+        await rig.until(lambda: "homing was not finished" in alarms(rig)["reference"], 30, "the second doubt")
+        assert states(rig)["reference"] == "raised"
+
+    run_rig(scenario)
+
+
 def test_doubts_and_incidents_outlive_the_service(run_rig, tmp_path):
     async def scenario(rig):
         await quiet(rig)

@@ -217,8 +217,12 @@ def test_a_source_that_is_silent_for_its_time_is_an_alarm_until_it_is_heard():
         assert alarms() == {}
     rig.look(301, roof=None)
     assert alarms() == {"stow-source-silent": "field has not been heard since the start of the service"}
+    rig.alarms.acknowledge("ana")
+    rig.look(600)
+    assert rig.alarms.active[0].state == "acknowledged"
     rig.look(601)
     assert alarms()["stow-source-silent"] == "roof is silent; field has not been heard since the start of the service"
+    assert rig.alarms.active[0].state == "raised", "of the second one nobody has heard"
     rig.look(605, roof=20, field=3)
     assert alarms() == {}, "they are heard, and strong wind is no fault"
 

@@ -79,6 +79,20 @@ def test_what_is_told_anew_is_an_alarm_that_nobody_has_seen(house):
     assert house.told[-1] == f"raised {PLAIN}: south and west lie"
 
 
+def test_what_is_told_may_be_sentences_that_have_words_in_common(house):
+    house.alarms.set(PLAIN, "A is hot; B is hot", of=["A is hot", "B is hot"])
+    house.alarms.acknowledge("ana@lab", PLAIN)
+    house.alarms.set(PLAIN, "B is hot", of=["B is hot"])
+    house.alarms.set(PLAIN, "B is hot; B is hotter (2)", of=["B is hot", "B is hotter (2)"])
+    assert house.states == {PLAIN: "raised"}
+    house.alarms.acknowledge("ana@lab", PLAIN)
+    house.alarms.set(PLAIN, "B is hot; A is hot", of=["B is hot", "A is hot"])
+    assert house.states == {PLAIN: "raised"}
+    house.alarms.acknowledge("ana@lab", PLAIN)
+    house.alarms.set(PLAIN, "hot is A; hot is B", of=["hot is B", "is A"])
+    assert house.states == {PLAIN: "raised"}
+
+
 def test_a_latched_one_stays_on_show_until_a_person_has_looked(house):
     house.alarms.set(LATCHED, "stalled")
     house.clock.now += 30
