@@ -29,8 +29,8 @@ class Currents:
 
     Attributes
     ----------
-    text
-        What is wrong with them, or None.
+    told
+        What is wrong with them: a sentence for each axis, and when it was last so [s].
     wants_stop
         A motor is on although its axis stands. The stop before may not have been heard, and an axis whose impulses are
         lost stands as well by its count.
@@ -38,30 +38,23 @@ class Currents:
 
     def __init__(self, alarm_a: float) -> None:
         self._alarm_a = alarm_a
-        self._since_s: float | None = None
-        self._last_s = 0.0
+        self._since_s: dict[str, float] = {}
         self._driven_since_s: float | None = None
         self._pause_s = _FIRST_PAUSE_S
         self._next_stop_s = float("-inf")
-        self.text: str | None = None
+        self.told: dict[str, float] = {}
         self.wants_stop = False
 
     def update(self, telemetry: Telemetry, stands_since_s: float | None) -> None:
-        """Take in the newest telemetry; `text` says what is wrong, until an hour without it or `forget`."""
+        """Take in the newest telemetry; `told` has what is wrong, until an hour without it or `forget`."""
         now_s = telemetry.time_monotonic_s
         standing = stands_since_s is not None and now_s - stands_since_s > _RUN_OUT_S
-        at_rest = self._driven_at_rest(telemetry) if standing else None
-        self._judge_stop(telemetry, driven=at_rest is not None)
-        text = self._too_high(telemetry) or at_rest
-        if text is None:
-            self._since_s = None
-            if self.text is not None and now_s - self._last_s > _OVER_AFTER_S:
-                self.text = None
-            return
-        if self._since_s is None:
-            self._since_s = now_s
-        if now_s - self._since_s >= _LASTS_S:
-            self.text, self._last_s = text, now_s
+        driven = standing and any(current_a > _AT_REST_A for _, current_a in _by_name(telemetry))
+        self._judge_stop(telemetry, driven=driven)
+        wrong = [text for text in (self._wrong(*each, standing=standing) for each in _by_name(telemetry)) if text]
+        self._since_s = {text: self._since_s.get(text, now_s) for text in wrong}
+        told = self.told | {text: now_s for text, since_s in self._since_s.items() if now_s - since_s >= _LASTS_S}
+        self.told = {text: last_s for text, last_s in told.items() if now_s - last_s <= _OVER_AFTER_S}
 
     def stopped(self, now_s: float) -> None:
         """Take note that both axes have been stopped at a monotonic time [s]."""
@@ -73,11 +66,16 @@ class Currents:
     @property
     def judges(self) -> bool:
         """Whether a current is high, and only has to last."""
-        return self._since_s is not None
+        return bool(self._since_s)
+
+    @property
+    def text(self) -> str | None:
+        """All that is told, or None."""
+        return "; ".join(self.told) or None
 
     def forget(self) -> None:
         """Forget what was told: a person has looked."""
-        self.text = self._since_s = None
+        self.told, self._since_s = {}, {}
 
     def _judge_stop(self, telemetry: Telemetry, *, driven: bool) -> None:
         now_s = telemetry.time_monotonic_s
@@ -88,22 +86,17 @@ class Currents:
             self._driven_since_s = now_s
         self.wants_stop = now_s >= max(self._driven_since_s + _STARTS_WITHIN_S, self._next_stop_s)
 
-    def _too_high(self, telemetry: Telemetry) -> str | None:
-        for name, current_a in _by_name(telemetry):
-            if current_a > self._alarm_a:
-                return (
-                    f"axis {name} draws more than {self._alarm_a:g} A: something is in its way, iced up or worn;"
-                    " look at the mechanics"
-                )
-        return None
-
-    def _driven_at_rest(self, telemetry: Telemetry) -> str | None:
-        for name, current_a in _by_name(telemetry):
-            if current_a > _AT_REST_A:
-                return (
-                    f"axis {name} draws current although it stands, and is stopped again: it is driven against"
-                    " something, or moves without being counted; look at it"
-                )
+    def _wrong(self, name: str, current_a: float, *, standing: bool) -> str | None:
+        if current_a > self._alarm_a:
+            return (
+                f"axis {name} draws more than {self._alarm_a:g} A: something is in its way, iced up or worn;"
+                " look at the mechanics"
+            )
+        if standing and current_a > _AT_REST_A:
+            return (
+                f"axis {name} draws current although it stands, and is stopped again: it is driven against"
+                " something, or moves without being counted; look at it"
+            )
         return None
 
 
@@ -153,4 +146,4 @@ def show(
     alarms.set("positioner-fault", "; ".join(faults) or None, of=(*telemetry.faults, *vanished, *own))
     lost = doubts.lost
     alarms.set("reference", lost, of=() if lost is None else lost.split("; "))
-    alarms.set("motor-current", currents.text)
+    alarms.set("motor-current", currents.text, of=currents.told)

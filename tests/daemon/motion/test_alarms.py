@@ -25,6 +25,25 @@ def test_a_high_current_that_lasts_two_seconds_is_told_and_ends_an_hour_later(ax
     assert told[4:] == [told[3], told[3], None]
 
 
+def test_each_axis_has_its_own_sentence_and_its_own_hour():
+    currents = Currents(3.0)
+    for time_s in (0.0, 2.0):
+        currents.update(look(time_s, a=3.1, b=3.1), None)
+    assert "axis A draws more than 3 A" in currents.text
+    assert "axis B draws more than 3 A" in currents.text
+    for time_s in (3000.0, 3002.0):
+        currents.update(look(time_s, b=3.1), None)
+    currents.update(look(3603.0), None)
+    assert currents.text.startswith("axis B draws more than 3 A")
+
+
+def test_one_axis_after_the_other_is_not_one_that_lasts():
+    currents = Currents(3.0)
+    for time_s, a, b in ((0.0, 3.1, 0.0), (1.0, 0.0, 3.1), (2.0, 3.1, 0.0), (3.0, 0.0, 3.1)):
+        currents.update(look(time_s, a=a, b=b), None)
+    assert currents.text is None
+
+
 def test_a_high_current_must_last_without_a_break():
     currents = Currents(3.0)
     for time_s, current_a in ((0.0, 3.1), (1.9, 3.1), (2.0, 2.9), (2.1, 3.1), (4.0, 3.1)):

@@ -85,6 +85,12 @@ def test_motor_currents_that_last_are_an_alarm(run_rig, fields, words):
         assert not alarms(rig)
         await asyncio.sleep(3)
         assert words in alarms(rig)["motor-current"]
+        rig.tracker.alarms.acknowledge("ana")
+        show(rig, a_motor_current_a=2.2, b_motor_current_a=2.2)
+        await asyncio.sleep(3)
+        (alarm,) = rig.tracker.alarms.active
+        assert alarm.text.count("draws more than 1.6 A") == 2
+        assert alarm.state == "raised", "of the other axis nobody has heard"
         del rig.positioner.read_telemetry
         rig.motion._polling = SELDOM
         await asyncio.sleep(3700)
