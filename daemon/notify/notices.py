@@ -55,7 +55,8 @@ class ServiceWatch:
     """Compares a service with how it was, and returns what to tell.
 
     The first look tells what is on and acknowledged by nobody: what was told before a restart is told once more, rather
-    than never. What was told then and has ended since is told as over.
+    than never. What was told then and has ended since is told as over. A latched alarm that has begun and ended between
+    two looks is told in one notice.
 
     Parameters
     ----------
@@ -89,7 +90,7 @@ class ServiceWatch:
         self._heard_s = now_s
         self._name = address
         self._unit = "heliocube-tracker heliocube-cube"
-        self._silent = False
+        self._heard = self._silent = False
         self._was_silent = before.silent
         self._known: _Shown = {(alarm.tracker or "", alarm.name): alarm.as_shown() for alarm in before.alarms}
         self._told = before
@@ -113,6 +114,7 @@ class ServiceWatch:
             raise
         notices = [self._back(), *changes] if self._silent or self._was_silent else changes
         self._heard_s, self._silent, self._was_silent, self._known, self._told = now_s, False, False, shown, told
+        self._heard = True
         self._unit = _UNITS.get(str(state.get("role")), self._unit)
         return notices
 
@@ -146,6 +148,8 @@ class ServiceWatch:
         if alarm["state"] == "cleared":
             if before is not None and before["state"] != "cleared":
                 yield self._over(alarm)
+            elif self._heard and (before is None or before["cleared_at"] != alarm["cleared_at"]):
+                yield self._over_already(alarm)
             return
         # What lasts through maintenance is raised anew at its end, at another time.
         same = "text" if before is not None and "hidden" in before else "raised_at"
@@ -163,11 +167,18 @@ class ServiceWatch:
         brief = f"{alarm['text']}. Remedy: {alarm['remedy']}".replace("`", "'")
         return replace(found, since=f"since {since}", brief=brief)
 
+    def _over_already(self, alarm: Mapping[str, Any]) -> Notice:
+        since = f"was on since {_local(alarm['raised_at'])}"
+        lines = (f"{alarm['text']}.", f"Remedy: {alarm['remedy']}.", f"It {since}.", _stays(alarm))
+        found = self._notice(f"{_of(alarm)}{alarm['name']}, over already", alarm["severity"], lines)
+        brief = f"{alarm['text']}. Remedy: {alarm['remedy']}".replace("`", "'")
+        return replace(found, since=f"it {since}", brief=brief)
+
     def _over(self, alarm: Mapping[str, Any]) -> Notice:
         since = f"it was on since {_local(alarm['raised_at'])}" if alarm["raised_at"] else ""
         lines = [f"Was: {alarm['text']}.", *([f"{since.capitalize()}."] if since else [])]
         if alarm["latched"] and not alarm["acknowledged_at"]:
-            lines.append(f"It stays shown until somebody acknowledges it: 'heliocube alarms ack {alarm['name']}'.")
+            lines.append(_stays(alarm))
         found = self._notice(f"over: {_of(alarm)}{alarm['name']}", alarm["severity"], lines, good=True)
         return replace(found, since=since, brief=alarm["text"].replace("`", "'"))
 
@@ -186,6 +197,10 @@ def _muted(state: Mapping[str, Any]) -> set[str]:
 
 def _of(alarm: Mapping[str, Any]) -> str:
     return f"{alarm['tracker']} " if alarm["tracker"] not in (None, "tracker") else ""
+
+
+def _stays(alarm: Mapping[str, Any]) -> str:
+    return f"It stays shown until somebody acknowledges it: 'heliocube alarms ack {alarm['name']}'."
 
 
 def _local(iso_utc: str) -> str:

@@ -29,3 +29,36 @@ def test_the_remedy_names_both_units_where_the_role_is_not_known():
     watch = ServiceWatch("127.0.0.1:20572", 30.0, "warning", None, 0.0)
     (notice,) = watch.failed("nothing listens there", 60.0)
     assert "'systemctl status heliocube-tracker heliocube-cube'" in notice.body
+
+
+def test_a_latched_alarm_that_came_and_went_between_two_looks_is_told_and_so_is_its_next_time():
+    def look(*alarms, mode="tracking"):
+        now.append(now[-1] + 10.0)
+        state = {"site": {"name": "roof"}, "simulated": False, "trackers": {"tracker": {"mode": {"name": mode}}}}
+        return watch.answered({**state, "alarms": alarms}, now[-1])
+
+    def over(name, cleared_at="12:00:04"):
+        times = {"raised_at": "2026-06-21T12:00:01Z", "cleared_at": f"2026-06-21T{cleared_at}Z"}
+        said = {"text": "A stalled", "effect": "it stands", "remedy": "look for ice", "severity": "critical"}
+        rest = {"state": "cleared", "latched": True, "acknowledged_at": None}
+        return {"name": name, "tracker": "tracker", **said, **times, **rest}
+
+    watch, now = ServiceWatch("127.0.0.1:20572", 120.0, "warning", None, 0.0), [0.0]
+    assert look(over("motor-current")) == [], "at the first look what is over may have been told before"
+    (notice,) = look(over("motor-current"), over("move-failed"))
+    assert (notice.title, notice.severity, notice.good) == (
+        "heliocube roof: CRITICAL move-failed, over already",
+        "critical",
+        False,
+    )
+    first, remedy, times, stays = notice.body.splitlines()
+    assert (first, remedy) == ("A stalled.", "Remedy: look for ice.")
+    assert times.startswith("It was on since 2026-06-21 ")
+    assert "UTC" in times
+    assert "'heliocube alarms ack move-failed'" in stays
+    assert look(over("motor-current"), over("move-failed")) == []
+    assert look(mode="maintenance") == []
+    assert look(over("motor-current"), over("move-failed")) == []
+    (again,) = look(over("motor-current", "12:30:00"), over("move-failed"))
+    assert again.title == "heliocube roof: CRITICAL motor-current, over already"
+    assert look() == []
