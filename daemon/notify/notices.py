@@ -175,12 +175,12 @@ class ServiceWatch:
         return replace(found, since=f"it {since}", brief=brief)
 
     def _over(self, alarm: Mapping[str, Any]) -> Notice:
-        since = f"it was on since {_local(alarm['raised_at'])}" if alarm["raised_at"] else ""
-        lines = [f"Was: {alarm['text']}.", *([f"{since.capitalize()}."] if since else [])]
+        since = f"was on since {_local(alarm['raised_at'])}" if alarm["raised_at"] else ""
+        lines = [f"Was: {alarm['text']}.", *([f"It {since}."] if since else [])]
         if alarm["latched"] and not alarm["acknowledged_at"]:
             lines.append(_stays(alarm))
         found = self._notice(f"over: {_of(alarm)}{alarm['name']}", alarm["severity"], lines, good=True)
-        return replace(found, since=since, brief=alarm["text"].replace("`", "'"))
+        return replace(found, since=f"it {since}" if since else "", brief=alarm["text"].replace("`", "'"))
 
     def _notice(self, what: str, severity: str, lines: Iterable[str], *, good: bool = False) -> Notice:
         urgency = "" if good else f"{severity.upper()} "
