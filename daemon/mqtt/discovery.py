@@ -185,7 +185,7 @@ _TRACKER = {
     "connected": _binary("Positioner", "value_json.tracker.connected", "connectivity"),
     "wind": _sensor("Wind", "value_json.wind_m_s", "m/s", "wind_speed"),
     "stow_release": _sensor("Calm until release", "value_json.stow_release_in_s", "s"),
-    "moving": _binary("Moving", "value_json.tracker.moving", "moving"),
+    "moving": _binary("Moving", "value_json.tracker.moving or value_json.tracker.homing", "moving"),
     # The mode alone says where it was told to go, and it lies flat under clouds as well.
     "stowed": _binary("Stowed", "value_json.mode.name == 'stow' and value_json.at_stow"),
     "fault": _binary("Fault", "value_json.mode.name == 'fault'", "problem"),

@@ -200,6 +200,14 @@ def test_the_command_is_what_a_person_asked_for_also_while_a_fault_stands_in_its
     assert _rendered(document()["components"]["command"], state) == shown
 
 
+@pytest.mark.parametrize(
+    ("moving", "homing", "shown"), [(False, False, "OFF"), (True, False, "ON"), (False, True, "ON")]
+)
+def test_it_moves_during_a_reference_run_too(moving, homing, shown):
+    state = {"tracker": {"moving": moving, "homing": homing}}
+    assert _rendered(document()["components"]["moving"], state) == shown
+
+
 def _follow(found, path):
     for name in path.strip(".").split("."):
         assert name in found, path
