@@ -7,8 +7,8 @@ from daemon.service.operator_commands import URGENT, Command
 
 _MOST_REMEMBERED = 4096
 
-# Identifier and time [s] of a command; and when it came.
-_Date = tuple[str | None, float]
+# Identifier and time [s] of a command, or without an identifier the whole of it; and when it came.
+_Date = tuple[str, float] | Command
 _Given = dict[_Date, float]
 
 
@@ -58,11 +58,14 @@ class Dates:
         # The beginning is told by the clock of now, which may have been set since.
         if command.time_utc_s < utc_s - (now_s - self._began_s):
             raise CommandError("it was given before this service began to listen: give it again")
-        self._refuse_again((command.identifier, command.time_utc_s), now_s, urgent=command.wanted in URGENT)
+        # Two programs, or one, may give two commands in one second.
+        date = command if command.identifier is None else (command.identifier, command.time_utc_s)
+        self._refuse_again(date, now_s, urgent=command.wanted in URGENT)
 
     def _refuse_again(self, date: _Date, now_s: float, *, urgent: bool) -> None:
         if any(date in given for given in self._given.values()):
-            raise CommandError("the same command, with this id and time, has been given before")
+            what = "of this time" if isinstance(date, Command) else "with this id and time"
+            raise CommandError(f"the same command, {what}, has been given before")
         given = self._given[urgent]
         if len(given) >= _MOST_REMEMBERED:
             self._forget_oldest(given, now_s)

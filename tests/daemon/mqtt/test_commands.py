@@ -165,6 +165,14 @@ def test_a_command_with_a_time_is_taken_once_and_within_its_time():
     assert "behind" in given.refusal(off_s=-89.0), "what is forgotten is too old by then"
 
 
+def test_two_commands_of_one_second_without_an_id_are_not_the_same_one():
+    given = Given()
+    given.clock.now_s += 100.0
+    for name in ("hold", "stow", "maintenance"):
+        assert given.refusal(name, identifier=None) is None
+    assert "has been given before" in given.refusal("stow", identifier=None)
+
+
 def test_where_dates_are_required_a_command_without_one_is_refused_but_a_stop_never_is():
     given = Given(dated_commands=True)
     given.clock.now_s += 100.0
