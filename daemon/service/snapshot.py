@@ -142,8 +142,9 @@ class TrackerState:
 
     @property
     def stow_release_in_s(self) -> float:
-        """How long all sources must go on being calm before none stows; NaN while none does."""
-        return max((source.release_in_s for source in self.wind if source.why is not None), default=math.nan)
+        """How long all sources must go on being calm before none stows; NaN while none does, or one does not tell."""
+        missing_s = [source.release_in_s for source in self.wind if source.why is not None]
+        return max(missing_s) if missing_s and all(map(math.isfinite, missing_s)) else math.nan
 
 
 @dataclass(frozen=True, slots=True)

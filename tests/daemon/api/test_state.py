@@ -9,6 +9,8 @@ from operator import itemgetter
 import pytest
 
 from daemon.base.records import Mode, MoveOutcome
+from daemon.service.state import state_json
+from daemon.tracker.stow import StowStatus
 from tests.support import DOCS
 from tests.support.motion import A_PACKET, B_PACKET, lose
 from tests.support.phases import at_rest, tracking, under_way
@@ -211,3 +213,21 @@ def test_a_stow_that_fails_between_two_tries_has_not_reached_the_stow_position(s
         assert (await seen())[2] is False
 
     serve(scenario)
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_how_long_a_stow_lasts_is_not_known_where_one_of_its_sources_does_not_tell(run_rig, turn):
+    async def scenario(rig):
+        told, untold = StowStatus("roof", "wind", 1.0, release_in_s=5.0), StowStatus("hail", "it has failed", 1.0)
+        calm = StowStatus("field", None, 1.0)
+
+        def missing_s(*sources):
+            seen = rig.see()
+            (tracker,) = seen.trackers
+            return state_json(replace(seen, trackers=(replace(tracker, wind=sources[::turn]),)))["stow_release_in_s"]
+
+        assert missing_s(calm) is None
+        assert missing_s(calm, told, told._replace(release_in_s=7.0)) == 7.0
+        assert missing_s(calm, told, untold) is None
+
+    run_rig(scenario)
