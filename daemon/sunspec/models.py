@@ -130,16 +130,20 @@ class SunSpecMap:
 
     def _alarm(self, tracker: TrackerState) -> int:
         positioner = tracker.positioner
-        bits = _OBSTRUCTED if positioner.blocked_why is not None or tracker.control.mode is Mode.FAULT else 0
+        mode = tracker.control.mode
+        bits = _OBSTRUCTED if positioner.blocked_why is not None or mode is Mode.FAULT else 0
+        if mode is Mode.STOW and not tracker.at_stow:
+            # A stow that has failed waits to be tried again, and nothing is on its way meanwhile.
+            return bits | _NOT_THERE
         target = positioner.target
         if target is None or positioner.pose is None or positioner.pose_is_stale:
             return bits
         return bits if self.is_at(tracker, target.a_deg, target.b_deg) else bits | _NOT_THERE
 
     def _target(self, seen: Snapshot, tracker: TrackerState) -> list[int]:
-        """Return where it is sent, or where it was sent and has arrived."""
+        """Return where it is sent, or where it was sent last unless that was called off."""
         target, last = tracker.positioner.target, tracker.positioner.last_move
-        if target is None and last is not None and last.outcome is MoveOutcome.ARRIVED:
+        if target is None and last is not None and last.outcome is not MoveOutcome.INTERRUPTED:
             target = Target(last.target_a_deg, last.target_b_deg, last.why)
         if target is None:
             return [*_NO_INT32, *_NO_INT32]

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from daemon.base.records import Event, Mode
+from daemon.base.records import Event, Mode, Move, MoveOutcome
 from daemon.service.operator import Operator
 from daemon.service.operator_commands import Operators
 from daemon.service.recent import Recent
@@ -103,6 +103,23 @@ def test_what_is_stale_is_unimplemented_and_no_number(run_rig):
         models = await control.models()
         assert set(models[302][1]) == {0xFFFF}
         assert models[601][1][26 + 12 : 26 + 16] == (0x8000, 0, 0x8000, 0)
+
+    on_rig(run_rig, scenario)
+
+
+def test_a_stow_that_fails_and_waits_to_be_tried_again_is_not_where_it_should_be(run_rig):
+    async def scenario(rig, control):
+        for axis in "ab":
+            rig.unit.inject(f"{axis}_ignores_targets", rig.clock.monotonic())
+        rig.control.stow("storm")
+        failed = MoveOutcome.REFUSED, MoveOutcome.STALLED
+        await rig.until(lambda: any(move.outcome in failed for move in rig.of(Move)), 120, "a stow that fails")
+        await asyncio.sleep(5)
+        assert (rig.mode, rig.motion.target) == (Mode.STOW, None)
+        tracker = (await control.models())[601][1]
+        assert (tracker[23], tracker[26 + 21]) == (1, 1)
+        sent = tracker[26 + 8 : 26 + 12]
+        assert number(sent[:2], "int32") == 9000, "it has been sent flat"
 
     on_rig(run_rig, scenario)
 
