@@ -14,6 +14,7 @@ from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.sections import SafetySettings
 from daemon.tracker.stow import StowStatus, WindStow
 from daemon.tracker.stow_watch import SafetyFile, StowWatch
+from tests.support import DOCS
 
 SAFETY = SafetySettings(stow_wind_m_s=15, release_wind_m_s=10, stow_at_least_s=900, wind_stale_s=300)
 
@@ -280,6 +281,7 @@ def test_a_source_that_fails_or_gives_no_answer_stows_and_is_an_alarm(reason, ag
         assert (status.name, status.why, status.age_s) == ("hail", why, math.inf)
     assert sum(record.exc_info is not None for record in caplog.records) == 1
     assert watch.waiting_why(5) == "waiting for the first message of hail"
+    assert "`waiting for the first message of ...`" in " ".join((DOCS / "operate.md").read_text().split())
 
 
 def test_a_source_that_has_failed_lets_go_after_a_minute_of_work_and_its_own_time_of_calm(caplog):
