@@ -264,7 +264,8 @@ class Control(Doors):
         asked = self._orders.stow.reason(now_s)
         stow_why = "; ".join((*([asked] if asked else []), *self._stow_watch.reasons(now_s))) or None
         if (waiting_why := self._stow_watch.waiting_why(now_s)) is not None:
-            data, data_why = Data.WAITING, waiting_why
+            # Nor to the night position: it may be steeper than where the tracker lay in the storm.
+            data, data_why, night_why = Data.WAITING, waiting_why, None
         wishes = self.wishes
         return Situation(
             connected=self._motion.connected,
@@ -336,9 +337,8 @@ class Control(Doors):
         if rested_s < self._settings.motion.minimum_interval_s:
             self._due_s = now_s + self._settings.motion.minimum_interval_s - rested_s
             return
-        chosen = self._deciding
+        chosen, utc_s = self._deciding, self._clock.utc()
         self._due_s = self._phase.next_s(now_s, chosen.law.decide_every_s)
-        utc_s = self._clock.utc()
         whereabouts, deadband_deg = self._whereabouts, self._settings.motion.deadband_deg
         said = ask(chosen, mean, whereabouts, utc_s, sun_known=self._clock_watch.trusted)
         answer, target = said

@@ -2,11 +2,12 @@
 
 import asyncio
 
-from daemon.base.records import Decision, Event, Mode
+from daemon.base.records import Decision, Event, Mode, Move
 from daemon.service.state import state_json
 from tests.daemon.tracker.days import operator
 from tests.support.motion import show
 from tests.support.phases import at_rest, homed, quiet
+from tests.support.rig import HandWeather
 
 
 def wind_of(rig):
@@ -67,6 +68,21 @@ def test_nothing_is_tracked_before_the_wind_has_been_heard(run_rig):
         await rig.until_mode(Mode.TRACKING, 10)
 
     run_rig(scenario)
+
+
+def test_nothing_goes_to_the_night_position_before_the_wind_has_been_heard(run_rig):
+    async def scenario(rig):
+        rig.wind_m_s = None
+        await asyncio.sleep(120)
+        assert rig.mode is Mode.STARTING
+        assert rig.control.why == "waiting for the first message of wind"
+        assert not rig.of(Move)
+        rig.wind_m_s = 3.0
+        await rig.until_mode(Mode.NIGHT, 10)
+        await asyncio.sleep(240)
+        assert [(move.target_a_deg, move.target_b_deg) for move in rig.of(Move)] == [(0.0, 40.0)]
+
+    run_rig(scenario, start="2022-10-12T01:00", weather=HandWeather(dni=0, dhi=0), safety={"night_b_deg": 40.0})
 
 
 def test_no_reference_run_is_made_unasked_before_the_wind_has_been_heard(run_rig):
