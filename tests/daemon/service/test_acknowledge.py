@@ -6,6 +6,7 @@ import json
 import pytest
 
 from daemon.base.records import Event, Mode
+from tests.support import DOCS
 from tests.support.api import serve
 from tests.support.phases import under_way
 
@@ -68,7 +69,11 @@ def test_without_a_name_all_are_meant_those_of_the_cube_too(serve):
         ({"alarm": 3}, 400, '"alarm" must be one line of text with at most 200 letters'),
     ],
 )
-def test_what_cannot_be_acknowledged_is_one_sentence(serve, body, status, sentence):
+def test_what_cannot_be_acknowledged_is_one_sentence_of_the_status_that_the_page_says(serve, body, status, sentence):
+    (row,) = (line for line in (DOCS / "api.md").read_text().splitlines() if line.startswith(f"| {status} |"))
+    on_the_page = {"reference": "an alarm that is not shown", "tea": "an alarm or a tracker that does not exist"}
+    assert on_the_page.get(body.get("alarm"), "") in row
+
     async def scenario(rig, call_http):
         await blown(rig, call_http)
         reply = await call_http.post("acknowledge", json.dumps(body).encode())
