@@ -1,10 +1,12 @@
 """A cube whose driver may fail in any way: that is an outage of the cube, and not the end of the service."""
 
 import logging
+import math
 from collections.abc import Awaitable, Callable
 from numbers import Real
 from typing import TypeVar, get_args
 
+from daemon.base.clock import END_UTC_S, FIRST_UTC_S
 from daemon.base.errors import UserError, raised_at
 from drivers.errors import DeviceError
 from drivers.interfaces import Cube, CubeReading, FaceFlaw
@@ -79,4 +81,9 @@ def _checked(reading: object) -> CubeReading:
         for value in values:
             if not isinstance(value, Real):
                 raise TypeError(f"{value!r} of a face is no number")
+        # NaN, and what no date can be, would end whatever takes the scan.
+        if not FIRST_UTC_S <= face.time_utc_s < END_UTC_S:
+            raise ValueError(f"{face.time_utc_s!r} of a face is no time")
+        if not math.isfinite(face.time_monotonic_s):
+            raise ValueError(f"{face.time_monotonic_s!r} of a face is no time")
     return reading

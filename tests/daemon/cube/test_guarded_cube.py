@@ -1,6 +1,7 @@
 """A cube whose driver gives what is no reading."""
 
 import asyncio
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -42,6 +43,10 @@ def read(answer):
     (replace(GOOD, unit="mV"), "ValueError: the unit of what it read is 'mV', not one of V, W/m2"),
     (replace(GOOD, west=FACE._replace(value=None)), "TypeError: None of a face is no number"),
     (replace(GOOD, west=FACE._replace(time_utc_s="noon")), "TypeError: 'noon' of a face is no number"),
+    (replace(GOOD, west=FACE._replace(time_utc_s=math.nan)), "ValueError: nan of a face is no time"),
+    (replace(GOOD, west=FACE._replace(time_utc_s=1e300)), r"ValueError: 1e\+300 of a face is no time"),
+    (replace(GOOD, west=FACE._replace(time_monotonic_s=math.nan)), "ValueError: nan of a face is no time"),
+    (replace(GOOD, west=FACE._replace(time_monotonic_s=-math.inf)), "ValueError: -inf of a face is no time"),
     (replace(GOOD, west=FACE._replace(flaw="broken")), "the flaw of a face is 'broken', not one of over-range, late"),
     (KeyError("gauge"), r"cube: its driver has failed with KeyError: 'gauge' \(test_guarded_cube\.py, line \d+\)"),
 ])  # fmt: skip
