@@ -163,7 +163,8 @@ class Acquisition:
             quality = Quality.MISSING
         else:
             irradiance = self._irradiance(index, sample, reading)
-            self._read_w_m2[index] = irradiance
+            # What is infinite is implausible by itself, and has no mean.
+            self._read_w_m2[index] = irradiance if math.isfinite(irradiance) else math.nan
             quality = self._judge(index, sample.value, irradiance, reading)
         return FaceReading(irradiance, quality, sample.time_utc_s, sample.time_monotonic_s)
 

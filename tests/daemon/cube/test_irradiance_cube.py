@@ -12,11 +12,13 @@ from daemon.base.clock import LoopClock
 from daemon.base.records import FACES, Quality
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.bridge.senml import encode
-from daemon.config.sections import CubeSettings
+from daemon.config.sections import CubeSettings, SiteSettings
 from daemon.cube.acquisition import Acquisition
+from daemon.cube.face_watch import FaceWatch
 from drivers.interfaces import CubeReading, FaceSample
 
 NIGHT = -20.0
+NOON_UTC_S = 1665575000.0
 OVERFLOW = "the east sensor reports overflow"
 SINCE = " (since 2023-11-14 22:13 UTC)"
 SILENT = "the zenith sensor does not answer"
@@ -209,3 +211,21 @@ def test_a_sensor_that_gives_nothing_any_more_after_its_lesser_fault_was_acknowl
             assert await scan(lost="east", east=silent) == [("cube-sensor", "acknowledged", silent)]
 
     assert alarmed(scenario) == ["raised cube-sensor", "acknowledged cube-sensor by ana"] * 2
+
+
+def test_what_is_infinite_is_implausible_and_ends_nothing():
+    async def scenario():
+        clock = LoopClock(asyncio.get_running_loop().time, NOON_UTC_S)
+        cube, settings, site = Pyranometers(clock), CubeSettings(), SiteSettings()
+        cube.faces[0] = math.inf
+        watch = FaceWatch(site, settings, clock, Alarms(clock, lambda _record: None))
+        quiet = (lambda _scan: None), (lambda _event: None), (lambda _utc_s: 40.0)
+        acquisition = Acquisition(settings, cube, clock, Random(1), *quiet, simulated=True, face_watch=watch)
+        for _ in range(480):
+            scan = await acquisition.scan()
+            await asyncio.sleep(5.0)
+        assert scan.east.quality is Quality.IMPLAUSIBLE
+        assert b'"n":"east","u"' not in encode(scan)
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
