@@ -72,9 +72,8 @@ class Metrics(Collector):
             _link(found, link, name)
         for kind, number in self._refused.items():
             found.count("api_refused", "What the local interface refused, by kind.", number, kind=kind)
-        found.gauge(
-            "loop_late_worst_seconds", "Most that the event loop was late in the last minute.", seen.loop.worst_s
-        )
+        about = "Most that the event loop was late in the last minute or two."
+        found.gauge("loop_late_worst_seconds", about, seen.loop.worst_s)
         yield from found
         yield _lateness(seen.loop)
 

@@ -20,6 +20,8 @@ def test_metrics_are_those_of_prometheus(serve):
         names = [line.split("{")[0].split()[0] for line in lines if not line.startswith("#")]
         assert all(name.startswith("heliocube_") for name in names)
         assert "python_info" not in names
+        (about,) = (line for line in lines if line.startswith("# HELP heliocube_loop_late_worst_seconds "))
+        assert about.endswith(" in the last minute or two.")
 
     serve(scenario)
 
