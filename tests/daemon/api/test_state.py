@@ -231,3 +231,13 @@ def test_how_long_a_stow_lasts_is_not_known_where_one_of_its_sources_does_not_te
         assert missing_s(calm, told, untold) is None
 
     run_rig(scenario)
+
+
+def test_the_page_says_what_the_count_of_refused_datagrams_is(serve):
+    async def scenario(rig, call):
+        await under_way(rig)
+        assert (await call.get("/api/state")).json["bridge"]["refused"] == 0
+
+    serve(scenario)
+    (row,) = (line for line in (DOCS / "api.md").read_text().splitlines() if line.startswith("| `bridge` |"))
+    assert "`refused`, of all reasons together" in row
