@@ -12,6 +12,7 @@ from daemon.service.operator import CommandError, Operator
 from daemon.tracker.wishes import Wishes, WishFile
 from drivers.errors import DeviceError, RefusedError
 from tests.daemon.tracker.days import pass_quietly
+from tests.support import DOCS
 from tests.support.api import serve
 from tests.support.motion import commands_sent
 from tests.support.phases import at_rest, tracking, under_way
@@ -123,6 +124,21 @@ def test_a_second_stop_is_taken_sent_and_says_whose_it_replaces(run_rig, monkeyp
         assert rig.control.wishes.stop.by == "bob"
 
     run_rig(scenario)
+
+
+def test_wind_in_maintenance_is_no_alarm_as_the_page_on_security_says(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        await operator(rig).maintenance("repair", "ana")
+        rig.wind_m_s = 20.0
+        await asyncio.sleep(60)
+        assert not alarms(rig)
+        assert "stow is wanted and not done (wind 20.0 m/s" in rig.control.why
+
+    run_rig(scenario)
+    page = " ".join((DOCS / "security.md").read_text().split())
+    assert "Of these a stop raises an alarm then; maintenance raises none" in page
 
 
 def test_wind_under_a_stop_is_an_alarm_that_ends_with_the_stop(run_rig):
