@@ -21,6 +21,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+import daemon.rigs.simulated  # noqa: F401 - loaded here once, and not by each copy
 from daemon.commands.run import run_service
 from daemon.config.settings import Settings
 from daemon.service.rig import Role
