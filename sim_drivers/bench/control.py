@@ -331,8 +331,8 @@ class BenchControl:
         self._later.pop(device, None)
         try:
             await self.replug(device)
-        except OSError as error:
-            log.warning("%s is not plugged in again: %s", device, error.strerror or error)
+        except (OSError, BenchError) as error:
+            log.warning("%s is not plugged in again: %s", device, getattr(error, "strerror", None) or error)
 
     def _forget(self, device: str) -> None:
         """Forget that a plug was to be put back by itself."""

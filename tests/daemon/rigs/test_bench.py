@@ -147,3 +147,21 @@ def test_what_a_labjack_does_not_have_is_refused(tmp_path):
         return ask("state")["cube"]["sensors"]
 
     assert [each["silent"] for each in on_a_bench(tmp_path, work, "labjack")] == [True]
+
+
+def test_a_plug_whose_name_was_taken_by_a_file_stays_out_and_leaves_the_file(tmp_path, caplog):
+    file = tmp_path / "voltmeter"
+
+    def work(ask, _ports):
+        ask("unplug", "voltmeter", "0.5")
+        file.write_text("somebody's own")
+        wait_until(lambda: caplog.messages, 30.0, "the word of a plug that stays out")
+        with pytest.raises(BenchError, match="is there and is no port of a bench"):
+            ask("replug", "voltmeter")
+        kept = file.read_text()
+        file.unlink()
+        return kept
+
+    assert on_a_bench(tmp_path, work) == "somebody's own"
+    (said,) = caplog.messages
+    assert said.startswith(f"voltmeter is not plugged in again: {file} is there")
