@@ -13,7 +13,7 @@ from tests.support.addresses import free_port
 from tests.system.processes import BenchProcess, Process, wait_until
 from tests.system.rig import BRISK, HIGH_SUN
 
-CHROMIUM = shutil.which("chromium")
+CHROMIUM = shutil.which("chromium-headless-shell") or shutil.which("chromium")
 TOKEN = "t" * 43
 PHONE = {"width": 390, "height": 844}
 TABLET = {"width": 820, "height": 1180}
