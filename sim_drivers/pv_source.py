@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from sim_drivers.scene import Scene
 from solar.frames import Angles
-from solar.pv_module import MaximumPower, PvModule, SingleDiode, cell_temperature, maximum_power, single_diode
+from solar.pv_module import MaximumPower, PvModule, SingleDiode, cell_temperature, single_diode
 
 _CALM_M_S = 1.0
 _MILD_C = 15.0
@@ -76,7 +76,7 @@ class PvSource:
 
     def maximum(self, light: SourceLight) -> MaximumPower:
         """Return the true maximum power point."""
-        return maximum_power(self._module, *light)
+        return self._in(light).maximum()
 
     def light_now(self, now: float) -> SourceLight:
         """Return the light at a time [s] as it is worked out anew."""

@@ -1,5 +1,5 @@
 import math
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -88,11 +88,18 @@ def test_one_number_at_a_time_is_the_same_model(module, irradiance, cell_c):
     assert [one.current(each) for each in volts] == pytest.approx(curve(module, irradiance, cell_c, volts), abs=1e-8)
     amperes = np.linspace(-5.0, 0.99 * one.current(0.0), 12)
     assert [one.current(one.voltage(each)) for each in amperes] == pytest.approx(amperes, abs=1e-9)
+    ours, theirs = (
+        list(map(float, astuple(each))) for each in (one.maximum(), maximum_power(module, irradiance, cell_c))
+    )
+    # pvlib searches for the highest point, where the curve is level, and has its place less exactly than its height.
+    assert ours == pytest.approx(theirs, rel=1e-6)
+    assert ours[0] == pytest.approx(theirs[0], rel=1e-9)
 
 
 def test_one_module_in_the_dark_gives_nothing_and_no_number_gives_none():
     for irradiance in (0.0, -3.0):
         one = single_diode(Q_PEAK_G4_1_305, irradiance, 10.0)
         assert (one.current(20.0), one.voltage(0.0)) == (0.0, 0.0)
+        assert astuple(one.maximum()) == (0.0, 0.0, 0.0, 0.0, 0.0)
     unknown = single_diode(Q_PEAK_G4_1_305, math.nan, 10.0)
-    assert np.isnan([unknown.current(20.0), unknown.voltage(0.0)]).all()
+    assert np.isnan([unknown.current(20.0), unknown.voltage(0.0), *astuple(unknown.maximum())]).all()
