@@ -11,6 +11,8 @@ WAITING ?= 12
 SEED ?= $(shell date +%Y%m%d)
 # Kept bytecode, whatever the surroundings say: hundreds of processes would compile the same files again.
 test test-quick: export PYTHONDONTWRITEBYTECODE =
+# The arrays are small, and a thread for each core only waits for the next, in a loop that takes that core.
+test test-quick: export OPENBLAS_NUM_THREADS = 1
 
 .PHONY: run test test-quick mutations lint docs deb format clean help
 
