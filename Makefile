@@ -6,7 +6,7 @@ ARGS   ?=
 # One for each of two cores for the tests that compute, in the background; those that pass real time mostly wait, and run
 # at the same time: tests/support/passes.py.
 WORKERS ?= 2
-WAITING ?= 12
+WAITING ?= 10
 # Of the choice of small wrong changes; a day's own unless one is named.
 SEED ?= $(shell date +%Y%m%d)
 # Kept bytecode, whatever the surroundings say: hundreds of processes would compile the same files again.
