@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
 
 def test_under_a_measured_sky_each_cycle_ends_where_the_law_says(tmp_path, start_bench, start_service, measured):
     file = measured / "dtu_lyngby_2016" / "2016-06.csv.gz"
-    options = ("--weather", file, "--start", "2016-06-05T08:00Z", "--site", "55.79,12.52,50")
+    options = ("--weather", file, "--start", "2016-06-05T11:10Z", "--site", "55.79,12.52,50")
     bench = start_bench("--config", brisk(tmp_path), *options)
     rig = Rig(bench, start_service(bench.config))
     rig.settle()
