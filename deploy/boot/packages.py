@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import tarfile
 import time
 from pathlib import Path
 
@@ -65,8 +64,8 @@ class Packages:
             return None
         archive, folder = self._tree.packages / "earlier.tar", self._tree.packages / "earlier"
         run("git", "-C", ROOT, "archive", "--format=tar", f"--output={archive}", "HEAD~1")
-        with tarfile.open(archive) as packed:
-            packed.extractall(folder, filter="data")
+        folder.mkdir()
+        run("tar", "--extract", f"--file={archive}", f"--directory={folder}")
         return folder
 
     def install(self) -> str:
