@@ -195,6 +195,8 @@ def _csv(path: Path) -> pd.DataFrame:
         # Otherwise pandas takes 'NA' for none, even behind a converter, and '01' for 1.
         as_written: Any = {name: "={}".format for name in names if name.strip().lower() == "tracker"}
         table = pd.read_csv(path, sep=separator, decimal=decimal, skipinitialspace=True, converters=as_written)
+    except pd.errors.EmptyDataError:
+        raise UserError(f"{path} is empty: name a table with the columns time and pmpp_w") from None
     except pd.errors.ParserError as error:
         raise UserError(unreadable(path, separator, error)) from None
     table = table.rename(columns=lambda name: name.strip().lower())
