@@ -50,9 +50,11 @@ def draw_map(outcomes: Sequence[SiteOutcome], path: Path) -> None:
     for panel, law, (places, gains) in zip(panels, laws, values, strict=False):
         panel.plot(*coast, color="0.55", linewidth=0.6, zorder=1)
         size = 14.0 if len(gains) > _CROWDED else 34.0
+        # At a pole, or where east meets west, half of a mark lies beyond the frame.
         shown = panel.scatter(
-            *places.T, c=gains, norm=scale, cmap="viridis", s=size, edgecolors="black", linewidths=0.3, zorder=3
-        )
+            *places.T, c=gains, norm=scale, cmap="viridis", s=size, edgecolors="black", linewidths=0.3, zorder=3,
+            clip_on=False,
+        )  # fmt: skip
         _frame(panel, extent)
         panel.set_title(f"{law}, sky {sky}: {gains.min():+z.2f}..{gains.max():+z.2f} %")
     for panel in panels[len(laws) :]:
