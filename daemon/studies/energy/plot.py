@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -35,6 +36,7 @@ _LOWEST_SHARE_PCT = -60.0
 # In a narrower panel hundredths of a degree would look like wear.
 _NARROWEST_DEG = 50.0
 _MARK_PX = 6.0
+_NOTE_LETTERS = 80
 
 
 def plot(rows: Sequence[EnergyRow], path: Path, *, simulated: bool = False) -> None:
@@ -43,7 +45,7 @@ def plot(rows: Sequence[EnergyRow], path: Path, *, simulated: bool = False) -> N
 
 
 def picture(rows: Sequence[EnergyRow], *, simulated: bool = False) -> Figure:
-    """Return both panels; what loses more than 5 % has no bar, and a plane that never moves no mark."""
+    """Return both panels; what loses 5 % or more is named without a bar, and a plane that never moves has no mark."""
     figure = Figure(figsize=(12.0, 5.6), dpi=120, layout="constrained")
     stamped(figure, simulated, "SIMULATED WEATHER")
     FigureCanvasAgg(figure)
@@ -56,6 +58,7 @@ def picture(rows: Sequence[EnergyRow], *, simulated: bool = False) -> Figure:
     colours = {law: _COLOURS[index % len(_COLOURS)] for index, law in enumerate(laws)} | {BOUND: _GREY}
     hatches = {law: _HATCHES[index % len(_HATCHES)] for index, law in enumerate(laws)} | {BOUND: ""}
     _draw_bars(bars, skies[0], with_bar, colours, hatches)
+    _name_without_bar(bars, [row for row in rows if row.sky == skies[0] and _loses_too_much(row)])
     for index, name in enumerate(skies):
         _draw_marks(wear, [row for row in with_mark if row.sky == name], colours, index)
     _finish_wear(wear, with_mark, rows)
@@ -84,7 +87,15 @@ def picture(rows: Sequence[EnergyRow], *, simulated: bool = False) -> Figure:
 
 
 def _has_bar(row: EnergyRow) -> bool:
-    return row.gain_pct > _WORST_BAR_PCT and (":" not in row.law or row.law.startswith(FIXED))
+    return row.gain_pct > _WORST_BAR_PCT and _is_compared(row)
+
+
+def _loses_too_much(row: EnergyRow) -> bool:
+    return row.gain_pct <= _WORST_BAR_PCT and _is_compared(row)
+
+
+def _is_compared(row: EnergyRow) -> bool:
+    return ":" not in row.law or row.law.startswith(FIXED)
 
 
 def _has_mark(row: EnergyRow) -> bool:
@@ -123,6 +134,13 @@ def _draw_bars(
     axes.set_title(f"Gain by type of day, sky {sky}")
     axes.grid(axis="y", alpha=0.3)
     axes.set_axisbelow(True)
+
+
+def _name_without_bar(axes: Axes, rows: Sequence[EnergyRow]) -> None:
+    """Say under the bars which laws have none, for theirs would make all others small."""
+    if rows:
+        losses = ", ".join(f"{row.law} {row.gain_pct:+.1f} %" for row in rows)
+        axes.set_xlabel(fill(f"without a bar, on all days: {losses}", _NOTE_LETTERS), fontsize="small", color="0.3")
 
 
 def _draw_marks(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str], sky: int) -> None:

@@ -55,6 +55,11 @@ def colours(axes):
     return {bar.get_facecolor() for bar in axes.patches}
 
 
+def test_what_loses_too_much_for_a_bar_is_named_with_its_loss(pictures):
+    assert pictures["clear"].axes[0].get_xlabel() == "without a bar, on all days: fixed:35 -26.0 %, flat -56.0 %"
+    assert pictures["overcast"].axes[0].get_xlabel() == ""
+
+
 def test_each_name_of_the_legend_has_a_bar_of_its_colour(pictures):
     figure = pictures["overcast"]
     names = [row.law for row in OVERCAST]
