@@ -51,14 +51,15 @@ def picture(rows: Sequence[EnergyRow], *, simulated: bool = False) -> Figure:
     FigureCanvasAgg(figure)
     bars, wear = figure.subplots(1, 2)
     skies = list(dict.fromkeys(row.sky for row in rows))
-    with_bar = [row for row in rows if row.sky == skies[0] and _has_bar(row)]
+    compared = [row for row in rows if row.sky == skies[0] and _is_compared(row)]
+    with_bar = [row for row in compared if row.gain_pct > _WORST_BAR_PCT]
     with_mark = [row for row in rows if _has_mark(row)]
     drawn = {_law_of(row) for row in (*with_bar, *with_mark)}
     laws = [law for law in dict.fromkeys(map(_law_of, rows)) if law in drawn and law != BOUND]
     colours = {law: _COLOURS[index % len(_COLOURS)] for index, law in enumerate(laws)} | {BOUND: _GREY}
     hatches = {law: _HATCHES[index % len(_HATCHES)] for index, law in enumerate(laws)} | {BOUND: ""}
     _draw_bars(bars, skies[0], with_bar, colours, hatches)
-    _name_without_bar(bars, [row for row in rows if row.sky == skies[0] and _loses_too_much(row)])
+    _name_without_bar(bars, [row for row in compared if row.gain_pct <= _WORST_BAR_PCT])
     for index, name in enumerate(skies):
         _draw_marks(wear, [row for row in with_mark if row.sky == name], colours, index)
     _finish_wear(wear, with_mark, rows)
@@ -84,14 +85,6 @@ def picture(rows: Sequence[EnergyRow], *, simulated: bool = False) -> Figure:
     figure.draw_without_rendering()
     _name_laws(wear, with_mark)
     return figure
-
-
-def _has_bar(row: EnergyRow) -> bool:
-    return row.gain_pct > _WORST_BAR_PCT and _is_compared(row)
-
-
-def _loses_too_much(row: EnergyRow) -> bool:
-    return row.gain_pct <= _WORST_BAR_PCT and _is_compared(row)
 
 
 def _is_compared(row: EnergyRow) -> bool:
