@@ -13,7 +13,7 @@ from rich.text import Text
 from daemon.base.records import FACES
 from daemon.commands.answers import JsonOption, print_json, say, wrapped
 from daemon.commands.file_check import check_file, lacking_by_role
-from daemon.commands.options import CubeOption, PositionerOption, RoleChoice
+from daemon.commands.options import CONFIG_VARIABLE, CubeOption, PositionerOption, RoleChoice
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -35,7 +35,10 @@ app = typer.Typer(
 
 @app.command()
 def check(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The TOML file.", show_default=False)],
+    file: Annotated[
+        Path | None,
+        typer.Argument(metavar="FILE", envvar=CONFIG_VARIABLE, help="The TOML file.", show_default=False),
+    ] = None,
     role: Annotated[
         RoleChoice | None,
         typer.Option(
@@ -48,9 +51,12 @@ def check(
     as_json: JsonOption = False,
 ) -> None:
     """Check FILE and print what it sets up, or everything that is wrong with it."""
+    from daemon.base.errors import UserError
     from daemon.config.file import ConfigError
     from daemon.config.stuck_lines import self_test_gaps
 
+    if file is None:
+        raise UserError(f"config check needs the service's configuration: name it as FILE or in {CONFIG_VARIABLE}")
     answers: dict[str, str] = {}
     try:
         settings = check_file(file, role, partial(_probe, role, answers) if probe else None)

@@ -75,7 +75,8 @@ The service reads one TOML file.
 - `heliocube config init DIR` writes one in which every key is explained, with a new bridge key and a new token of the
   local interface beside it.
 - `heliocube config check FILE` lists everything that is wrong with a file at once, also missing addresses and a folder
-  that cannot be written to. It says in which roles a real rig can run; `--role tracker` asks for one role only.
+  that cannot be written to. It says in which roles a real rig can run; `--role tracker` asks for one role only. Without
+  FILE it takes the one in `HELIOCUBE_CONFIG`.
 - `heliocube run` lists the same mistakes and refuses to start. Only with wrong topics and JSON paths it starts
   ([why](decisions/0011-a-wrong-topic-does-not-stop-the-tracker.md)); but while a safety input cannot be heard the
   tracker does not track, and after that input's time limit it is stowed.

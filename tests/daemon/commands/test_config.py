@@ -138,6 +138,25 @@ def test_check_tells_of_a_people_file_in_the_folder_of_nobody(heliocube, tmp_pat
     assert "  people_file = '~nosuch/x': there is no such user; write the whole path\n" in err
 
 
+def test_check_without_a_name_takes_the_file_of_the_surroundings_and_says_which(heliocube, tmp_path, monkeypatch):
+    path, other = tmp_path / "heliocube.toml", tmp_path / "other.toml"
+    path.write_text("")
+    other.write_text("[site]\nlatitude_deg = 95\n")
+    monkeypatch.setenv("HELIOCUBE_CONFIG", str(path))
+    code, out, err = heliocube("config", "check")
+    assert (code, err) == (0, "")
+    assert out.startswith(f"{path} is good.\n")
+    assert f"{other} has 1 problem" in heliocube("config", "check", other)[2]
+    assert json.loads(heliocube("config", "check", "--json")[1])["file"] == str(path)
+
+    monkeypatch.setenv("HELIOCUBE_CONFIG", str(other))
+    assert f"{other} has 1 problem" in heliocube("config", "check")[2]
+    monkeypatch.delenv("HELIOCUBE_CONFIG")
+    code, out, err = heliocube("config", "check")
+    assert (code, out) == (2, "")
+    assert err == "heliocube: config check needs the service's configuration: name it as FILE or in HELIOCUBE_CONFIG\n"
+
+
 def test_check_says_when_scans_are_not_signed(heliocube, tmp_path):
     path = tmp_path / "heliocube.toml"
     path.write_text("[bridge]\ninsecure = true\n")
