@@ -1,7 +1,7 @@
 """The pictures of a report and of `heliocube plot`: one way to draw each series, units on every axis."""
 
 from collections.abc import Callable, Sequence
-from datetime import tzinfo
+from datetime import UTC, datetime, tzinfo
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -237,7 +237,8 @@ def days_picture(names: Sequence[str], yields: Sequence[Yield], simulated: bool)
         lower.set_ylabel("gain [%]\n● actual\n— best")
         step = -(-len(names) // 16)
         lower.set_xticks(places[::step], [name[5:] for name in names[::step]])
-        lower.set_xlabel("day of the site, from solar midnight (month-day)")
+        years = _years(names[0][:4], names[-1][:4])
+        lower.set_xlabel(f"day of the site in {years}, from solar midnight (month-day)")
         _legend(upper, 3)
         return stamped(figure, simulated)
 
@@ -288,13 +289,20 @@ def _finished(figure: Figure, lowest: Axes, drawing: Drawing) -> Figure:
     else:
         lowest.xaxis.set_major_locator(AutoDateLocator(maxticks=12))  # type: ignore[no-untyped-call]  # as above
     lowest.xaxis.set_major_formatter(FuncFormatter(_clock(drawing)))
-    here = local_time((span.start_utc_s + span.end_utc_s) / 2.0, drawing.zone)
-    long = span.duration_s > 1.5 * DAY_S
-    day = "" if long else f"{here:%d %B %Y}, ".lstrip("0")
-    # The ticks of a long span are days.
-    lowest.set_xlabel(f"{day}UTC" if long or not here.utcoffset() else f"{day}UTC; below it local time, {here:%Z}")
+    if span.duration_s > 1.5 * DAY_S:
+        # The ticks of a long span are days: the years of the first and the last of them.
+        ticks = -(-span.start_utc_s // DAY_S) * DAY_S, span.end_utc_s // DAY_S * DAY_S
+        lowest.set_xlabel(f"{_years(*(f'{datetime.fromtimestamp(at, UTC):%Y}' for at in ticks))}, UTC")
+    else:
+        here = local_time((span.start_utc_s + span.end_utc_s) / 2.0, drawing.zone)
+        local = f"; below it local time, {here:%Z}" if here.utcoffset() else ""
+        lowest.set_xlabel(f"{here:%d %B %Y}, UTC{local}".lstrip("0"))
     figure.align_ylabels()
     return stamped(figure, drawing.material.simulated)
+
+
+def _years(first: str, last: str) -> str:
+    return first if first == last else f"{first} to {last}"
 
 
 def _clock(drawing: Drawing) -> Callable[[float, int], str]:

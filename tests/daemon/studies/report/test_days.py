@@ -7,6 +7,7 @@ import pytest
 from daemon.base.records import FACES
 from daemon.studies.report.material import of_tables
 from daemon.studies.report.page import findings_of, page_of
+from daemon.studies.report.pictures import days_picture
 from daemon.studies.report.span import ReportSpan
 from solar.ephemeris import DAY_S, Site, sun_direction
 
@@ -49,6 +50,12 @@ def test_instants_are_cut_at_the_site_s_midnights_into_its_own_days():
     assert found.motion.by_day == ((1, 10.0), (1, 10.0), (0, 0.0), (0, 0.0))
     assert dates_in(page_of(found)) == ["2022-10-14", "2022-10-15", "2022-10-16", "2022-10-17"]
     assert sum(each.actual_kwh_m2 for each in found.by_day) == pytest.approx(found.gained.actual_kwh_m2, rel=1e-3)
+
+
+def test_the_picture_of_days_names_their_year():
+    found = findings(EAST, T0, T0 + 3 * DAY_S)
+    label = days_picture(found.days, found.by_day, simulated=False).axes[-1].get_xlabel()
+    assert label == "day of the site in 2022, from solar midnight (month-day)"
 
 
 def test_minutes_of_the_night_at_either_end_are_no_day_of_their_own():

@@ -3,7 +3,7 @@
 import math
 import time
 from dataclasses import replace
-from datetime import UTC
+from datetime import UTC, datetime
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -125,11 +125,29 @@ def test_a_picture_that_a_full_disk_does_not_take_whole_is_not_left_there(tmp_pa
     assert not path.is_symlink()
 
 
-@pytest.mark.parametrize(("days", "words"), [(1, "14 October 2022, UTC; below it local time, CEST"), (2, "UTC")])
+@pytest.mark.parametrize(
+    ("days", "words"), [(1, "14 October 2022, UTC; below it local time, CEST"), (2, "2022, UTC"), (30, "2022, UTC")]
+)
 def test_the_axis_of_time_says_what_stands_below_it(tmp_path, days, words):
     found = material(days)
     figure = PICTURES["wind"].draw(Drawing(found, light_of(found), motion_of(found), ZoneInfo("Europe/Paris")))
     assert figure.axes[-1].get_xlabel() == words
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "years"),
+    [
+        ("2022-12-30T12:00", "2023-01-02T12:00", "2022 to 2023"),
+        # Days of a site whose midnight comes some minutes before that of UTC.
+        ("2022-12-31T23:51", "2023-01-02T23:51", "2023"),
+        ("2022-12-29T23:51", "2022-12-31T23:51", "2022"),
+    ],
+)
+def test_where_the_ticks_are_days_the_axis_names_their_years(first, last, years):
+    start_s, end_s = (datetime.fromisoformat(f"{at}Z").timestamp() for at in (first, last))
+    found = replace(material(), span=ReportSpan(start_s, end_s, "part"))
+    axes = PICTURES["wind"].draw(Drawing(found, light_of(found), motion_of(found), UTC)).axes[-1]
+    assert axes.get_xlabel() == f"{years}, UTC"
 
 
 @pytest.mark.parametrize("minutes", [7, 15, 50, 110, 160, 400, 660, 1440])
