@@ -166,7 +166,8 @@ _CUBE = {
     "faces_not_used": _bad_faces(),
     "readings": _binary("Cube readings", "not value_json.scan or value_json.scan.stale", "problem"),
     "simulated": _binary("Simulated", "value_json.simulated", **_DIAGNOSTIC),
-    "alarm": _binary("Alarm", "value_json.alarms", "problem"),
+    # What is over and waits for a person is told by the other one: the two together tell an alarm's three states.
+    "alarm": _binary("Alarm", "value_json.alarms | rejectattr('state', 'eq', 'cleared') | list", "problem"),
     "alarm_text": {"platform": "sensor", "name": "Alarm text", "value_template": _ALARM_TEXT, **_DIAGNOSTIC},
     "alarm_remedy": _sensor(
         "Alarm remedy", "value_json.alarms[0].remedy[:255] if value_json.alarms else 'none'", None, None, **_DIAGNOSTIC

@@ -184,6 +184,16 @@ def test_the_text_of_the_alarms_has_all_of_them_as_far_as_home_assistant_has_roo
     assert len(shown) <= 255
 
 
+@pytest.mark.parametrize(("state", "waiting", "shown"), [
+    ("raised", 1, ("ON", "ON")),
+    ("acknowledged", 0, ("ON", "OFF")),
+    ("cleared", 1, ("OFF", "ON")),
+])  # fmt: skip
+def test_the_two_sensors_of_alarms_tell_each_of_the_states_that_an_alarm_has(state, waiting, shown):
+    components, found = document()["components"], {"alarms": [{**ALARMS[0], "state": state}], "unacknowledged": waiting}
+    assert tuple(_rendered(components[name], found) for name in ("alarm", "unacknowledged")) == shown
+
+
 @pytest.mark.parametrize(("mode", "wish", "shown"), [
     ("fault", "stop", "hold"),
     ("fault", "buttons", "hold"),
