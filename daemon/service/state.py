@@ -312,7 +312,7 @@ def _positioner(seen: PositionerState, tracker: str) -> dict[str, Any]:
         if identity is None
         else {"board": identity.board, "firmware": identity.firmware, "serial": identity.serial},
         "pose": _pose(seen),
-        "moving": target is not None,
+        "moving": seen.moving,
         "homing": seen.homing,
         "target": None if target is None else {"a_deg": target.a_deg, "b_deg": target.b_deg, "why": target.why},
         "blocked_why": seen.blocked_why,

@@ -215,6 +215,21 @@ def test_a_stow_that_fails_between_two_tries_has_not_reached_the_stow_position(s
     serve(scenario)
 
 
+def test_a_reference_run_is_moving_too_and_has_no_target(serve):
+    async def scenario(rig, call):
+        await tracking(rig)
+        await at_rest(rig)
+        assert (await call.post("home", b"{}")).status == 200
+        tracker = (await call.get("/api/state")).json["tracker"]
+        assert (tracker["moving"], tracker["homing"], tracker["target"]) == (True, True, None)
+        assert 'heliocube_moving{tracker="tracker"} 1.0' in (await call.get("/metrics")).body.decode()
+        await at_rest(rig)
+        tracker = (await call.get("/api/state")).json["tracker"]
+        assert (tracker["moving"], tracker["homing"]) == (False, False)
+
+    serve(scenario)
+
+
 @pytest.mark.parametrize("turn", [1, -1])
 def test_how_long_a_stow_lasts_is_not_known_where_one_of_its_sources_does_not_tell(run_rig, turn):
     async def scenario(rig):
