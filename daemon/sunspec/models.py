@@ -30,6 +30,7 @@ _DEG_SF = 0xFFFE
 _DUAL_AXIS = 5
 AUTOMATIC, MANUAL = 0, 1
 _NOT_THERE, _OBSTRUCTED = 1 << 0, 1 << 1 | 1 << 2
+_KEPT_FROM_STOW = "stow-wanted"
 # Nearly flat, the azimuth of the normal is noise.
 _FLAT_ABOVE_DEG = 89.5
 
@@ -132,8 +133,9 @@ class SunSpecMap:
         positioner = tracker.positioner
         mode = tracker.control.mode
         bits = _OBSTRUCTED if positioner.blocked_why is not None or mode is Mode.FAULT else 0
-        if mode is Mode.STOW and not tracker.at_stow:
-            # A stow that has failed waits to be tried again, and nothing is on its way meanwhile.
+        kept_from_it = any(alarm.on and alarm.name == _KEPT_FROM_STOW for alarm in tracker.alarms)
+        if kept_from_it or (mode is Mode.STOW and not tracker.at_stow):
+            # A person keeps it still, or a stow that has failed waits to be tried again: nothing is on its way.
             return bits | _NOT_THERE
         target = positioner.target
         if target is None or positioner.pose is None or positioner.pose_is_stale:

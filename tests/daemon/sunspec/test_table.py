@@ -107,15 +107,22 @@ def test_what_is_stale_is_unimplemented_and_no_number(run_rig):
     on_rig(run_rig, scenario)
 
 
-def test_a_stow_that_fails_and_waits_to_be_tried_again_is_not_where_it_should_be(run_rig):
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_stow_that_fails_and_waits_to_be_tried_again_is_not_where_it_should_be(run_rig, stopped):
     async def scenario(rig, control):
         for axis in "ab":
             rig.unit.inject(f"{axis}_ignores_targets", rig.clock.monotonic())
-        rig.control.stow("storm")
+        if stopped:
+            # A person's own stow would end with the stop.
+            rig.wind_m_s = 20.0
+        else:
+            rig.control.stow("storm")
         failed = MoveOutcome.REFUSED, MoveOutcome.STALLED
         await rig.until(lambda: any(move.outcome in failed for move in rig.of(Move)), 120, "a stow that fails")
+        if stopped:
+            await rig.control.stop("somebody is at the axes", "ana")
         await asyncio.sleep(5)
-        assert (rig.mode, rig.motion.target) == (Mode.STOW, None)
+        assert (rig.mode, rig.motion.target) == (Mode.HOLD if stopped else Mode.STOW, None)
         tracker = (await control.models())[601][1]
         assert (tracker[23], tracker[26 + 21]) == (1, 1)
         sent = tracker[26 + 8 : 26 + 12]
