@@ -2,6 +2,8 @@
 
 import logging
 import math
+from collections.abc import Collection
+from itertools import count
 from typing import NamedTuple
 
 from daemon.tracker.stow import StowSource, StowStatus
@@ -31,19 +33,24 @@ class GuardedStow:
     ----------
     source
         Which anybody may have written.
+    taken
+        The names of the sources before it.
 
     Attributes
     ----------
     name
-        Of the source; of its class where it has none.
+        Of the source, or of its class where it has none; with a number where that is taken.
     failed_why
         What has happened, in a sentence, or None.
     """
 
-    def __init__(self, source: StowSource) -> None:
+    def __init__(self, source: StowSource, taken: Collection[str]) -> None:
         self._source = source
         name = getattr(source, "name", None)
-        self.name = name if isinstance(name, str) else type(source).__name__
+        given = name if isinstance(name, str) else type(source).__name__
+        # Reasons, alarms and metrics are kept by name: of two alike one would be lost.
+        numbered = (f"{given} ({number})" for number in count(2))
+        self.name = given if given not in taken else next(each for each in numbered if each not in taken)
         self.failed_why: str | None = None
         self._failed_s = self._worked_s = -math.inf
 

@@ -110,7 +110,9 @@ class StowWatch:
         alarms: Alarms,
         wake: Callable[[], None] = lambda: None,
     ) -> None:
-        self._sources = tuple(GuardedStow(source) for source in sources)
+        self._sources: list[GuardedStow] = []
+        for each in sources:
+            self._sources.append(GuardedStow(each, [source.name for source in self._sources]))
         self._file = file
         self._clock = clock
         self._alarms = alarms

@@ -329,3 +329,11 @@ def test_a_source_whose_resume_fails_stows_after_a_restart_in_a_storm(tmp_path):
     SafetyFile(folder).save({"hail": "hail"}, "2023-11-14T22:13:20.000Z")
     watch = StowWatch([Forgetful()], SafetyFile(folder), SetClock(), Alarms(SetClock(), lambda _record: None))
     assert watch.reasons(1) == ("the stow source hail has failed (NotImplementedError)",)
+
+
+def test_sources_of_one_name_are_told_apart_and_each_tells_its_reason():
+    watch, alarms = plugged(Plugged("hail in the north"), Plugged("hail in the south"), Plugged(OSError("no gauge")))
+    north, south, failed = watch.reasons(0)
+    assert (north, south) == ("hail in the north", "hail in the south")
+    assert failed == texts(alarms)["stow-source-failed"] == "the stow source hail (3) has failed (OSError: no gauge)"
+    assert [status.name for status in watch.statuses(0)] == ["hail", "hail (2)", "hail (3)"]
