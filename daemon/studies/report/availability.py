@@ -113,7 +113,9 @@ def longest_interval_s(utc_s: Array) -> float:
 
 
 def _interval_s(utc_s: Array) -> float:
-    return float(np.median(np.diff(utc_s))) if utc_s.size > 2 else _USUAL_INTERVAL_S
+    # Records that stand there twice are no time apart.
+    apart_s = np.diff(np.unique(utc_s))
+    return float(np.median(apart_s)) if apart_s.size > 1 else _USUAL_INTERVAL_S
 
 
 def _count(recorded: int, missing: int, valid: NDArray[np.bool_]) -> Count:

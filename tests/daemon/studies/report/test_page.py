@@ -1,10 +1,11 @@
-"""The tables of a report that have more rows than a page takes."""
+"""A report of more rows than a page takes, and of rows that stand there twice."""
 
 import re
 
 import numpy as np
 import pandas as pd
 
+from daemon.base.records import FACES
 from daemon.store.runs import StoredRun
 from daemon.store.store import Origin
 from daemon.studies.report.material import of_tables
@@ -39,3 +40,15 @@ def test_a_table_that_is_cut_says_how_many_rows_there_are():
     assert "When it neither tracked nor slept: the first 300 of 301" in captions
     assert "Changes of the configuration, found at a start: the first 300 of 301" in captions
     assert "Messages of the service: the first 300 of 301" in captions
+
+
+def test_scans_that_were_recorded_twice_are_as_far_apart_as_once():
+    site = Site(48.7, 2.2, 0.0)
+    utc_s = np.repeat(np.arange(T0, T0 + DAY_S, 300.0), 2)
+    faces = {f"{face}_w_m2": 100.0 for face in FACES} | {f"{face}_quality": "ok" for face in FACES}
+    tables = dict.fromkeys(("decisions", "moves", "curves", "modes", "events"), table([])) | {
+        "scans": table(utc_s, **faces),
+        "poses": table(utc_s[::2], a_deg=0.0, b_deg=90.0, moving=0.0),
+    }
+    (material,) = of_tables(tables, ReportSpan(T0, T0 + DAY_S, "2022-10-14"), site, "here", "tables")
+    assert "one is expected every 300 s" in page_of(findings_of(material, None))
