@@ -5,7 +5,10 @@ import asyncio
 from daemon.base.clock import Clock
 from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
-from daemon.motion.reference import FILE_NAME, kept_doubts
+from daemon.motion import reference
+from daemon.motion.reference import kept_doubts
+from daemon.tracker import wishes
+from daemon.tracker.wishes import kept_wishes
 from drivers.errors import RefusedError
 from drivers.interfaces import Positioner, Telemetry
 
@@ -31,10 +34,20 @@ def refuse_noted(settings: Settings, seen: Telemetry) -> None:
     """Raise `RefusedError` for what its service, which is not at work now, has noted: that would not move it either."""
     directory = settings.store.directory
     # What a simulated rig has noted is of another unit.
-    doubts = kept_doubts(StateFolder(directory), seen) if settings.real else ()
-    if directory is not None and doubts:
+    if directory is None or not settings.real:
+        return
+    folder = StateFolder(directory)
+    stillness = kept_wishes(folder).stillness
+    if stillness is not None:
         raise RefusedError(
             "positioner",
-            f"is not moved, because {directory / FILE_NAME} has noted: {'; '.join(doubts)};"
+            f"is not moved, because {directory / wishes.FILE_NAME} has noted that it is {stillness}; 'heliocube auto'"
+            " ends that while the service runs, and nothing else does",
+        )
+    doubts = kept_doubts(folder, seen)
+    if doubts:
+        raise RefusedError(
+            "positioner",
+            f"is not moved, because {directory / reference.FILE_NAME} has noted: {'; '.join(doubts)};"
             " 'heliocube home' or 'heliocube clear' ends that while the service runs",
         )

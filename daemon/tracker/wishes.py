@@ -117,6 +117,11 @@ class Wishes(BaseModel):
                 yield text
 
 
+def kept_wishes(folder: StateFolder) -> Wishes:
+    """Return what is wished in a folder of which no service is at work; nothing is written there."""
+    return _load(_file_in(folder))
+
+
 class WishFile:
     """Wishes in a small file beside the store; in a folder without a directory they live in memory only.
 
@@ -127,20 +132,28 @@ class WishFile:
     """
 
     def __init__(self, folder: StateFolder) -> None:
-        self._file = StateFile(folder, FILE_NAME, Wishes, log, "what was asked")
+        self._file = _file_in(folder)
         self._file.reserve()
 
     def load(self) -> Wishes:
         """Return what was wished before the restart; a file that cannot be read counts as a stop."""
-        try:
-            return self._file.load() or Wishes()
-        except UnreadableStateError as error:
-            log.warning("%s: the tracker stays stopped until 'heliocube auto'", error)
-            return Wishes(stop=Wish(why=f"{error}: it is not known which commands were in force before the restart"))
+        return _load(self._file)
 
     def save(self, wishes: Wishes) -> None:
         """Have the file replaced as a whole; no disk hinders the command."""
         self._file.save(wishes)
+
+
+def _file_in(folder: StateFolder) -> StateFile[Wishes]:
+    return StateFile(folder, FILE_NAME, Wishes, log, "what was asked")
+
+
+def _load(file: StateFile[Wishes]) -> Wishes:
+    try:
+        return file.load() or Wishes()
+    except UnreadableStateError as error:
+        log.warning("%s: the tracker stays stopped until 'heliocube auto'", error)
+        return Wishes(stop=Wish(why=f"{error}: it is not known which commands were in force before the restart"))
 
 
 def _stamp(utc_s: float) -> str:

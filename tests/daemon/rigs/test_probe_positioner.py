@@ -1,13 +1,12 @@
 """`heliocube probe positioner` on a simulated unit that does not take each target."""
 
 import asyncio
+import json
 
 import pytest
 
 from daemon.base.clock import SystemClock
-from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
-from daemon.motion.reference import Doubts
 from daemon.rigs.probe_positioner import probe_positioner
 from drivers.errors import RefusedError
 from drivers.transcript import no_tap
@@ -81,9 +80,18 @@ def test_an_axis_whose_count_is_in_doubt_is_not_moved(positioner_host):
     assert not [line for line in said if line.startswith("  A to ")]
 
 
-def test_what_the_service_has_left_in_doubt_is_not_moved(positioner_host, tmp_path):
-    Doubts(StateFolder(tmp_path)).homing_begins()
-    kept = (tmp_path / "motion.json").read_bytes()
+STOP = {"stop": {"why": "a cable", "by": "ana@lab", "since_utc_s": 1665705600.0}}
+KEPT = [
+    ("motion.json", {"homing": True}, r"has noted: homing was not finished.*'heliocube home' or 'heliocube clear'"),
+    ("operator.json", STOP, r"stopped by ana@lab since 2022-10-14 00:00:00 UTC: a cable; 'heliocube auto' ends that"),
+    ("operator.json", [], r"operator\.json cannot be read.*'heliocube auto' ends that"),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "words"), KEPT)
+def test_what_the_service_would_not_move_for_is_not_moved(positioner_host, tmp_path, name, content, words):
+    (tmp_path / name).write_text(json.dumps(content))
+    kept = {file: file.read_bytes() for file in tmp_path.iterdir()}
     received = []
 
     async def scene():
@@ -93,7 +101,7 @@ def test_what_the_service_has_left_in_doubt_is_not_moved(positioner_host, tmp_pa
             finally:
                 received.append(host.received.total())
 
-    with pytest.raises(RefusedError, match=r"is not moved.*motion\.json has noted: homing was not finished"):
+    with pytest.raises(RefusedError, match=rf"is not moved.*{name}.*{words}"):
         asyncio.run(scene())
     assert received[-1] == 0
-    assert (tmp_path / "motion.json").read_bytes() == kept
+    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == kept
