@@ -264,7 +264,7 @@ class Control(Doors):
         asked = self._orders.stow.reason(now_s)
         stow_why = "; ".join((*([asked] if asked else []), *self._stow_watch.reasons(now_s))) or None
         if (waiting_why := self._stow_watch.waiting_why(now_s)) is not None:
-            # Nor to the night position: it may be steeper than where the tracker lay in the storm.
+            # Nor, as below, to the position of night or snow: it may be steeper than where the tracker lay in a storm.
             data, data_why, night_why = Data.WAITING, waiting_why, None
         wishes = self.wishes
         return Situation(
@@ -276,7 +276,7 @@ class Control(Doors):
             stop_why=wishes.describe("stop"),
             buttons_why=wishes.describe("buttons"),
             stow_why=stow_why,
-            snow_why=wishes.snow.why if wishes.snow else None,
+            snow_why=wishes.snow.why if wishes.snow and waiting_why is None else None,
             hold_why=self._orders.why_held(self._parking.stands_at),
             night_why=night_why,
             data=data,

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from daemon.base.records import Mode
+from daemon.base.records import Mode, Move
 from daemon.service.operator import CommandError
 from tests.daemon.tracker.days import at, operator
 from tests.support.phases import at_rest, tracking
@@ -41,6 +41,27 @@ def test_snow_goes_steep_and_stays_and_wind_goes_before_it(run_rig, tmp_path):
         await rig.until_mode(Mode.TRACKING, 30)
 
     for scenario in (first, second):
+        run_rig(scenario, store={"directory": tmp_path})
+
+
+def test_after_a_restart_it_goes_to_the_snow_position_only_once_the_wind_has_been_heard(run_rig, tmp_path):
+    async def before(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        await operator(rig).snow("hail is coming", "ana")
+
+    async def after(rig):
+        rig.wind_m_s = None
+        await asyncio.sleep(120)
+        assert (rig.mode, rig.control.why) == (Mode.STARTING, "waiting for the first message of wind")
+        assert not rig.of(Move)
+        assert rig.control.wishes.snow.by == "ana"
+        rig.wind_m_s = 3.0
+        await rig.until_mode(Mode.SNOW, 10)
+        await asyncio.sleep(300)
+        assert rig.truth() == at(0, 15)
+
+    for scenario in (before, after):
         run_rig(scenario, store={"directory": tmp_path})
 
 
