@@ -27,7 +27,8 @@ _LEAVE_S = 1.0
 _DIAL_ENDS_WITHIN_S = 5.0
 _FAILURES = 128
 _OTHER_VERSION = 132
-_MOST_INCOMING = 1000
+# Of a library that drops what is more. A record of TLS, which is read at one go, holds some hundreds of the shortest.
+_MOST_INCOMING = 4096
 # The topic and what else is in a packet.
 _AROUND_BYTES = 512
 
@@ -142,9 +143,11 @@ class Connection:
     async def incoming(self) -> AsyncIterator[Incoming]:
         """Yield what comes in, until the connection is lost."""
         try:
-            async for message in self._client.messages:
-                payload = message.payload if isinstance(message.payload, bytes) else b""
-                yield Incoming(message.topic.value, payload, message.retain)
+            async for first in self._client.messages:
+                # To wait for each would take longer than the next ones need to come, and the queue would overflow.
+                for message in (first, *self._client.waiting()):
+                    payload = message.payload if isinstance(message.payload, bytes) else b""
+                    yield Incoming(message.topic.value, payload, message.retain)
         except aiomqtt.MqttError as error:
             raise ConnectionLostError(self._reason(error)) from None
 
@@ -251,6 +254,10 @@ class _Client(aiomqtt.Client):
             raise
         finally:
             self.dialled = True
+
+    def waiting(self) -> list[aiomqtt.Message]:
+        """Return the messages that have come and were not asked for yet, and wait for none."""
+        return [self._queue.get_nowait() for _ in range(self._queue.qsize())]
 
     @property
     def ending(self) -> BaseException | None:

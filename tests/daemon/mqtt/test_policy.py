@@ -26,8 +26,9 @@ CONNECT, PUBLISH, SUBSCRIBE, PING = 1, 3, 8, 12
 class ScriptedBroker:
     """Says what MQTT 3.1.1 asks for, and ends each connection after as long as the test wants."""
 
-    def __init__(self, lifetimes_s):
+    def __init__(self, lifetimes_s, says_at_birth=b""):
         self._lifetimes_s = iter(lifetimes_s)
+        self._says = says_at_birth
         self.connected_s = []
         self.ended_s = []
 
@@ -60,6 +61,8 @@ class ScriptedBroker:
                     elif kind & 0x0F == PUBLISH and body is not None:
                         length = int.from_bytes(body[:2], "big")
                         writer.write(b"\x40\x02" + body[2 + length : 4 + length])
+                        writer.write(self._says)
+                        self._says = b""
         except (TimeoutError, asyncio.IncompleteReadError, ConnectionError):
             pass
         finally:
@@ -247,3 +250,26 @@ def test_a_link_that_holds_again_after_coming_and_going_is_told_as_steady(caplog
     assert told[-1].startswith("the MQTT broker is steady again: it has worked for 3")
     assert told[-1] == caplog.records[-1].getMessage()
     assert sum("is steady" in text for text in told) == 1
+
+
+def test_nothing_that_the_broker_sends_is_lost_however_much_comes_at_once():
+    topic, heard, many = "heliocube/tracker/command/hold", [], 20_000
+    bound = bound_socket()
+
+    async def scenario():
+        packets = []
+        for number in range(many):
+            packet = len(topic).to_bytes(2, "big") + topic.encode() + b"%05d" % number
+            packets.append(bytes((PUBLISH << 4, len(packet))) + packet)
+        broker = ScriptedBroker([100.0], b"".join(packets))
+        await broker.serve(bound)
+        link = link_to(bound.getsockname()[1], Bus(), asyncio.get_running_loop())
+        link.listen(topic, lambda message: heard.append(int(message.payload)))
+        running = asyncio.create_task(link.run())
+        await until(lambda: heard[-1:] == [many - 1], "the last message")
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+        await broker.close()
+
+    asyncio.run(scenario())
+    assert heard == list(range(many))
