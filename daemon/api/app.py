@@ -205,7 +205,7 @@ class Api:
             if name != "stop":
                 self._own.require(meant, "nothing is done: ")
             try:
-                command = parse(name, content or b"", "HTTP").meant_for(request.query_params.get("tracker"))
+                command = parse(name, content or b"", "HTTP").meant_for(request.query_params.getlist("tracker"))
                 answer = await self._operators.carry_out(command)
                 # Whoever stops the wrong tracker is told only when it stands.
                 self._own.require_stopped(meant, answer["text"])

@@ -94,14 +94,19 @@ class Command:
     b_deg: float = math.nan
     alarm: str | None = None
 
-    def meant_for(self, tracker: str | None) -> "Command":
-        """Return the command for the tracker that a query names, if any; `CommandError` if its body names another."""
-        if tracker is None or tracker == self.tracker:
-            return self
-        if self.tracker is not None:
-            own, other = ascii(self.tracker)[:40], ascii(tracker)[:40]
-            raise CommandError(f"the body names the tracker {own}, and the query {other}", wrong=True)
-        return replace(self, tracker=tracker)
+    def meant_for(self, trackers: Sequence[str]) -> "Command":
+        """Return the command for the tracker that a query names, if any; `CommandError` if another is named besides.
+
+        A stop is for all trackers then, as nobody can tell which was meant.
+        """
+        named = list(dict.fromkeys([*filter(None, (self.tracker,)), *trackers]))
+        if self.wanted == "stop":
+            named = [name for name in named if name]
+            return replace(self, tracker=named[0] if len(named) == 1 else None)
+        if len(named) > 1:
+            first, own, other = "query" if self.tracker is None else "body", *(ascii(name)[:40] for name in named[:2])
+            raise CommandError(f"the {first} names the tracker {own}, and the query {other}", wrong=True)
+        return replace(self, tracker=named[0] if named else None)
 
     async def carry_out(self, operator: Operator) -> Answer:
         """Return what one tracker did; raises `CommandError` where the command is refused."""

@@ -80,6 +80,24 @@ def test_the_tracker_of_a_command_stands_in_the_body_or_in_the_query(serve):
 
 
 @pytest.mark.parametrize(
+    ("query", "body"),
+    [("?tracker=east&tracker=west", b""), ("?tracker=", b""), ("?tracker=east", b'{"tracker": "west"}')],
+)
+def test_a_stop_whose_tracker_is_not_clear_is_for_all_and_nothing_else_is_done_for_one(serve, query, body):
+    async def scenario(rig, call):
+        east, west = rig.service.trackers
+        await rig.until(lambda: west.control.mode is east.control.mode is Mode.TRACKING, 120, "tracking of both")
+        reply = await call.post(f"hold{query}", body)
+        assert reply.status == 422
+        assert east.control.wishes.hold is west.control.wishes.hold is None
+        reply = await call.post(f"stop{query}", body)
+        assert (reply.status, reply.json["text"][:15]) == (200, "all 2 trackers:")
+        assert None not in (east.control.wishes.stop, west.control.wishes.stop)
+
+    serve(scenario, tracker=[{"name": "east"}, {"name": "west"}])
+
+
+@pytest.mark.parametrize(
     ("headers", "sentence"),
     [
         ({}, "a command needs the header 'Authorization: Bearer TOKEN'"),
