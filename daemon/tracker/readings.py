@@ -187,7 +187,8 @@ class Window:
     """Time-weighted mean of each face over the last `mean_s` seconds.
 
     A reading stands for the time since the one before it on the same face, for `longest_s` at the most; a reading that
-    is not ok stands for nothing. At an even rhythm this is the plain mean of the samples inside the window.
+    is not ok, or no later than the one before, stands for nothing. At an even rhythm this is the plain mean of the
+    samples inside the window.
 
     Parameters
     ----------
@@ -218,6 +219,9 @@ class Window:
             if face.quality is not Quality.OK:
                 continue
             elapsed_s = face.time_monotonic_s - window.newest_s
+            if not elapsed_s > 0.0:
+                # Scans come in order, but a sender may date a face before its reading in the scan before.
+                continue
             stands_for_s = elapsed_s if elapsed_s <= self._longest_s else self._nominal_s
             window.add(face.time_monotonic_s, stands_for_s, face.irradiance_w_m2)
 

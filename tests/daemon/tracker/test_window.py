@@ -84,6 +84,30 @@ def test_the_mean_lies_between_its_readings_and_covers_no_more_than_the_window(s
     assert 0 < mean.coverage <= 1
 
 
+@given(st.lists(st.tuples(st.sampled_from([5.0, 7.5, 40.0]), st.sampled_from([0.0, 5.0, 10.0, 45.0, 3600.0]))))
+def test_a_reading_that_is_told_after_a_later_one_of_its_face_stands_for_nothing(scans):
+    # The bridge takes a face's time of up to an hour before its scan: of a sender whose clock is set, for one.
+    window, now_s = Window(120, 5, 60), 0.0
+    window.add(scan(now_s, 100.0))
+    for step_s, before_s in scans:
+        now_s += step_s
+        late = FaceReading(900.0, Quality.OK, now_s - before_s, now_s - before_s)
+        window.add(Scan("cube", "s", 0, now_s, now_s, late, late, late, late))
+        mean = window.mean(now_s)
+        assert mean is None or (100.0 - 1e-9 <= mean.east_w_m2 <= 900.0 + 1e-9 and 0.0 < mean.coverage <= 1.0)
+
+
+def test_a_reading_that_is_told_too_late_costs_the_others_nothing():
+    window = Window(120, nominal_s=5, longest_s=60)
+    for i in range(25):
+        window.add(scan(5.0 * i, 100.0))
+    late = FaceReading(900.0, Quality.OK, 80.0, 80.0)
+    window.add(Scan("cube", "s", 0, 125.0, 125.0, late, late, late, late))
+    window.add(scan(130.0, 100.0))
+    assert window.mean(130.0).east_w_m2 == pytest.approx(100.0)
+    assert window.mean(130.0).coverage == pytest.approx(1.0)
+
+
 def four(now_s, values, bad=()):
     faces = [
         FaceReading(math.nan if index in bad else value, Quality.LATE if index in bad else Quality.OK, now_s, now_s)
