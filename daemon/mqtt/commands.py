@@ -67,6 +67,7 @@ class Commands:
             command = parse(name, message.payload, "MQTT")
             # First: what a flood is refused for takes no memory, and may be given again.
             self._refuse_flood(command.wanted)
+            _refuse_overdue(message, command)
             self._dates.check(command)
         except CommandError as error:
             self._refuse(name, None if command is None else command.identifier, error)
@@ -122,6 +123,14 @@ def _kind(wanted: str) -> str:
 def _refuse_retained(message: Incoming) -> None:
     if message.retained:
         raise CommandError("a retained command is ignored, because its age is not known: publish without retain")
+
+
+def _refuse_overdue(message: Incoming, command: Command) -> None:
+    """Refuse what was given to a service that stood still: whoever saw it offline counts on it no more."""
+    if message.overdue and command.time_utc_s is None and command.wanted != "stop":
+        raise CommandError(
+            "it was read only after the broker had given the connection up, so its age is not known: give it again"
+        )
 
 
 def _refuse_empty(message: Incoming) -> None:

@@ -4,8 +4,10 @@ import asyncio
 import contextlib
 import logging
 import math
+import select
 import socket
 import ssl
+import sys
 import time
 from collections.abc import AsyncIterator, Awaitable, Coroutine
 from dataclasses import dataclass
@@ -47,11 +49,25 @@ class VersionRefusedError(ConnectionLostError):
 
 @dataclass(frozen=True, slots=True)
 class Incoming:
-    """A message from the broker; `retained` ones may have been published at an unknown time before."""
+    """A message from the broker.
+
+    Attributes
+    ----------
+    retained
+        The broker has kept it for those who come later.
+    overdue
+        It was read when the broker had ended the connection: this process, or its machine, has stood still meanwhile.
+    """
 
     topic: str
     payload: bytes
     retained: bool
+    overdue: bool = False
+
+    @property
+    def of_unknown_age(self) -> bool:
+        """Whether it may have been published long before."""
+        return self.retained or self.overdue
 
 
 class Connection:
@@ -145,9 +161,10 @@ class Connection:
         try:
             async for first in self._client.messages:
                 # To wait for each would take longer than the next ones need to come, and the queue would overflow.
+                overdue = self._client.is_given_up
                 for message in (first, *self._client.waiting()):
                     payload = message.payload if isinstance(message.payload, bytes) else b""
-                    yield Incoming(message.topic.value, payload, message.retain)
+                    yield Incoming(message.topic.value, payload, message.retain, overdue)
         except aiomqtt.MqttError as error:
             raise ConnectionLostError(self._reason(error)) from None
 
@@ -254,6 +271,16 @@ class _Client(aiomqtt.Client):
             raise
         finally:
             self.dialled = True
+
+    @property
+    def is_given_up(self) -> bool:
+        """Whether the broker has ended the connection, although not all may have been read that came before."""
+        opened = self._client.socket()
+        if opened is None or sys.platform != "linux":
+            return opened is None
+        ended = select.poll()
+        ended.register(opened, select.POLLRDHUP)
+        return bool(ended.poll(0))
 
     def waiting(self) -> list[aiomqtt.Message]:
         """Return the messages that have come and were not asked for yet, and wait for none."""

@@ -26,7 +26,7 @@ class WindReadings:
     settings
         The topic, where in its messages the speed is, and in which unit.
     threshold_m_s
-        A retained message counts only from here: it proves wind, but no living sensor.
+        A message of unknown age counts only from here: it proves wind, but no living sensor.
     clock_s
         Returns the monotonic time.
     strong
@@ -60,9 +60,9 @@ class WindReadings:
             self._trouble(subject, f"{subject} cannot be used: {error}")
             return
         self._trouble(subject, None)
-        if not message.retained:
+        if not message.of_unknown_age:
             self.heard_s = self._clock_s()
-        if message.retained and not speed_m_s >= self._threshold_m_s:
+        if message.of_unknown_age and not speed_m_s >= self._threshold_m_s:
             return
         self._strongest_m_s = max(speed_m_s, self._strongest_m_s or 0.0)
         if speed_m_s >= self._threshold_m_s:
@@ -131,13 +131,13 @@ class SafeStow:
             self._trouble(subject, f"{subject} cannot be used: {error}")
             return
         self._trouble(subject, None)
-        if not message.retained:
+        if not message.of_unknown_age:
             self.heard_s = self._clock_s()
         if word == settings.unsafe:
             self._last_unsafe = True
             self._heard_safe = False
             self._unsafe()
-        elif not message.retained:
+        elif not message.of_unknown_age:
             self._heard_safe = True
 
     def reason(self, now_s: float) -> str | None:

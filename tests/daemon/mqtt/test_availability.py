@@ -2,30 +2,71 @@
 
 import asyncio
 import signal
+from datetime import UTC, datetime
 
 import pytest
 
 from tests.support import forks
 from tests.support.addresses import free_port
-from tests.support.mqtt import observer
+from tests.support.mqtt import needs_mosquitto, observer
 
 pytestmark = pytest.mark.system
 
 STATUS = "heliocube/tracker/status"
 
 
-def test_it_is_true_after_a_crash_a_restart_and_a_clean_stop(broker, tmp_path):
+@pytest.fixture
+def processes():
+    made = []
+    yield made
+    for process in made:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+
+
+@pytest.fixture
+def start(broker, tmp_path, processes):
     config = tmp_path / "heliocube.toml"
     config.write_text(
         f"[simulation]\nspeed = 1.0\n[bridge]\nlisten = '127.0.0.1:0'\nsend_to = []\n"
         f"[api]\nlisten = '127.0.0.1:{free_port()}'\n[mqtt]\nenabled = true\nport = {broker.port}\nkeepalive_s = 2\n"
     )
-    processes = []
 
-    def start():
+    def start_one():
         with (tmp_path / "log").open("a") as log:
             processes.append(forks.start(["run", "--config", config], stdout=log, stderr=log))
 
+    return start_one
+
+
+@needs_mosquitto
+def test_what_was_ordered_before_the_broker_gave_up_a_service_that_stood_still_is_not_done_when_it_goes_on(
+    broker, start, processes
+):
+    async def scenario():
+        async with observer(broker.port) as lab:
+            start()
+            await lab.until("heliocube/tracker/scan")
+            processes[-1].send_signal(signal.SIGSTOP)
+            await lab.say("heliocube/tracker/command/hold", {"id": "of unknown age"})
+            now = datetime.now(UTC).isoformat()
+            await lab.say("heliocube/tracker/command/snow", {"id": "dated", "time": now})
+            await lab.say("heliocube/tracker/command/stop", {"id": "a stop"})
+            await lab.until(STATUS, lambda word: word == "offline")
+            processes[-1].send_signal(signal.SIGCONT)
+            reply = {
+                name: await lab.until("heliocube/tracker/reply", lambda reply, name=name: reply["id"] == name)
+                for name in ("of unknown age", "dated", "a stop")
+            }
+            assert reply["of unknown age"]["accepted"] is False
+            assert "its age is not known" in reply["of unknown age"]["text"]
+            assert reply["dated"]["accepted"] is reply["a stop"]["accepted"] is True
+
+    asyncio.run(scenario())
+
+
+def test_it_is_true_after_a_crash_a_restart_and_a_clean_stop(broker, tmp_path, start, processes):
     async def found_late():
         async with observer(broker.port, STATUS) as late:
             await late.until(STATUS)
@@ -51,10 +92,4 @@ def test_it_is_true_after_a_crash_a_restart_and_a_clean_stop(broker, tmp_path):
             assert await asyncio.to_thread(processes[-1].wait, 20) == 0
             assert "Traceback" not in (tmp_path / "log").read_text()
 
-    try:
-        asyncio.run(scenario())
-    finally:
-        for process in processes:
-            if process.poll() is None:
-                process.kill()
-            process.wait()
+    asyncio.run(scenario())

@@ -37,8 +37,12 @@ def wind(**settings):
     return readings, WindStow(SafetySettings(), readings.strongest_since_last_read), told, woken
 
 
-def said(payload, retained=False):
-    return Incoming("lab/wind", payload if isinstance(payload, bytes) else payload.encode(), retained)
+def said(payload, **marks):
+    content = payload if isinstance(payload, bytes) else payload.encode()
+    return Incoming("lab/wind", content, **{"retained": False, **marks})
+
+
+of_unknown_age = pytest.mark.parametrize("mark", ["retained", "overdue"])
 
 
 def test_wind_stows_from_the_threshold_and_releases_below_another_after_the_minimum_stay():
@@ -123,17 +127,19 @@ def test_units_are_converted(unit, told):
     assert readings.strongest_since_last_read() == pytest.approx(15.0)
 
 
-def test_a_retained_calm_proves_nothing_and_a_retained_storm_stows():
+@of_unknown_age
+def test_a_retained_calm_proves_nothing_and_a_retained_storm_stows(mark):
     readings, stow, _, _ = wind()
-    readings.take(said("2", retained=True))
+    readings.take(said("2", **{mark: True}))
     assert readings.strongest_since_last_read() is None
-    readings.take(said("30", retained=True))
+    readings.take(said("30", **{mark: True}))
     assert stow.reason(0.0) is not None
 
 
-def test_only_a_fresh_word_shows_that_the_wind_sensor_lives():
+@of_unknown_age
+def test_only_a_fresh_word_shows_that_the_wind_sensor_lives(mark):
     readings, _, _, _ = wind()
-    readings.take(said("30", retained=True))
+    readings.take(said("30", **{mark: True}))
     assert readings.heard_s is None
     readings.take(said("30"))
     assert readings.heard_s == 40.0
@@ -242,10 +248,11 @@ def test_silence_and_noise_are_unsafe_after_the_time_limit(noise):
     assert bool(told.now) is (noise is not None)
 
 
-def test_one_who_never_says_a_word_is_unsafe_after_the_time_limit_and_a_retained_safe_is_no_word():
+@of_unknown_age
+def test_one_who_never_says_a_word_is_unsafe_after_the_time_limit_and_a_retained_safe_is_no_word(mark):
     source, _, _ = safe(stale_s=100.0)
     assert source.reason(0.0) is None
-    source.take(said("safe", retained=True))
+    source.take(said("safe", **{mark: True}))
     assert source.reason(90.0) is None
     assert source.reason(101.0) is not None
 
