@@ -111,13 +111,8 @@ def file_of(out: Path, kind: str, day: date) -> Path:
 
 def rows_in(path: Path) -> int | None:
     """Return how many rows a file has, None where there is none that is whole."""
-    import pyarrow as pa  # noqa: PLC0415 - half a second that other commands have no use for
-    from pyarrow import parquet  # noqa: PLC0415 - as above
-
-    try:
-        return int(parquet.read_metadata(path).num_rows)
-    except (FileNotFoundError, pa.ArrowInvalid):
-        return None
+    footer = _footer(path)
+    return None if footer is None else int(footer.num_rows)
 
 
 def _dropped(connection: "psycopg.Connection", kind: str, day: date, out: Path) -> ArchivedDay | None:
@@ -158,15 +153,14 @@ def _written(connection: "psycopg.Connection", kind: str, day: date, out: Path, 
     table = _table(kind, day)
     final = _final(connection, table, path)
     if final.exists():
-        # The drop of this very part was broken off before its end.
+        # The drop of this very part was broken off before its end, or the server has gone back to before it.
+        _keep_of_another(path, final)
         final.replace(path)
     count, there = _count(connection, table), rows_in(path)
     if not again and there == count:
         return ArchivedDay(kind, day, path, count, written=False)
-    if there is not None and (other := _part_in(path)) not in (None, final.stem):
-        # Its part has been dropped by hand, and this one was begun by what came late.
-        path.rename(path.with_name(f"{other}.parquet"))
-    elif not again and there is not None and there > count:
+    # Else its part has been dropped by hand, and this one was begun by what came late.
+    if not _keep_of_another(path, final) and not again and there is not None and there > count:
         return ArchivedDay(kind, day, path, there, written=False)
     part = path.with_name(path.name + ".part")
     try:
@@ -192,12 +186,26 @@ def _count(connection: "psycopg.Connection", table: str) -> int:
     return int(row[0]) if row else 0
 
 
-def _part_in(path: Path) -> str | None:
-    """Return what the file will be called once its part is gone; None for a file of before that was written in."""
+def _keep_of_another(path: Path, final: Path) -> bool:
+    """Give the file of another part than that of `final`, which is gone, the name that it keeps; tell whether it is."""
+    footer = _footer(path)
+    # A file of before the part was written in names none.
+    other = ((footer.metadata if footer else None) or {}).get(_PART_KEY, b"").decode()
+    if other in ("", final.stem):
+        return False
+    path.rename(path.with_name(f"{other}.parquet"))
+    return True
+
+
+def _footer(path: Path) -> Any:
+    """Return what the end of a file says of the rest, None where there is none that is whole."""
+    import pyarrow as pa  # noqa: PLC0415 - half a second that other commands have no use for
     from pyarrow import parquet  # noqa: PLC0415 - as above
 
-    found = (parquet.read_metadata(path).metadata or {}).get(_PART_KEY)
-    return None if found is None else found.decode()
+    try:
+        return parquet.read_metadata(path)
+    except (FileNotFoundError, pa.ArrowInvalid):
+        return None
 
 
 def _write(connection: "psycopg.Connection", kind: str, table: str, path: Path, part: str) -> None:

@@ -1,6 +1,7 @@
 """Days of an archive as Parquet: their files outlive the database's rows."""
 
 import os
+import subprocess
 import sys
 from contextlib import closing
 from datetime import date
@@ -98,3 +99,34 @@ def test_the_file_of_a_day_that_was_dropped_outlives_its_server(tmp_path):
         finally:
             server.close()
     assert sorted(map(rows_in, out.rglob("final-*.parquet"))) == [1, 2]
+
+
+@pytest.mark.skipif(BINARIES is None, reason=WITHOUT_POSTGRES)
+def test_what_came_late_outlives_a_server_that_goes_back_to_before_the_day_was_dropped(tmp_path):
+    """A backup of the server's own files has the part of that day again, under the same number."""
+    out, run, today = tmp_path / "days", origin(), date(2026, 1, 1)
+    out.mkdir()
+    server = Postgres()
+    try:
+        address = parse_archive(server.url())
+        with closing(ArchiveWriter(address)) as writer:
+            writer.prepare()
+            writer.take([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(0), pose_row(1)]}))])
+        data, backup = server.folder / "data", server.folder / "backup"
+        server.kill()
+        subprocess.run(["cp", "-a", data, backup], check=True)
+        server.start()
+        list(write_days(address, out, today))
+        assert [one.rows for one in drop_days(address, out, today)] == [2]
+        with closing(ArchiveWriter(address)) as writer:
+            writer.prepare()
+            writer.take([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(2)]}))])
+        assert [one.rows for one in write_days(address, out, today)] == [1]
+        server.kill()
+        data.rename(server.folder / "lost")
+        backup.rename(data)
+        server.start()
+        assert [(one.rows, one.written) for one in write_days(address, out, today)] == [(2, False)]
+    finally:
+        server.close()
+    assert sorted(map(rows_in, out.rglob("*.parquet"))) == [1, 2]
