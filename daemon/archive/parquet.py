@@ -206,6 +206,11 @@ def _footer(path: Path) -> Any:
         return parquet.read_metadata(path)
     except (FileNotFoundError, pa.ArrowInvalid):
         return None
+    except OSError as error:
+        # One without a number is not the disk's: Arrow cannot make sense of the footer.
+        if error.errno is not None or not path.is_file():
+            raise
+        return None
 
 
 def _write(connection: "psycopg.Connection", kind: str, table: str, path: Path, part: str) -> None:

@@ -12,7 +12,7 @@ from daemon.archive.address import parse_archive
 from daemon.archive.parquet import drop_days, rows_in, write_days
 from daemon.archive.writer import ArchiveWriter, SentPage
 from daemon.base.errors import UserError
-from tests.support.archive import batch_of, origin, pose_row
+from tests.support.archive import T0, batch_of, origin, pose_row
 from tests.support.postgres import BINARIES, WITHOUT_POSTGRES, Postgres
 
 
@@ -130,3 +130,19 @@ def test_what_came_late_outlives_a_server_that_goes_back_to_before_the_day_was_d
     finally:
         server.close()
     assert sorted(map(rows_in, out.rglob("*.parquet"))) == [1, 2]
+
+
+def test_a_file_whose_end_is_damaged_is_written_again_and_keeps_no_other_day_from_it(database, tmp_path):
+    """What is wrong inside its footer is told by an error of another kind than what is wrong around it."""
+    address = parse_archive(database)
+    rows = [pose_row(0), pose_row(1, utc_s=T0 + 86400)]
+    with closing(ArchiveWriter(address)) as writer:
+        writer.prepare()
+        writer.take([SentPage("lab/roof", batch_of(origin(), {"poses": rows}))])
+    first, second = (one.path for one in write_days(address, tmp_path, date(2026, 1, 1)))
+    second.unlink()
+    whole = first.read_bytes()
+    first.write_bytes(whole[:-200] + b"\xff" * 192 + whole[-8:])
+    assert list(drop_days(address, tmp_path, date(2026, 1, 1))) == []
+    assert [one.written for one in write_days(address, tmp_path, date(2026, 1, 1))] == [True, True]
+    assert (rows_in(first), rows_in(second)) == (1, 1)
