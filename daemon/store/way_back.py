@@ -50,8 +50,9 @@ def set_aside(path: Path, utc_s: float) -> Path:
 def go_back(path: Path, copy: Path, utc_s: float) -> WentBack:
     """Put the copy of an older version in a store's place; the newer one stays in the folder under another name.
 
-    Both have the same runs up to the copy, so what came since is known by the number of its run. What only the newer
-    version has, a table or a column, stays behind in its store. Whoever is interrupted does it again.
+    Both have the same runs up to the copy, so what came since is known by the number of its run, or by its own in a run
+    that went on: a service that shares the store may not have been restarted. What only the newer version has, a table
+    or a column, stays behind in its store. Whoever is interrupted does it again.
 
     Parameters
     ----------
@@ -85,10 +86,13 @@ def _taken_over(connection: sqlite3.Connection, path: Path) -> tuple[int, str]:
     try:
         connection.execute("ATTACH DATABASE ? AS newer", (str(path),))
         connection.execute("BEGIN IMMEDIATE")
+        last = _last_numbers(connection)
         for name, _ in COLUMNS.values():
-            _take_over(connection, name)
+            _take_over(connection, name, "run > ?", (max(last, default=0),))
+            for run, number in last.items():
+                _take_over(connection, name, "run = ? AND number > ?", (run, number))
         records = connection.total_changes - before
-        _take_over(connection, "runs")
+        _take_over(connection, "runs", "run > ?", (max(last, default=0),))
         connection.execute("INSERT OR IGNORE INTO main.days SELECT day FROM newer.days")
         connection.execute("COMMIT")
     except sqlite3.Error as error:
@@ -99,12 +103,23 @@ def _taken_over(connection: sqlite3.Connection, path: Path) -> tuple[int, str]:
     return records, ""
 
 
-def _take_over(connection: sqlite3.Connection, name: str) -> None:
-    """Copy the rows of one table whose run is later than all of the copy's; the runs themselves come last."""
+def _last_numbers(connection: sqlite3.Connection) -> dict[int, int]:
+    """Return for each run of the copy the number of its last record there, which counts over all kinds."""
+    last = {run: -1 for (run,) in connection.execute("SELECT run FROM main.runs")}
+    for name, _ in COLUMNS.values():
+        if columns_of(connection, name):
+            for run, number in last.items():
+                query = f"SELECT COALESCE(MAX(number), -1) FROM main.{name} WHERE run = ?"  # noqa: S608 - our own
+                last[run] = max(number, connection.execute(query, (run,)).fetchone()[0])
+    return last
+
+
+def _take_over(connection: sqlite3.Connection, name: str, which: str, values: tuple[int, ...]) -> None:
+    """Copy those rows of one table that the copy has not; the runs themselves come last."""
     there, here = (columns_of(connection, name, schema) for schema in ("newer", "main"))
     columns = ", ".join(sorted(there & here))
     if columns:
         connection.execute(
-            f"INSERT OR IGNORE INTO main.{name} ({columns}) SELECT {columns} FROM newer.{name}"  # noqa: S608 - our own
-            " WHERE run > (SELECT COALESCE(MAX(run), 0) FROM main.runs)"
+            f"INSERT OR IGNORE INTO main.{name} ({columns}) SELECT {columns} FROM newer.{name} WHERE {which}",  # noqa: S608 - our own
+            values,
         )

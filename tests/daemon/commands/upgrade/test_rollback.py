@@ -7,16 +7,20 @@ import shutil
 import sqlite3
 import sys
 from contextlib import closing
+from dataclasses import replace
 
 import pytest
 
+from daemon.base.clock import SystemClock
 from daemon.base.installation import release
 from daemon.config.migrate import before
 from daemon.store.copies import copies_of, copy_path
 from daemon.store.place import claimed
 from daemon.store.schema import FILE_NAME, VERSION
+from daemon.store.store import Store
+from tests.daemon.store.test_aside import until
 from tests.daemon.store.test_copies import OLDER, made_older, opened
-from tests.daemon.store.test_store import count
+from tests.daemon.store.test_store import ORIGIN, count
 from tests.daemon.store.test_tables import ALL, scan
 from tests.support.disk import synced
 
@@ -95,6 +99,25 @@ def test_the_store_is_of_the_version_before_with_what_came_since_and_the_newer_o
     code, out, _ = heliocube("rollback", "-c", config, "--to", program())
     assert code == 0
     assert "records/heliocube.sqlite: 0.0.9 can use it as it is" in out
+
+
+def test_what_a_service_that_was_not_restarted_has_kept_since_comes_along(heliocube, config, program, tmp_path):
+    """As that of the cube with a tracker's of the newer release in one folder: its run is older than the copy."""
+    folder = tmp_path / "records"
+    of_before = Store(folder, 0.05, 400, ORIGIN, SystemClock(), lambda event: None)
+    of_before.keep(scan(0))
+    until(lambda: of_before.status.written == 1)
+    made_older(folder)
+    of_today = opened(folder, replace(ORIGIN, id="another"))
+    of_today.keep(scan(1))
+    of_today.close()
+    of_before.keep(scan(2))
+    of_before.close()
+    _, out, _ = heliocube("rollback", "-c", config, "--to", program())
+    assert "with 2 records that came since" in out
+    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
+        found = connection.execute("SELECT run, number, sequence FROM scans ORDER BY sequence").fetchall()
+    assert found == [(1, 0, 0), (2, 0, 1), (1, 1, 2)]
 
 
 def test_after_it_an_upgrade_brings_all_of_it_up_again(heliocube, config, program, upgraded):
