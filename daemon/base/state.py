@@ -82,6 +82,9 @@ def replace_kept(path: Path, text: str) -> None:
     """
     spare, before = spare_of(path), path.with_suffix(".before")
     path.parent.mkdir(parents=True, exist_ok=True)
+    if not spare.exists() and before.exists() and not (path.exists() and before.samefile(path)):
+        # Whoever wrote last has died before it was the spare again.
+        before.replace(spare)
     _overwrite(spare, text)
     with contextlib.suppress(OSError):
         if path.exists():

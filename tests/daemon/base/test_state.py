@@ -156,31 +156,57 @@ def test_without_room_that_was_kept_the_first_content_is_lost_and_said(small_dis
     assert folder.trouble.endswith("kept.json cannot be written (No space left on device)")
 
 
+@pytest.fixture
+def dying(monkeypatch):
+    """Return what lets a process die before its nth change of the disk."""
+
+    def die_at(count):
+        done = []
+
+        def counting(name):
+            call = getattr(os, name)
+
+            def counted(*arguments, **named):
+                if len(done) == count:
+                    raise KeyboardInterrupt
+                done.append(name)
+                return call(*arguments, **named)
+
+            return counted
+
+        for name in ("fsync", "link", "rename", "replace", "unlink"):
+            monkeypatch.setattr(os, name, counting(name))
+
+    return die_at
+
+
 @pytest.mark.parametrize("dies_at", range(6))
-def test_whoever_dies_in_the_middle_leaves_the_whole_old_or_the_whole_new_file(tmp_path, monkeypatch, dies_at):
-    path, done = tmp_path / "kept.json", []
+def test_whoever_dies_in_the_middle_leaves_the_whole_old_or_the_whole_new_file(tmp_path, monkeypatch, dying, dies_at):
+    path = tmp_path / "kept.json"
     for text in ("first", "second"):
         replace_kept(path, text)
-
-    def dying(name):
-        call = getattr(os, name)
-
-        def counted(*arguments, **named):
-            if len(done) == dies_at:
-                raise KeyboardInterrupt
-            done.append(name)
-            return call(*arguments, **named)
-
-        return counted
-
-    for name in ("fsync", "link", "rename", "replace", "unlink"):
-        monkeypatch.setattr(os, name, dying(name))
+    dying(dies_at)
     with contextlib.suppress(KeyboardInterrupt):
         replace_kept(path, "third, and longer")
     monkeypatch.undo()
     assert path.read_text() in ("second", "third, and longer")
     replace_kept(path, "4th")
     assert (path.read_text(), spare_of(path).exists()) == ("4th", True)
+
+
+@pytest.mark.parametrize("dies_at", range(6))
+def test_whoever_died_in_the_middle_has_the_room_still_when_the_disk_is_full(small_disk, monkeypatch, dying, dies_at):
+    path = small_disk / "kept.json"
+    for text in ("first", "second"):
+        replace_kept(path, text)
+    dying(dies_at)
+    with contextlib.suppress(KeyboardInterrupt):
+        replace_kept(path, "third, and longer")
+    monkeypatch.undo()
+    fill(small_disk / "filler")
+    for text in ("4th", "5th"):
+        replace_kept(path, text)
+        assert path.read_text() == text
 
 
 def test_a_file_system_without_second_names_keeps_room_too(tmp_path, monkeypatch):
