@@ -13,6 +13,9 @@ from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
 from daemon.store.schema import FILE_NAME, open_for_reading, open_for_writing
 from daemon.store.store import Origin, Store
+from tests.daemon.store.test_full_disk import small_disk
+
+__all__ = ["small_disk"]
 
 ORIGIN = Origin(0.0, "both", "0.1.0", True, "SIRTA", 48.7, 2.2, 156.0)
 
@@ -33,6 +36,15 @@ def test_a_store_of_another_user_is_one_sentence_with_the_remedy(closed):
         finally:
             os.seteuid(user)
             path.parent.chmod(0o755)
+
+
+def test_a_copy_on_a_disk_that_takes_nothing_is_one_sentence_with_the_remedy(small_disk, heliocube, tmp_path):
+    Store(small_disk, 60.0, 400, ORIGIN, SystemClock(), lambda event: None).close()
+    subprocess.run(["mount", "-o", "remount,ro", small_disk], check=True)
+    code, _, err = heliocube("export", "--store", small_disk, "--out", tmp_path / "out")
+    assert code == 2
+    assert f"the store {small_disk / FILE_NAME} cannot be read: unable to open database file; SQLite" in err
+    assert "copy it, with the -wal beside it if there is one, into a folder of your own" in err
 
 
 def test_a_store_that_is_opened_beside_a_reader_keeps_its_log_from_other_processes(tmp_path):
