@@ -15,6 +15,7 @@ from daemon.base.words import counted
 from daemon.config import keys, rules
 from daemon.config.keys import Chosen
 from daemon.config.plugged import DRIVER, SECTIONS, Wrong, settled
+from daemon.config.section import whole_path
 from daemon.config.sections import Sections
 from daemon.config.settings import NamedSettings, Settings
 from daemon.config.trackers import (
@@ -389,9 +390,8 @@ def _resolved(settings: Settings, folder: Path, source: str) -> Settings:
         path = getattr(getattr(settings, section), name)
         if isinstance(path, Path):
             try:
-                values = {name: (folder / path.expanduser()).resolve()}
-            except (RuntimeError, OSError) as error:
-                # Of a user that there is not, and of a link that leads back to itself.
+                values = {name: whole_path(folder, path)}
+            except ValueError as error:
                 problems.append(f"{section}.{name} = {keys.shown(str(path))}: {ascii(str(error))[1:-1]}")
                 continue
             changed[section] = changed.get(section, getattr(settings, section)).model_copy(update=values)

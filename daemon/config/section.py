@@ -91,7 +91,24 @@ def beside(path: Path | None, section: Kind) -> Kind:
     for name, value in section:
         if isinstance(value, Path):
             try:
-                files[name] = folder / value.expanduser()
-            except RuntimeError:
-                raise UserError(f"{name} = {str(value)!a}: there is no such user; write the whole path") from None
+                files[name] = folder / at_home(value)
+            except ValueError as error:
+                raise UserError(f"{name} = {str(value)!a}: {error}") from None
     return section.model_copy(update=files)
+
+
+def at_home(path: Path) -> Path:
+    """Return a path with the home that its ~ means; raises `ValueError` where nobody has that name."""
+    try:
+        return path.expanduser()
+    except RuntimeError:
+        raise ValueError("there is no such user; write the whole path") from None
+
+
+def whole_path(folder: Path, path: Path) -> Path:
+    """Return where a path is that is meant from a folder, links followed; raises `ValueError` where that is nowhere."""
+    meant = folder / at_home(path)
+    try:
+        return meant.resolve()
+    except (RuntimeError, OSError):
+        raise ValueError(f"{meant} is a link that leads back to itself; remove it, or name another") from None

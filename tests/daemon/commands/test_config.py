@@ -157,6 +157,17 @@ def test_check_without_a_name_takes_the_file_of_the_surroundings_and_says_which(
     assert err == "heliocube: config check needs the service's configuration: name it as FILE or in HELIOCUBE_CONFIG\n"
 
 
+def test_check_tells_what_to_do_about_a_folder_of_nobody_and_a_link_that_leads_back_to_itself(heliocube, tmp_path):
+    path = tmp_path / "bad.toml"
+    (tmp_path / "round").symlink_to("round")
+    path.write_text("[store]\ndirectory = '~nosuch/x'\n[bridge]\nkey_file = 'round'\n")
+    code, _, err = heliocube("config", "check", path)
+    assert code == 2
+    assert '  store.directory = "~nosuch/x": there is no such user; write the whole path\n' in err
+    told = f"{tmp_path / 'round'} is a link that leads back to itself; remove it, or name another"
+    assert f'  bridge.key_file = "round": {told}\n' in err
+
+
 def test_check_says_when_scans_are_not_signed(heliocube, tmp_path):
     path = tmp_path / "heliocube.toml"
     path.write_text("[bridge]\ninsecure = true\n")
