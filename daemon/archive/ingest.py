@@ -30,6 +30,8 @@ Result = TypeVar("Result")
 _GATHER_S = 0.25
 _MOST_ROWS = 10_000
 _MOST_PAGES = 1000
+# What is read of them at once is four times as large in memory.
+_MOST_BYTES = 2_000_000
 _HUNG_S = 30.0
 _FIRST_DELAY_S, _LONGEST_DELAY_S = 1.0, 30.0
 _AGAIN_S = 3600.0
@@ -233,14 +235,19 @@ class Ingester:
 
 
 async def _within(first_s: float, heard: "asyncio.Queue[Incoming]") -> list[Incoming]:
-    """Return what comes within a moment of the first message: a thousand small pages then cost one transaction."""
+    """Return what comes within a moment of the first message: a thousand small pages then cost one transaction.
+
+    Of large ones as many as make about one; the others wait as they came.
+    """
     messages: list[Incoming] = []
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(first_s):
             messages.append(await heard.get())
+        size = len(messages[0].payload)
         async with asyncio.timeout(_GATHER_S):
-            while len(messages) < _MOST_PAGES:
+            while len(messages) < _MOST_PAGES and size < _MOST_BYTES:
                 messages.append(await heard.get())
+                size += len(messages[-1].payload)
     return messages
 
 

@@ -1,0 +1,45 @@
+"""What the archive's process has in memory when everybody sends at once, as after an hour without it."""
+
+import asyncio
+import sys
+from pathlib import Path
+
+import pytest
+
+from daemon.store.batches import encoded
+from tests.daemon.archive.test_ingest import running, start_archive
+from tests.support.archive import batch_of, origin, pose_row
+from tests.support.mqtt import needs_mosquitto, observer, until
+
+__all__ = ["start_archive"]
+pytestmark = [needs_mosquitto, pytest.mark.skipif(sys.platform != "linux", reason="its memory is read in /proc")]
+_SENDERS = 40
+
+
+def most_mb(pid):
+    """Return the most memory that a process has had [MB]."""
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
+
+
+def test_pages_of_many_wait_as_they_came_and_are_read_a_few_at_a_time(postgres, database, broker, start_archive):
+    """Read, they are four times as large: a thousand of them would be more than the unit lets the process have."""
+
+    async def scenario():
+        archive = start_archive(broker.port)
+        async with observer(broker.port) as lab:
+            page = encoded(batch_of(origin(), {"poses": [pose_row(0)]}))
+            while not lab.on("lab/first/records/kept"):
+                await lab.say("lab/first/records", page)
+                await asyncio.sleep(1.0)
+            before_mb = most_mb(archive.pid)
+            page = encoded(batch_of(origin(), {"poses": [pose_row(number) for number in range(5000)]}))
+            async with asyncio.TaskGroup() as group:
+                for sender in range(_SENDERS):
+                    group.create_task(lab.say(f"lab/{sender}/records", page))
+            for sender in range(_SENDERS):
+                await until(lambda sender=sender: lab.on(f"lab/{sender}/records/kept"), "a page that is kept")
+            assert postgres.sql("SELECT count(*) FROM heliocube.poses", database.rpartition("/")[2])[0][0] > 190_000
+            assert most_mb(archive.pid) - before_mb < 50
+
+    running(scenario)
