@@ -2,11 +2,14 @@
 
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from textwrap import wrap
 from typing import Annotated, Any, TextIO
 
 import typer
+
+from daemon.base.errors import InterruptedEarlyError
 
 JsonOption = Annotated[
     bool,
@@ -35,6 +38,15 @@ def print_json(page: Mapping[str, Any] | list[Any]) -> None:
 def teller(*, as_json: bool) -> Callable[[str], None]:
     """Return what takes a line for people: to standard output, or to standard error where JSON has that for itself."""
     return lambda text: say(text, err=as_json)
+
+
+@contextmanager
+def goes_on_later(so_far: str) -> Iterator[None]:
+    """Say where Ctrl-C ends a work what of it stays, since it goes on where it was; raises `InterruptedEarlyError`."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise InterruptedEarlyError(f"interrupted: {so_far}; give the command again for the rest") from None
 
 
 def say(text: str, *, err: bool = False, hang: int = 2, end: str = "\n") -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from daemon.base.words import counted
-from daemon.commands.answers import JsonOption, print_json, say
+from daemon.commands.answers import JsonOption, goes_on_later, print_json, say
 
 app = typer.Typer(help="Work on the file of the records: salvage what a damaged one still holds.", no_args_is_help=True)
 
@@ -31,10 +31,16 @@ def salvage(
     """Write what can be read from a store into another one, even while the service runs."""
     from rich.console import Console
 
+    from daemon.base.process import as_ctrl_c
     from daemon.commands.studies.simulate import progress_bar
     from daemon.store.salvage import salvage as write_records
 
-    with progress_bar(Console(stderr=True), "salvaging") as progress:
+    # Its copy, as large as the store, would stay.
+    with (
+        goes_on_later(f"what was read so far is in {into}"),
+        as_ctrl_c(),
+        progress_bar(Console(stderr=True), "salvaging") as progress,
+    ):
         found = write_records(file, into, progress)
     if as_json:
         print_json({"file": file, "into": into, **asdict(found)})
