@@ -9,7 +9,7 @@ import typer
 
 from daemon.base.errors import UserError
 from daemon.base.words import counted
-from daemon.commands.answers import JsonOption, print_json, teller
+from daemon.commands.answers import JsonOption, goes_on_later, print_json, teller
 from daemon.commands.options import CONFIG_VARIABLE
 from daemon.studies.inputs import instant
 
@@ -92,7 +92,8 @@ def fill(
         raise UserError(
             f"--name: {error}; it is mqtt.prefix and mqtt.name of the service, such as plant/roof"
         ) from None
-    found = write_records(store, address, name)
+    with goes_on_later(f"what was read so far is in {address}"):
+        found = write_records(store, address, name)
     if as_json:
         print_json({"store": store, "archive": str(address), "installation": name, **found._asdict()})
         return
@@ -129,18 +130,18 @@ def parquet(
     if wanted is not None and not wanted < today:
         raise UserError(f"--day {day}: that day is not over")
     tell = teller(as_json=as_json)
-    found = []
-    for one in write_days(address, out, today, wanted):
-        found.append(one)
-        if one.written:
-            tell(f"{one.path}: {counted(one.rows, 'row')}")
-    if wanted is not None and not found:
-        raise UserError(f"--day {day}: {address} has no record of that day")
-    dropped = []
-    if drop_after is not None:
-        for one in drop_days(address, out, today - timedelta(days=drop_after)):
-            dropped.append(one)
-            tell(f"{one.kind} of {one.day} dropped: {one.path} has its {counted(one.rows, 'row')}")
+    found, dropped = [], []
+    with goes_on_later(f"what was written so far is in {out}"):
+        for one in write_days(address, out, today, wanted):
+            found.append(one)
+            if one.written:
+                tell(f"{one.path}: {counted(one.rows, 'row')}")
+        if wanted is not None and not found:
+            raise UserError(f"--day {day}: {address} has no record of that day")
+        if drop_after is not None:
+            for one in drop_days(address, out, today - timedelta(days=drop_after)):
+                dropped.append(one)
+                tell(f"{one.kind} of {one.day} dropped: {one.path} has its {counted(one.rows, 'row')}")
     if as_json:
         print_json({"days": [one._asdict() for one in found], "dropped": [one._asdict() for one in dropped]})
         return

@@ -1,0 +1,39 @@
+"""Ctrl-C in what fills an archive, and in what writes its days: what is done stays done."""
+
+import signal
+
+import pytest
+
+from tests.daemon.store.test_aside import until
+from tests.daemon.store.test_store import keep
+from tests.daemon.store.test_tables import scan
+from tests.support import forks
+
+__all__ = ["keep"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("fill", "STORE", "--name", "lab/roof"), "what was read so far is in URL"),
+        (("parquet", "--out", "DAYS"), "what was written so far is in DAYS"),
+    ],
+)
+def test_what_was_done_so_far_is_told_to_be_there(words, told, keep, postgres, database, heliocube, tmp_path):
+    import psycopg  # noqa: PLC0415 - in an extra
+
+    places = {"STORE": keep(scan()), "DAYS": tmp_path / "days", "URL": database}
+    fill = ("fill", places["STORE"], "--name", "lab/other")
+    assert heliocube("archive", *fill, "--to", database)[0] == 0
+    waits = "SELECT count(*) FROM pg_locks WHERE NOT granted"
+    with (tmp_path / "said").open("w") as said, psycopg.connect(database) as other:
+        other.execute("LOCK TABLE heliocube.scans, heliocube.runs")
+        command = ["archive", *(places.get(word, word) for word in words), "--to", database]
+        running = forks.start(command, stdout=said, stderr=said)
+        until(lambda: postgres.sql(waits, database.rpartition("/")[2]) == [(1,)])
+        running.send_signal(signal.SIGINT)
+        assert running.wait(60) == 130
+    for word, place in places.items():
+        told = told.replace(word, str(place))
+    sentence = f"heliocube: interrupted: {told}; give the command again for the rest\n"
+    assert (tmp_path / "said").read_text() == sentence
