@@ -48,10 +48,12 @@ def readable(store: str, span: Span = _all) -> Iterator[tuple[Path, str]]:
         yield Path(store), ""
         return
     from daemon.archive.reader import ArchiveReader, copied
+    from daemon.base.process import as_ctrl_c
 
     reader = ArchiveReader(parse_archive(store))
     try:
-        with copied(reader, *span(reader)) as folder:
+        # A copy of months is large, and would stay where a lost connection ends the command.
+        with as_ctrl_c(), copied(reader, *span(reader)) as folder:
             yield folder, f"the archive {reader.address.url}, {reader.installation}"
     finally:
         reader.close()

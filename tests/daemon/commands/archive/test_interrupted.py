@@ -1,5 +1,6 @@
-"""Ctrl-C in what fills an archive, and in what writes its days: what is done stays done."""
+"""What is broken off at an archive: what is done stays done, and what was only for the time goes."""
 
+import os
 import signal
 
 import pytest
@@ -37,3 +38,23 @@ def test_what_was_done_so_far_is_told_to_be_there(words, told, keep, postgres, d
         told = told.replace(word, str(place))
     sentence = f"heliocube: interrupted: {told}; give the command again for the rest\n"
     assert (tmp_path / "said").read_text() == sentence
+
+
+def test_the_copy_of_an_archive_does_not_stay_when_the_connection_of_the_terminal_is_lost(
+    keep, postgres, database, heliocube, tmp_path
+):
+    import psycopg  # noqa: PLC0415 - in an extra
+
+    assert heliocube("archive", "fill", keep(scan()), "--name", "lab/roof", "--to", database)[0] == 0
+    waits = "SELECT count(*) FROM pg_locks WHERE NOT granted"
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    with psycopg.connect(database) as other:
+        other.execute("LOCK TABLE heliocube.scans")
+        command = ["export", "--store", database, "--out", tmp_path / "out"]
+        running = forks.start(command, env=os.environ | {"TMPDIR": str(temporary)})
+        until(lambda: postgres.sql(waits, database.rpartition("/")[2]) == [(1,)])
+        assert len(list(temporary.glob("heliocube-archive-*"))) == 1
+        running.send_signal(signal.SIGHUP)
+        assert running.wait(60) == 130
+    assert list(temporary.iterdir()) == []
