@@ -13,6 +13,8 @@ from tests.daemon.store.test_store import keep
 from tests.daemon.store.test_tables import scan
 from tests.support import forks
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["keep"]
 
 
