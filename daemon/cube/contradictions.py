@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.base.records import FACES
+from solar.faces.changes import changes
 from solar.faces.contradiction import AGREEMENT, Misfits, misfits
 from solar.faces.plausible import Doubt
 from solar.frames import Array
@@ -35,6 +36,7 @@ class Contradictions:
     def _forget(self) -> None:
         self._minutes = self._puzzled = 0
         self._fit: Misfits | None = None
+        self._unchanging: tuple[int, ...] = ()
         self.acquitted: int | None = None
         self._found = np.full(len(FACES), Doubt.NONE, dtype=np.int64)
 
@@ -52,7 +54,8 @@ class Contradictions:
         if len(faces_w_m2) < MINUTES or any(why not in (*_OPEN, _BY_THE_OTHERS) for why in whys):
             self._forget()
         elif self._minutes % _EVERY_MINUTES == 0:
-            self._fit = misfits(faces_w_m2, sun)
+            self._fit, change = misfits(faces_w_m2, sun), changes(faces_w_m2, sun)
+            self._unchanging = () if change is None else change.accused
             self._found = self._judged_beside(frozen) if frozen else self._judged(whys)
         self._minutes += 1
         return self._found
@@ -78,14 +81,19 @@ class Contradictions:
             found[other] = Doubt.ODD
         return found
 
+    def _accused(self) -> tuple[int, ...]:
+        """Return who is wrong by the readings or by their changes; nobody where the two accuse different faces."""
+        by_readings = () if self._fit is None else self._fit.accused
+        if by_readings and self._unchanging and by_readings != self._unchanging:
+            return ()
+        return by_readings or self._unchanging
+
     def _judged(self, whys: Sequence[Doubt]) -> NDArray[np.int64]:
         found = np.full(len(FACES), Doubt.NONE, dtype=np.int64)
         self.acquitted = None
-        if self._fit is None or not self._fit.contradict:
-            self._puzzled = 0
-            return found
-        accused = self._fit.accused
-        self._puzzled = 0 if accused else self._puzzled + 1
+        contradict = self._fit is not None and self._fit.contradict
+        accused = self._accused()
+        self._puzzled = 0 if accused or not contradict else self._puzzled + 1
         if accused:
             found[list(accused)] = Doubt.ODD if len(accused) == 1 else Doubt.SWAPPED
         elif self._puzzled >= _PUZZLED_LOOKS and not any(why in (Doubt.ODD, Doubt.SWAPPED) for why in whys):

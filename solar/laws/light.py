@@ -69,7 +69,7 @@ def usable_faces(faces: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
     readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
     possible = _are_possible(readings)
     seen = np.where(possible, readings, 0.0)
-    shares = _beam_shares(sun)
+    shares = beam_shares(sun)
     zenith = seen[..., 3]
     believed = []
     for face in range(3):
@@ -127,7 +127,7 @@ def light_from_faces(
     readings = np.where(counts, readings, 0.0)
     rho = np.asarray(albedo, dtype=np.float64)
     height = np.maximum(sun[..., 2], 0.0)
-    towards = _beam_shares(sun)
+    towards = beam_shares(sun)
     beam_share = [side + 0.5 * rho * height for side in towards]
     diffuse_share = 0.5 * (1.0 + rho)
     solution = _solve(weight, readings, beam_share, diffuse_share, height)
@@ -226,7 +226,7 @@ def _near(best_deg: Array, most_w_m2: Array, here_deg: ArrayLike, price_w_m2_per
     return result
 
 
-def _beam_shares(sun: Array) -> list[Array]:
+def beam_shares(sun: Array) -> list[Array]:
     """Cosines of the beam's incidence on east, south and west; zero where they are shaded."""
     lit = np.where(sun[..., 2] > 0.0, 1.0, 0.0)
     return [np.maximum(side, 0.0) * lit for side in (sun[..., 1], sun[..., 0], -sun[..., 1])]

@@ -14,6 +14,7 @@ from daemon.cube.face_watch import BAD_LOOKS, BLOCKS, face_normals
 from daemon.studies.energy.benchmark import measured_minutes
 from solar.energy import SKIES, Shining, build_sky, faces_under, lay_out
 from solar.ephemeris import Site, sun_direction
+from solar.faces.changes import changes
 from solar.faces.contradiction import misfits
 from solar.faces.plausible import Doubt, Response, doubts, responses
 from solar.frames import Array
@@ -78,6 +79,23 @@ def contradictions(utc_s: Array, faces: Array, sun: Array) -> tuple[int, int, fl
     return against, len(known), max(look.least for look in known), float(three)
 
 
+def unchanging(utc_s: Array, faces: Array, sun: Array) -> tuple[int, int, int, float]:
+    """Return of how many half hours, one every five minutes, the changes of sound faces accuse one or two of them.
+
+    Then in how many there were enough changes, in how many of these they contradict each other, and what is left over
+    there at the least by what may be wrong, as a share of what is left over without it: below 0.3 it is accused.
+    """
+    looks = []
+    for begin in range(0, utc_s.size - HALF_HOUR, 5):
+        half_hour = slice(begin, begin + HALF_HOUR)
+        if utc_s[half_hour][-1] - utc_s[begin] <= 60.0 * HALF_HOUR:
+            looks.append(changes(faces[half_hour], sun[half_hour]))
+    known = [look for look in looks if look is not None]
+    against = [look for look in known if look.contradict]
+    shares = [min(look.single.min(), look.swapped.min()) / look.as_they_are for look in against]
+    return sum(bool(look.accused) for look in known), len(known), len(against), float(min(shares, default=np.inf))
+
+
 def main() -> None:
     """Print alarms and minutes in doubt for each sky and albedo."""
     files = sorted(path for folder in sys.argv[1:] for path in Path(folder).glob("*.csv.gz"))
@@ -108,6 +126,8 @@ def main() -> None:
             against, known, greatest, three = contradictions(utc_s, faces, sun)
             told.append(f"{against} of {known} half hours that contradict, misfit {greatest:.3f} at the most")
             told.append(f"of three faces {three:.3f}")
+            accused, changing, odd, least = unchanging(utc_s, faces, sun)
+            told.append(f"{accused} of {changing} half hours with changes accuse, {odd} contradict ({least:.2f})")
             told.append(f"{frozen} half hours with a face that stays")
             print(f"{model:10} albedo {albedo:4.2f}: {raised:4d} alarms for {SEEDS} cubes; minutes: {', '.join(told)}")
 

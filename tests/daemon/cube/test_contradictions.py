@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from daemon.cube.contradictions import MINUTES, Contradictions
+from solar.faces.changes import changes
+from solar.faces.contradiction import misfits
 from solar.faces.plausible import Doubt
 
 NONE, DEAD, OVER, ODD, SWAPPED, TORN = Doubt.NONE, Doubt.DEAD, Doubt.OVER, Doubt.ODD, Doubt.SWAPPED, Doubt.TORN
@@ -11,8 +13,8 @@ FROZEN = Doubt.FROZEN
 SOUND = [NONE] * 4
 
 
-def half_hour(order=(0, 1, 2, 3), share=(1.0, 1.0, 1.0, 1.0), minutes=MINUTES):
-    """Faces [W/m2] under a beam of 700, a uniform sky of 140 and a ground of 20 %; sun in the south-east."""
+def half_hour(order=(0, 1, 2, 3), share=(1.0, 1.0, 1.0, 1.0), minutes=MINUTES, beam_w_m2=700.0):
+    """Faces [W/m2] under a beam, a uniform sky of 140 and a ground of 20 %; sun in the south-east."""
     azimuth, elevation = np.radians(np.linspace(130.0, 138.0, minutes)), np.radians(45.0)
     sun = np.stack(
         [
@@ -23,8 +25,9 @@ def half_hour(order=(0, 1, 2, 3), share=(1.0, 1.0, 1.0, 1.0), minutes=MINUTES):
         axis=-1,
     )
     normals = np.array([[0.0, 1, 0], [1.0, 0, 0], [0.0, -1, 0], [0.0, 0, 1]])
-    ground = 0.2 * (700.0 * sun[:, 2:] + 140.0)
-    faces = 700.0 * np.maximum(sun @ normals.T, 0.0) + 70.0 * (1 + normals[:, 2]) + 0.5 * ground * (1 - normals[:, 2])
+    beam = np.broadcast_to(beam_w_m2, minutes)[:, None]
+    ground = 0.2 * (beam * sun[:, 2:] + 140.0)
+    faces = beam * np.maximum(sun @ normals.T, 0.0) + 70.0 * (1 + normals[:, 2]) + 0.5 * ground * (1 - normals[:, 2])
     return faces[:, list(order)] * share, sun
 
 
@@ -37,6 +40,27 @@ def test_sound_faces_are_not_accused():
     contradictions = Contradictions()
     assert after(contradictions, 11) == [SOUND] * 11
     assert all(contradictions.agrees(face, [TORN, ODD, OVER, NONE]) for face in range(4))
+
+
+PASSING_W_M2 = np.where(np.arange(MINUTES) % 7 < 3, 500.0, 700.0)
+
+
+def test_a_face_that_does_not_change_with_the_light_is_found_where_the_readings_agree():
+    faces, sun = half_hour(beam_w_m2=PASSING_W_M2)
+    faces[:, 0] = faces[:, 0].mean()
+    assert not misfits(faces, sun).contradict
+    assert Contradictions().look(faces, sun, SOUND).tolist() == [ODD, NONE, NONE, NONE]
+
+
+def test_nobody_is_believed_where_readings_and_changes_accuse_different_faces():
+    contradictions = Contradictions()
+    faces, sun = half_hour(beam_w_m2=PASSING_W_M2)
+    faces[:, 0] = faces[:, 0].mean()
+    faces[:, 1] -= 300.0
+    assert misfits(faces, sun).accused == (1,)
+    assert changes(faces, sun).accused == (0,)
+    found = [contradictions.look(faces, sun, SOUND).tolist() for _ in range(6)]
+    assert found == [SOUND] * 5 + [[TORN] * 4]
 
 
 def test_before_half_an_hour_nothing_is_known_and_nothing_forgiven():

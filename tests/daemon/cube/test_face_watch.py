@@ -246,6 +246,15 @@ def test_swapped_faces_are_both_named_within_the_hour_and_used_again_when_they_a
     assert day.doubted() == []
 
 
+def test_passing_clouds_tell_which_of_the_faces_are_swapped_where_the_readings_do_not():
+    day = WatchedDay(MORNING_UTC_S)
+    day.order = [1, 0, 2, 3]
+    day.minutes(60)
+    assert day.doubted() == [0, 1]
+    (alarm,) = day.alarms.active
+    assert "the east and south faces read each what the other should" in alarm.text
+
+
 def test_swapped_faces_are_named_together_although_one_was_left_out_before_the_other():
     day = WatchedDay(MORNING_UTC_S - 3600.0)
     day.order = [2, 1, 0, 3]
@@ -356,6 +365,7 @@ def test_after_a_restart_a_face_that_somebody_has_seen_is_no_new_alarm_and_anoth
 
 def test_faces_that_no_light_explains_are_none_of_them_used_until_they_agree():
     day = WatchedDay(MORNING_UTC_S)
+    day.in_cloud_w_m2 = 750.0
     day.order = [1, 0, 2, 3]
     day.minutes(60)
     assert day.doubted() == [0, 1, 2, 3]

@@ -1,0 +1,104 @@
+"""Faces that do not change as the light does, when clouds pass before the sun."""
+
+import numpy as np
+import pytest
+
+from solar.energy import build_sky, faces_under, lay_out
+from solar.ephemeris import Site
+from solar.faces.changes import Changes, changes
+from solar.faces.contradiction import PAIRS, misfits
+
+SITE = Site(55.79064, 12.52505, 50.0)
+JUNE_UTC_S = 1655283600.0  # 2022-06-15 09:00
+DECEMBER_UTC_S = 1671098400.0  # 2022-12-15 10:00
+MINUTES = np.arange(30)
+PASSING = np.where(MINUTES % 7 < 3, 0.2, 1.0)
+SOUND = np.array([0.05, 0.4, 0.4, 0.4])
+AS_MUCH = np.full(6, 0.4)
+
+
+def half_hour(at_utc_s=JUNE_UTC_S, model="perez1990", beam_w_m2=700.0, albedo=0.2, clouds=PASSING):
+    """Return faces with gains 3 % off under passing clouds, the same without beam, and the sun's directions."""
+    utc_s = at_utc_s + 60.0 * MINUTES
+    gains = np.array([1.03, 0.97, 1.03, 0.97])
+    beam, dull = (lay_out(utc_s, share * beam_w_m2 * clouds, np.full(30, 100.0), SITE, 60.0) for share in (1.0, 0.0))
+    faces, shaded = (gains * faces_under(build_sky(weather, model), albedo) for weather in (beam, dull))
+    return faces, shaded, beam.sun
+
+
+@pytest.mark.parametrize("albedo", [0.05, 0.2, 0.8])
+@pytest.mark.parametrize("at_utc_s", [JUNE_UTC_S, DECEMBER_UTC_S])
+@pytest.mark.parametrize("model", ["isotropic", "haydavies", "perez1990", "perez1993", "cie"])
+def test_sound_faces_change_together_under_every_sky_and_over_every_ground(model, at_utc_s, albedo):
+    faces, _, sun = half_hour(at_utc_s, model, albedo=albedo)
+    found = changes(faces, sun)
+    assert found.as_they_are < 0.2
+    assert not found.contradict
+    assert found.accused == ()
+
+
+@pytest.mark.parametrize("beam_w_m2", [250.0, 700.0])
+def test_a_south_face_in_the_shade_of_a_low_sun_is_named_although_a_weaker_beam_would_explain_its_readings(beam_w_m2):
+    faces, shaded, sun = half_hour(DECEMBER_UTC_S, beam_w_m2=beam_w_m2)
+    faces[:, 1] = shaded[:, 1]
+    assert misfits(faces, sun).accused == ()
+    assert changes(faces, sun).accused == (1,)
+
+
+@pytest.mark.parametrize(("face", "hours"), [(0, -1.0), (1, 2.0), (2, 5.0)])
+def test_a_face_that_stands_still_but_for_its_noise_is_named(face, hours):
+    faces, _, sun = half_hour(JUNE_UTC_S + 3600.0 * hours)
+    faces[:, face] = np.random.default_rng(1).normal(300.0, 0.3, 30)
+    assert changes(faces, sun).accused == (face,)
+
+
+def test_a_face_that_changes_half_as_much_is_named():
+    faces, _, sun = half_hour(DECEMBER_UTC_S - 3600.0)
+    faces[:, 1] *= 0.5
+    assert changes(faces, sun).accused == (1,)
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_two_faces_that_are_swapped_are_named_and_nobody_else_is(pair):
+    named = set()
+    for hours in range(-3, 7):
+        faces, _, sun = half_hour(JUNE_UTC_S + 3600.0 * hours)
+        faces[:, list(pair)] = faces[:, list(pair[::-1])]
+        named.add(changes(faces, sun).accused)
+    assert pair in named
+    assert named <= {pair, ()}
+
+
+def test_a_cloud_now_and_then_tells_nothing():
+    for clouds in (np.ones(30), np.where(MINUTES < 15, 1.0, 0.2), np.where(MINUTES < 10, PASSING, 1.0)):
+        faces, _, sun = half_hour(clouds=clouds)
+        assert changes(faces, sun) is None
+
+
+def test_minutes_that_are_missing_are_left_out():
+    faces, shaded, sun = half_hour(DECEMBER_UTC_S)
+    faces[:, 1] = shaded[:, 1]
+    faces[[4, 11], [0, 2]] = np.nan
+    assert changes(faces, sun).accused == (1,)
+    faces[:, 3] = np.nan
+    assert changes(faces, sun) is None
+
+
+def test_nothing_is_told_by_a_sun_that_is_lower_than_five_degrees():
+    faces, _, sun = half_hour(DECEMBER_UTC_S + 4 * 3600.0)
+    assert sun[-1, 2] < np.sin(np.radians(5.0))
+    assert changes(faces, sun) is None
+
+
+@pytest.mark.parametrize(
+    ("found", "accused"),
+    [
+        (Changes(0.3, SOUND, AS_MUCH), (0,)),
+        (Changes(0.24, SOUND, AS_MUCH), ()),
+        (Changes(0.3, SOUND + 0.05, AS_MUCH), ()),
+        (Changes(0.3, SOUND, np.array([0.4, 0.4, 0.07, 0.4, 0.4, 0.4])), ()),
+        (Changes(0.3, SOUND + 0.3, np.array([0.4, 0.4, 0.07, 0.4, 0.4, 0.4])), (1, 2)),
+    ],
+)
+def test_it_takes_a_contradiction_that_one_thing_explains_and_no_other_about_as_well(found, accused):
+    assert found.accused == accused
