@@ -240,7 +240,8 @@ class FaceWatch:
             self._bad[face] += 1
             self._good[face] = 0
             # What has to follow the light again, or to stand in order, does so whatever else it reads meanwhile.
-            if self._bad[face] >= BAD_LOOKS and not (doubt is Doubt.OVER and self._whys[face] in _HARD_TO_FORGIVE):
+            stands = self._whys[face] in _HARD_TO_FORGIVE and doubt not in _HARD_TO_FORGIVE
+            if self._bad[face] >= BAD_LOOKS and not stands:
                 if self._whys[face] is Doubt.NONE:
                     self._note_relapse(face)
                 self._whys[face] = doubt
