@@ -11,7 +11,8 @@ multiply to 1. The vertical intercept h (what a face without beam reads) and the
 
 where a tenth of the diffuse light is left to the horizon, which is brighter than the vault under a clear sky. The
 zenith sensor's gain is in rho too: one equation cannot tell them apart, and for pointing it need not. Sums of a day
-are taken over at its end, a small step at a time, inside bounds.
+are taken over at its end, a small step at a time, inside bounds. A day on which a face was left out teaches nothing: it
+may have read wrong before that was found, and what it taught would outlast it.
 """
 
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ _BEAM_SHARE = 0.7
 _HORIZON_SHARE = 0.1
 _LIT_COSINE = 0.3
 _LIGHT_W_M2 = 50.0
+_MOST_LEFT_OUT_S = 600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +56,10 @@ _NAMES = ("albedo", "gain_east", "gain_south", "gain_west")
 
 
 class DaySums(NamedTuple):
-    """Weighted sums of one day: seconds and second-weighted values, each of the law's shape."""
+    """Weighted sums of one day: seconds and second-weighted values, each of the law's shape.
+
+    Of `left_out_s` seconds some faces had readings and others none.
+    """
 
     albedo_s: Array
     albedo: Array
@@ -62,6 +67,7 @@ class DaySums(NamedTuple):
     east: Array
     west_s: Array
     west: Array
+    left_out_s: Array
 
 
 class SiteLearning:
@@ -97,9 +103,12 @@ class SiteLearning:
     ) -> None:
         """Add corrected faces, with the beam they were found to show, to the day's sums."""
         clear = usable.all(axis=-1) & (beam_w_m2 > _BEAM_W_M2) & (beam_w_m2 * sun[..., 2] > _BEAM_SHARE * faces[..., 3])
-        if not clear.any():
+        missing = np.isnan(faces)
+        left_out = missing.any(axis=-1) & ~missing.all(axis=-1)
+        if not (clear | left_out).any():
             return
         added = _sums_of(np.where(usable, faces, 0.0), sun, beam_w_m2, np.where(clear, elapsed_s, 0.0))
+        added = added._replace(left_out_s=np.where(left_out, elapsed_s, 0.0))
         if np.ndim(added.albedo) == len(self._shape):
             self._sums = DaySums(*(total + part for total, part in zip(self._sums, added, strict=True)))
             return
@@ -139,11 +148,14 @@ def _sums_of(faces: Array, sun: Array, beam: Array, seconds: Array) -> DaySums:
         east=east_s * east_log,
         west_s=west_s,
         west=west_s * west_log,
+        left_out_s=np.zeros_like(seconds),
     )
 
 
 def step(learned: Learned, sums: DaySums) -> Learned:
     """Return what is known after a day with these sums: at most a fifth of the way to what it showed."""
+    teaches = np.where(sums.left_out_s > _MOST_LEFT_OUT_S, 0.0, 1.0)
+    sums = DaySums(*(teaches * total for total in sums))
     albedo = _step(np.asarray(learned.albedo), sums.albedo_s, sums.albedo)
     # The readings were corrected: what they show of the gains is what is left to correct.
     east = np.log(learned.gain_east / learned.gain_south)

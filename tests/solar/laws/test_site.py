@@ -64,6 +64,25 @@ def test_an_overcast_day_teaches_nothing():
     assert learn(3, 0.7, dni=0.0) == Learned(0.2, 1.0, 1.0, 1.0)
 
 
+@pytest.mark.parametrize(("missing", "seconds", "learns"), [
+    ([3], 600.0, True), ([3], 615.0, False), ([0, 1, 2], 615.0, False), ([0, 1, 2, 3], 3600.0, True),
+])  # fmt: skip
+def test_a_day_on_which_a_face_was_left_out_teaches_nothing_and_one_without_readings_does(missing, seconds, learns):
+    sun = np.array([0.6, 0.5, np.sqrt(1.0 - 0.61)])
+    faces = np.array([500.0, 560.0, 150.0, 1.2 * 800.0 * sun[2]])
+    unread = faces.copy()
+    unread[missing] = np.nan
+    site = SiteLearning()
+    site.observe(faces, sun, np.ones(4, dtype=bool), np.array(800.0), 3600.0)
+    site.observe(unread, sun, ~np.isnan(unread), np.array(800.0), seconds)
+    site.end_of_day()
+    assert (site.learned != Learned(0.2, 1.0, 1.0, 1.0)) == learns
+    before = site.learned
+    site.observe(faces, sun, np.ones(4, dtype=bool), np.array(800.0), 3600.0)
+    site.end_of_day()
+    assert site.learned != before, "the next day teaches again"
+
+
 def test_what_was_learned_can_be_forgotten():
     site = SiteLearning(learned=learn(2, 0.5))
     site.reset()
