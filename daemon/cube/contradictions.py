@@ -69,7 +69,7 @@ class Contradictions:
         if whys[face] is Doubt.SWAPPED:
             return self._fit.in_order([place for place, why in enumerate(whys) if why is Doubt.SWAPPED])
         # All four are needed again soon, whatever lies on the ground; one can be done without.
-        return (self._fit.whole if whys[face] is Doubt.TORN else self._fit.ordinary) < AGREEMENT
+        return self._fit.whole < AGREEMENT if whys[face] is Doubt.TORN else self._fit.in_full(face)
 
     def _judged_beside(self, frozen: Sequence[int]) -> NDArray[np.int64]:
         """Accuse another face than the frozen one only where the others contradict each other without it as well."""

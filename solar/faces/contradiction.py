@@ -34,6 +34,7 @@ _LIT_W_M2 = 30.0
 _PARTS = 3
 _LEAST_MINUTES = 24
 _HELD_BACK = np.array([[True] * 4, *(np.arange(4) != face for face in range(4))])
+_DOUBLED = (1.0 + np.eye(4))[:, None, :]
 
 
 class Misfits(NamedTuple):
@@ -53,6 +54,8 @@ class Misfits(NamedTuple):
         By all four with two swapped back, for each of `PAIRS`, shape (6,).
     ordinary
         By all four where the ground has no snow and the horizon is no brighter than it usually is.
+    doubled
+        By all four with one read twice, for each face, shape (4,): what a face at half its gain would hide.
     """
 
     whole: float
@@ -61,6 +64,7 @@ class Misfits(NamedTuple):
     least_without: Array
     swapped: Array
     ordinary: float
+    doubled: Array
 
     @property
     def contradict(self) -> bool:
@@ -92,6 +96,10 @@ class Misfits(NamedTuple):
             return None
         return self.accused[0]
 
+    def in_full(self, face: int) -> bool:
+        """Tell whether the faces agree as they are, and would not if this one read twice as much."""
+        return self.ordinary < AGREEMENT and float(self.doubled[face]) > AGREEMENT
+
     def in_order(self, places: Collection[int]) -> bool:
         """Tell whether the faces agree as they are, and would not with any two of these swapped."""
         pairs = [place for place, pair in enumerate(PAIRS) if set(pair) <= set(places)]
@@ -113,8 +121,9 @@ def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
     if len(faces) < _LEAST_MINUTES or not np.sort(faces)[:, -2].mean() > _LIT_W_M2:
         return None
     orders = np.array([_order(pair) for pair in PAIRS])
-    tried = np.concatenate([np.repeat(faces[None], len(_HELD_BACK), axis=0), np.moveaxis(faces[:, orders], 0, 1)])
-    used = np.concatenate([_HELD_BACK, np.ones((len(PAIRS), 4), dtype=np.bool_)])[:, None, :]
+    held_back = np.repeat(faces[None], len(_HELD_BACK), axis=0)
+    tried = np.concatenate([held_back, np.moveaxis(faces[:, orders], 0, 1), faces * _DOUBLED])
+    used = np.concatenate([_HELD_BACK, np.ones((len(PAIRS) + len(_DOUBLED), 4), dtype=np.bool_)])[:, None, :]
     used = np.broadcast_to(used, tried.shape)
     left = _left_over(tried, up, used, _ALBEDOS, _HORIZON_RANGE)
     without_snow = _left_over(tried[:1], up, used[:1], _ALBEDOS[:_WITHOUT_SNOW], _ORDINARY_HORIZON_RANGE)
@@ -127,8 +136,9 @@ def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
         least=float(least[0]),
         without=shares[1:5],
         least_without=least[1:5],
-        swapped=shares[5:],
+        swapped=shares[5 : 5 + len(PAIRS)],
         ordinary=float(np.sqrt(without_snow[0].sum() / there[0].sum())),
+        doubled=shares[5 + len(PAIRS) :],
     )
 
 

@@ -80,6 +80,18 @@ def test_a_face_in_a_shade_of_its_own_is_found_at_once_and_looked_at_again_after
     assert contradictions.agrees(1, odd)
 
 
+@pytest.mark.parametrize(("face", "beam_w_m2"), [(2, 300.0), (3, 0.0)])
+def test_a_face_is_not_used_again_by_a_light_in_which_twice_as_much_would_agree(face, beam_w_m2):
+    contradictions = Contradictions()
+    odd = [ODD if place == face else NONE for place in range(4)]
+    share = [0.55 if place == face else 1.0 for place in range(4)]
+    after(contradictions, 1, odd, share=share, beam_w_m2=beam_w_m2)
+    assert not contradictions.agrees(face, odd)
+    assert contradictions.agrees(face, [TORN] * 4)
+    after(contradictions, 5, odd)
+    assert contradictions.agrees(face, odd) == (face == 3), "with the sun behind it the west face could read anything"
+
+
 def test_two_that_are_swapped_are_both_found_and_asked_to_be_in_order():
     contradictions = Contradictions()
     swapped = [NONE, NONE, SWAPPED, SWAPPED]
