@@ -73,6 +73,8 @@ class Guard:
         A reference run of ours is on; the unit's marks are being cleared by us.
     stray
         Motion that nothing explains, not yet dealt with by `quell`.
+    own_mode
+        Whether a mode of the positioner's own stays on.
     """
 
     def __init__(
@@ -98,7 +100,7 @@ class Guard:
         # Three steps of a position that is rounded.
         self._deafness = Deafness(watch.same_place, 3.0 * expected.resolution() / expected.slowest_deg_per_s)
         self._currents = Currents(expected.current_alarm_a)
-        self._own_mode = OwnMode()
+        self.own_mode = OwnMode()
         self._own_moves: tuple[str, ...] = ()
         self._reported_pose: Pose | None = None
         self._pressed_s = float("-inf")
@@ -216,17 +218,17 @@ class Guard:
         self.doubts.see(telemetry, clearing=self.clearing)
         self._judge(before, telemetry)
         self._currents.update(telemetry, None if moving else self.watch.stands_since_s)
-        self._own_mode.update(telemetry)
+        self.own_mode.update(telemetry)
         self._raise_alarms(telemetry)
         self._note_pose(telemetry, moving=moving)
         self._polled()
         return telemetry
 
     def _raise_alarms(self, telemetry: Telemetry) -> None:
-        alarmed = self.doubts.changes, telemetry.faults, self.identity, self._currents.text, self._own_mode.text
+        alarmed = self.doubts.changes, telemetry.faults, self.identity, self._currents.text, self.own_mode.text
         if alarmed != self._alarmed:
             self._alarmed = alarmed
-            show(self._alarms, self.doubts, self.identity, telemetry, self._currents, self._own_mode)
+            show(self._alarms, self.doubts, self.identity, telemetry, self._currents, self.own_mode)
 
     async def expect_move(self) -> None:
         """Let motion towards the destinations pass from now on: the unit has just confirmed a target."""

@@ -160,15 +160,16 @@ class Motion(MotionState):
     def home(self) -> None:
         """Ask for a reference run of both axes; the reset mark and latched faults are cleared by it.
 
-        Raises `RefusedError` when nothing may move, after unexplained motion, without telemetry, and for a drive that
-        has no reference run.
+        Raises `RefusedError` when nothing may move, after unexplained motion, without telemetry, while a mode of the
+        unit's own stays on, and for a drive that has no reference run.
         """
         if not self._has_reference_run:
             message = "has no reference run: compare it with where it truly points, put it right there, then clear it"
             raise RefusedError("positioner", message)
         self._refuse_frozen()
-        conflicts = self.identity.setup_conflicts if self.identity else ()
-        obstacle = self.unexplained or "; ".join(conflicts) or (None if self.connected else "no telemetry")
+        conflicts = "; ".join(self.identity.setup_conflicts) if self.identity else ""
+        unseen = None if self.connected else "no telemetry"
+        obstacle = self.unexplained or conflicts or unseen or self._guard.own_mode.text
         if obstacle:
             # What is cleared goes to work, by whatever count it has.
             wait = "; 'heliocube hold' before it lets the tracker wait to be homed" if self.unexplained else ""
@@ -269,11 +270,9 @@ class Motion(MotionState):
         # A move ordered before the loss, by us or by a program before us, may still be on.
         await guard.halt()
         pose, telemetry = guard.pose, guard.telemetry
-        # Narrowing for the type checker; halt has just looked.
-        assert pose is not None and telemetry is not None  # noqa: S101, PT018
+        assert pose is not None and telemetry is not None  # noqa: S101, PT018 - narrowing; halt has just looked
         serial = f", serial {identity.serial}" if identity.serial else ""
-        name = f"{identity.board}, firmware {identity.firmware}{serial}"
-        told = self._note_link(name)
+        told = self._note_link(f"{identity.board}, firmware {identity.firmware}{serial}")
         before, self._before_loss = self._before_loss, None
         tolerance_deg = self._settings.tolerance_deg
         off_its_way = guard.watch.off_its_way(telemetry, tolerance_deg)
@@ -345,6 +344,10 @@ class Motion(MotionState):
             shown, self._clear_wanted = self._clear_wanted, None
             await self._runs.clear(shown)
         elif telemetry.autonomous:
+            if self._home_wanted and guard.own_mode.text:
+                # Whoever switches it off stands at the unit.
+                self._home_wanted = False
+                self._report(f"homing refused: {guard.own_mode.text}")
             await self._runs.free()
         elif self._home_wanted:
             self._home_wanted = False

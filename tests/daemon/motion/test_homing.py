@@ -7,7 +7,18 @@ import pytest
 from daemon.base.records import Mode, Target
 from daemon.motion.polling import Polling
 from daemon.motion.reference import RESET
-from tests.support.motion import HOME_A_PACKET, STOP_PACKET, commands_sent, drive_b, lose, moves_for, show
+from drivers.errors import RefusedError
+from tests.support.motion import (
+    HOME_A_PACKET,
+    STOP_PACKET,
+    TRACKING_OFF_PACKET,
+    alarms,
+    commands_sent,
+    drive_b,
+    lose,
+    moves_for,
+    show,
+)
 from tests.support.phases import at_rest, homed, now, quiet, told, tracking
 
 
@@ -218,6 +229,29 @@ def test_nothing_is_homed_while_a_fault_is_latched(run_rig):
         assert not [text for text in told(rig) if text == "homing"]
 
     run_rig(scenario, motion={"rehome": "automatic"})
+
+
+def test_a_home_does_not_wait_for_somebody_who_switches_a_mode_off_at_the_unit(run_rig, monkeypatch):
+    async def scenario(rig):
+        await quiet(rig)
+        lose(rig, monkeypatch, TRACKING_OFF_PACKET)
+        # Without a supply it cannot move, whatever it wants.
+        rig.unit.inject("undervoltage", now(rig))
+        rig.unit.inject("own_tracking", now(rig))
+        await rig.until(lambda: rig.motion.blocked, 10, "the mode")
+        rig.motion.home()
+        await rig.until(lambda: "do it at the unit" in alarms(rig).get("positioner-fault", ""), 60, "the alarm")
+        await asyncio.sleep(30)
+        assert not rig.motion.goes_home
+        assert [text for text in told(rig) if text.startswith("homing refused: a mode of the positioner's own is on")]
+        with pytest.raises(RefusedError, match="cannot be homed: a mode of the positioner's own is on"):
+            rig.motion.home()
+        rig.unit.repair("undervoltage", now(rig))
+        await asyncio.sleep(6)
+        rig.unit.repair("own_tracking", now(rig))
+        assert await moves_for(rig, 30) == 0.0, "whoever has switched it off stands there"
+
+    run_rig(scenario, motion={"rehome": "operator", "deadband_deg": 30})
 
 
 @pytest.mark.parametrize("how", ["rest", "a stow"])
