@@ -26,7 +26,6 @@ _MARGIN_S = 20.0
 _ASTRAY_DEG = 0.7
 # So far has an axis to have gone, for somebody who stops it to have stopped a motion.
 _UNDER_WAY_DEG = 0.3
-_BY_A_KEY = "was stopped by a key, and stands"
 _UNLOCKED = "the stop could not be seen in telemetry: SWITCH THE MOTORS' SUPPLY OFF"
 
 
@@ -179,8 +178,7 @@ async def _legs(
             leg = await _from_here(positioner, axis, target_deg, bounds, pressed)
             say(f"{axis.upper()} from {leg.from_deg:z.1f} to {leg.to_deg:z.1f} deg, {leg.direction}: any key stops it")
             speeds.append(await follow(positioner, leg, bounds, clock, pressed))
-            if pressed():
-                raise FirstMoveError(_BY_A_KEY)
+            await _end_by_a_key(positioner, pressed)
             say(f"  arrived, at {speeds[-1]:.2f} deg/s")
     leg = await _from_here(positioner, "a", _inside("a", a_deg, _STOP_TEST_DEG, bounds.limits), bounds, pressed)
     begins = await positioner.read_telemetry()
@@ -199,12 +197,19 @@ async def _from_here(
     positioner: Positioner, axis: AxisName, target_deg: float, bounds: Bounds, pressed: Pressed
 ) -> Leg:
     """Return the leg from where the axes stand, the other axis asked to stay there."""
-    if pressed():
-        raise FirstMoveError(_BY_A_KEY)
+    await _end_by_a_key(positioner, pressed)
     seen = await positioner.read_telemetry()
     here = bounds.limits.clip(seen.a_deg, seen.b_deg)
     from_deg, other_deg = here if axis == "a" else (here.b_deg, here.a_deg)
     return Leg(axis, from_deg, target_deg, other_deg)
+
+
+async def _end_by_a_key(positioner: Positioner, pressed: Pressed) -> None:
+    """End it where a key was pressed, and halt: within the tolerance of its target an axis may yet go on."""
+    if pressed():
+        with _supply_off(FirstMoveError("was stopped by a key")):
+            await positioner.halt()
+        raise FirstMoveError("was stopped by a key, and stands")
 
 
 def _inside(axis: AxisName, here_deg: float, step_deg: float, limits: Limits) -> float:

@@ -14,6 +14,7 @@ from daemon.rigs.simulated import build_simulated_positioner
 from drivers.errors import DeviceError, LinkLostError
 from drivers.interfaces import Telemetry
 from solar.frames import Limits
+from tests.support.motion import STOP_PACKET
 
 NARROW = Limits(-5.0, 5.0, 80.0, 90.0)
 
@@ -26,12 +27,19 @@ def moved(
     fault=None,
     fault_beyond_deg=-1.0,
     look=lambda _seen: None,
+    sent=None,
 ):
-    """Make the first move, with a key pressed behind the words of a line; return its result, lines and poses."""
+    """Make the first move, with a key pressed behind the words of a line; return its result, lines and poses.
+
+    What the unit receives is put into the list `sent`.
+    """
     lines, poses, keys = [], [], []
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         clock = LoopClock(runner.get_loop().time, 1.7e9)
         truth, positioner = build_simulated_positioner(Settings(), clock)
+        if sent is not None:
+            unit = truth.__self__
+            feed, unit.feed = unit.feed, lambda data, at_s: (sent.append(data), feed(data, at_s))[1]
 
         def pressed():
             poses.append(truth(clock.monotonic()))
@@ -74,6 +82,14 @@ def test_a_key_in_any_leg_stops_it_and_ends_the_first_move():
     assert "stopped by a key" in found
     assert min(pose.b_deg for pose in poses) > 88.5
     assert "PRESS" not in " ".join(lines)
+
+
+def test_a_key_at_the_end_of_a_leg_sends_a_stop_as_well():
+    sent = []
+    found, lines, _ = moved(press_at="arrived", sent=sent)
+    assert "stopped by a key" in found
+    assert "arrived" in lines[-1]
+    assert {data[:3] for data in sent[-2:]} == {STOP_PACKET}, "an axis may still be on its way within the tolerance"
 
 
 def test_a_key_before_it_begins_keeps_it_from_beginning():
