@@ -238,7 +238,7 @@ async def _order(positioner: PozsolPositioner, targets: tuple[float, float], say
 
 
 async def _watch(positioner: PozsolPositioner, axis: AxisName, clock: Clock) -> str:
-    """Follow one axis until it stands, and return what was seen."""
+    """Follow one axis until it stands, and return what was seen; `RefusedError` where it must go no further."""
     begin_s = last_s = first_s = clock.monotonic()
     seen = await positioner.read_telemetry()
     start = position = seen.position_a if axis == "a" else seen.position_b
@@ -253,6 +253,9 @@ async def _watch(positioner: PozsolPositioner, axis: AxisName, clock: Clock) -> 
             if position == start:
                 first_s = clock.monotonic()
             position, last_s = now_position, clock.monotonic()
+    if clock.monotonic() < last_s + _STILL_S:
+        limit = f"still moves after {_MOVE_WITHIN_S:g} s, so it was stopped"
+        raise RefusedError("positioner", f"{limit}: a smaller --move-deg is enough for a slow drive")
     end_deg, took_s = (seen.a_deg if axis == "a" else seen.b_deg), max(last_s - first_s, _LOOK_EVERY_S)
     if position == start:
         return "it did not move"

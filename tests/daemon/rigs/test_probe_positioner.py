@@ -11,6 +11,7 @@ from daemon.rigs.probe_positioner import probe_positioner
 from drivers.errors import RefusedError
 from drivers.transcript import no_tap
 from sim_drivers.pozsol.core import DEAF
+from sim_drivers.pozsol.setup import AxisDrive, Setup
 
 
 async def probed(host, say, **sections):
@@ -105,3 +106,25 @@ def test_what_the_service_would_not_move_for_is_not_moved(positioner_host, tmp_p
         asyncio.run(scene())
     assert received[-1] == 0
     assert {file: file.read_bytes() for file in tmp_path.iterdir()} == kept
+
+
+def test_an_axis_that_still_moves_when_its_time_is_over_is_stopped_and_not_sent_back(positioner_host, monkeypatch):
+    monkeypatch.setattr("daemon.rigs.probe_positioner._MOVE_WITHIN_S", 2.0)
+    said, stands = [], []
+
+    async def scene():
+        now = asyncio.get_running_loop().time
+        slow = Setup(drive=AxisDrive(speed_mm_s=1.0, acceleration_mm_s2=10.0, run_out_s=0.01))
+        async with positioner_host(slow) as host:
+            try:
+                await probed(host, said.append)
+            finally:
+                stands.append(host.core.truth(now()))
+                await asyncio.sleep(1.0)
+                stands.append(host.core.truth(now()))
+
+    with pytest.raises(RefusedError, match=r"still moves after 2 s, so it was stopped: a smaller --move-deg is enough"):
+        asyncio.run(scene())
+    assert not [line for line in said if line.startswith("  A to ")]
+    assert stands[0] == stands[1]
+    assert 0.0 < stands[0].a_deg < 1.5
