@@ -196,6 +196,7 @@ async def _time_moves(
         await positioner.halt()
         await positioner.disable_autonomy()
         start = await positioner.read_telemetry()
+        _refuse_pressed(start)
         if start.needs_homing:
             raise RefusedError("positioner", f"is not moved before it is homed, because of: {start.needs_homing}")
         if not (setups[0].allows(start.a_deg) and setups[1].allows(start.b_deg)):
@@ -211,6 +212,11 @@ async def _time_moves(
                 say(f"  {axis.upper()} to {target_deg:z.1f} deg: {await _watch(positioner, axis, clock)}")
     finally:
         await positioner.halt()
+
+
+def _refuse_pressed(seen: Telemetry) -> None:
+    if seen.button_pressed:
+        raise RefusedError("positioner", "is not moved on: a button on its box is pressed, so somebody is there")
 
 
 def _way(axis: AxisName, setup: AxisSetup, here_deg: float, move_deg: float) -> float:
@@ -246,6 +252,7 @@ async def _watch(positioner: PozsolPositioner, axis: AxisName, clock: Clock) -> 
     while clock.monotonic() < last_s + _STILL_S and clock.monotonic() < begin_s + _MOVE_WITHIN_S:
         await asyncio.sleep(_LOOK_EVERY_S)
         seen = await positioner.read_telemetry()
+        _refuse_pressed(seen)
         if seen.needs_homing:
             raise RefusedError("positioner", f"was stopped in its move, because of: {seen.needs_homing}")
         now_position = seen.position_a if axis == "a" else seen.position_b

@@ -128,3 +128,23 @@ def test_an_axis_that_still_moves_when_its_time_is_over_is_stopped_and_not_sent_
     assert not [line for line in said if line.startswith("  A to ")]
     assert stands[0] == stands[1]
     assert 0.0 < stands[0].a_deg < 1.5
+
+
+@pytest.mark.parametrize("when", ["before", "on the way"])
+def test_nothing_more_is_moved_once_a_button_is_pressed_at_the_unit(positioner_host, when):
+    said = []
+
+    async def scene():
+        now = asyncio.get_running_loop().time
+        async with positioner_host() as host:
+
+            def say(line):
+                said.append(line)
+                if line.startswith("port: " if when == "before" else "  A to 2.0"):
+                    host.core.inject("buttons_both", now())
+
+            await probed(host, say)
+
+    with pytest.raises(RefusedError, match="a button on its box is pressed, so somebody is there"):
+        asyncio.run(scene())
+    assert len([line for line in said if line.startswith("  A to ")]) == (0 if when == "before" else 1)
