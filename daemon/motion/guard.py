@@ -18,7 +18,7 @@ from daemon.motion.alarms import Currents, OwnMode, show
 from daemon.motion.deafness import Deafness
 from daemon.motion.place import KeptPlace
 from daemon.motion.reference import Doubts
-from daemon.motion.watch import Stray, Watch
+from daemon.motion.watch import CLEAR, Stray, Watch
 from drivers.errors import DeviceError, StillMovingError
 from drivers.interfaces import Positioner, PositionerIdentity, Repeating, Telemetry
 from drivers.settings import PositionerSettings
@@ -38,7 +38,6 @@ _POSE_CHANGED_DEG = 0.05
 # Time alone says no more about an axis that has stood for so long: no motor can still be running out.
 _JUDGED_AFTER_S = 5.0
 _TELL_BUTTONS_EVERY_S = 600.0
-_CLEAR = "nothing moves before a person has looked and said 'heliocube clear'"
 
 
 class Guard:
@@ -190,10 +189,12 @@ class Guard:
         return None if self.halt_wanted else self.watch.stands_since_s
 
     def lost(self) -> None:
-        """Know nothing until the link is back."""
-        self._telemetry = None
+        """Know nothing until the link is back, but for motion that was seen and that no button explains."""
+        stray = self.stray
+        if stray is not None and self._pressed_s <= stray.seen_s - _STATUS_WITHIN_S:
+            self.doubts.note("motion", stray.incident(self.frozen))
+        self._telemetry = self.stray = None
         self.homing = self.clearing = False
-        self.stray = None
         self.watch.forget()
 
     def forget(self) -> None:
@@ -260,10 +261,8 @@ class Guard:
         What nothing explains is told and blocks every move.
         """
         stray, seen = self.stray, self._strayed_at
-        assert stray is not None  # noqa: S101 - narrowing for the type checker, and so is the next
-        assert seen is not None  # noqa: S101
-        how = f"against a stop ({self.frozen})" if self.frozen else "without an order"
-        text = f"{stray.text} {how}: {_CLEAR}"
+        assert stray is not None and seen is not None  # noqa: S101, PT018 - narrowing for the type checker
+        text = stray.incident(self.frozen)
         if self._pressed_s <= stray.seen_s - _STATUS_WITHIN_S:
             self._under_inquiry = text
         explained = False
@@ -282,7 +281,7 @@ class Guard:
         # Whoever presses a button moves the axis against any stop.
         if self._deafness.shows(telemetry, max(start_s, self._pressed_s)):
             text = "the positioner does not obey stop: switch off the supply of its motors"
-            self.doubts.note("deaf", f"{text}; {_CLEAR}")
+            self.doubts.note("deaf", f"{text}; {CLEAR}")
 
     async def attended(self, call: Coroutine[Any, Any, T], ends: Callable[[], bool] = lambda: False) -> T:
         """Return what a call of the driver returns; look while it takes its time, and stop what strays.

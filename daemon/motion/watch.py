@@ -21,6 +21,8 @@ _JUMP_DEG_PER_S = 10.0
 _SHORTEST_LOOK_S = 0.5
 _AXES: tuple[AxisName, AxisName] = ("a", "b")
 _TURN_DEG = 360.0
+CLEAR = "nothing moves before a person has looked and said 'heliocube clear'"
+"""How what moved by itself, or does not stop, is told at its end."""
 
 
 def jitter(expected: PositionerSettings) -> float:
@@ -50,6 +52,11 @@ class Stray:
     text: str
     seen_s: float
     jump: bool = False
+
+    def incident(self, frozen: str | None) -> str:
+        """Return it as a sentence for a person who has to look; `frozen` is why nothing may move, or None."""
+        how = f"against a stop ({frozen})" if frozen else "without an order"
+        return f"{self.text} {how}: {CLEAR}"
 
 
 class Watch:

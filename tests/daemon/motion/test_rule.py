@@ -243,3 +243,34 @@ def test_an_arrived_tracker_that_is_moved_later_is_found(run_rig):
             await rig.until(lambda: rig.motion.unexplained is None, 10, "the clear")
 
     run_rig(scenario, motion={"deadband_deg": 30})
+
+
+@pytest.mark.parametrize("pressed", [False, True])
+def test_motion_of_its_own_that_was_seen_is_not_forgotten_with_the_link(run_rig, pressed):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.motion.order(Target(40, 60, "test"))
+        await rig.until(lambda: rig.motion.target is not None, 3, "the move")
+        await asyncio.sleep(5)
+        # It does not hear the stop, goes on, and is turned round by its own tracking.
+        rig.unit.inject("deaf", rig.clock.monotonic())
+        rig.motion.rest()
+        await asyncio.sleep(1)
+        rig.unit.inject("own_tracking", rig.clock.monotonic())
+        if pressed:
+            show(rig, button_pressed=True)
+        await asyncio.sleep(1.5)
+        rig.cables.positioner.link_up = False
+        for fault in ("own_tracking", "deaf"):
+            rig.unit.repair(fault, rig.clock.monotonic())
+        await asyncio.sleep(2)
+        rig.cables.positioner.link_up = True
+        await rig.until(lambda: rig.motion.connected, 20, "the connection")
+        await asyncio.sleep(5)
+        if pressed:
+            assert rig.motion.unexplained is None
+        else:
+            assert "and was sent to" in rig.motion.unexplained
+            assert rig.mode is Mode.FAULT
+
+    run_rig(scenario)
