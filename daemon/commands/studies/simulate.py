@@ -127,13 +127,15 @@ def checked_report(
 ) -> "tzinfo | None":
     """Look before the work whether its report can be written; return the zone of its local times.
 
-    Nothing is looked at where none is wanted. Raises `UserError`.
+    The pictures of a run without a report have local times too. Raises `UserError`.
     """
-    if out is None:
+    if out is None and zone is None:
         return None
     from daemon.studies.report.asked import zone_of
 
     local = zone_of(zone)
+    if out is None:
+        return local
     from daemon.studies.report.studies import span_of
     from daemon.studies.report.write import check_output, file_name
 

@@ -68,6 +68,8 @@ WRONG = {
     "samples --out file": "--out: file cannot be a folder",
     "plot light --store none --day 2022-10-12 --out new.png": "there is no store at none/heliocube.sqlite",
     "simulate --out new --start 2022-10-12 --report new --zone nowhere": "there is no time zone 'nowhere'",
+    "simulate --out new --start 2022-10-12 --plot new.png --zone nowhere": "there is no time zone 'nowhere'",
+    "simulate --out new --start 2022-10-12 --zone nowhere": "there is no time zone 'nowhere'",
     "stop t2": "nothing is done: 'stop' takes no name; for one of several trackers add --tracker t2",
     "gain --lat 48 --plot new.gif": "--plot: new.gif must end in .png",
     "campaign --only nothing": "--only: there is no nothing; faults are",

@@ -96,3 +96,9 @@ def test_ctrl_c_while_pictures_are_drawn_says_that_the_tables_are_whole(heliocub
     kept = f"the tables in {tmp_path / 'out'} are whole, but not all pictures and pages are"
     assert (code, told) == (130, f"heliocube: interrupted: {kept}\n")
     assert (tmp_path / "out" / "poses.csv").exists()
+
+
+def test_pictures_without_a_page_have_the_local_times_of_the_zone_too(heliocube, tmp_path):
+    asked = ("--start", "2022-10-14T11:50Z", "--days", 0.01, "--plot", tmp_path / "day.svg", "--zone", "Asia/Tokyo")
+    assert heliocube("simulate", *asked, "--out", tmp_path / "out")[0] == 0
+    assert "local time, JST" in (tmp_path / "day-angles.svg").read_text()
