@@ -335,7 +335,7 @@ def test_what_the_page_shows_is_what_the_interface_says(site, open_page):
             "b": figure(page.text(".gauge:nth-child(2) .value")),
             "faces": [figure(cell.partition("\t")[2]) for cell in cells],
             "wind": figure(wind),
-            "moves": figure(page.text(".facts div:has-text('Moves today') dd")),
+            "moves": page.text(".facts div:has-text('Moves today') dd"),
             "sun": figure(page.text(".facts div:has-text('Sun') dd").partition("elevation")[2]),
             "board": site_board in equipment,
             "gain": figure(page.text(".facts div:has-text('Against chronometric') dd")),
@@ -352,7 +352,8 @@ def test_what_the_page_shows_is_what_the_interface_says(site, open_page):
             "b": round(pose["b_deg"], 1),
             "faces": [float(round(faces[name]["irradiance_w_m2"])) for name in ("east", "south", "west", "zenith")],
             "wind": round(state["wind"][0]["speed_m_s"], 1),
-            "moves": state["today"]["moves"],
+            # "1, 299 left" read as a thousand.
+            "moves": f"{state['today']['moves']} ({state['today']['left']['moves']} left)",
             "sun": round(state["sun_elevation_deg"], 1),
             "board": True,
             "gain": round(100 * state["received"]["gain"], 1),

@@ -43,8 +43,8 @@ export function next() {
     const decision = tracker.decision;
     setText(values["Last decision"], decision ? `${at(decision.time, now)}, ${duration(decision.age_s + extra)} ago` : "none yet");
     setText(values["It said"], decision ? `${decision.moved ? "go to" : "stay; aim"} ${pair(decision)}: ${because(decision)}` : "–");
-    setText(values["Moves today"], tracker.today ? `${num(tracker.today.moves)}, ${num(tracker.today.left.moves)} left` : "–");
-    setText(values["Travel today"], tracker.today ? `${deg(tracker.today.travelled_deg)}, ${deg(tracker.today.left.travel_deg)} left` : "–");
+    setText(values["Moves today"], tracker.today ? `${num(tracker.today.moves)} (${num(tracker.today.left.moves)} left)` : "–");
+    setText(values["Travel today"], tracker.today ? `${deg(tracker.today.travelled_deg)} (${deg(tracker.today.left.travel_deg)} left)` : "–");
     const shadow = tracker.shadow ?? null;
     values["Law in the shadow"].parentElement.hidden = shadow === null;
     if (shadow) setText(values["Law in the shadow"], inTheShadow(shadow));
