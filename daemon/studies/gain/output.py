@@ -128,7 +128,7 @@ def _device(row: dict[str, float], device: Device, sky_label: str | None) -> tup
     tilt = row.get(f"beta_{device}_deg", row.get("beta_deg", np.nan))
     tilt = abs(tilt) if device is Device.VERTICAL else tilt
     azimuth = "sun" if device is Device.VERTICAL else f"{row['lambda_deg']:zg}"
-    cells = [_NAMES[device], f"{tilt:z.1f}", azimuth, f"{row[ratio]:.4f}", _percent(row[ratio] - 1.0)]
+    cells = [_NAMES[device], f"{tilt:z.1f}", azimuth, _ratio(row[ratio]), _percent(row[ratio] - 1.0)]
     suffixes = ("", "_sky") if sky_label else ("",)
     for suffix in suffixes:
         if suffix:
@@ -136,6 +136,10 @@ def _device(row: dict[str, float], device: Device, sky_label: str | None) -> tup
         eta = _ETA.get(device, "") + suffix
         cells.append(_percent(row[eta]) if eta in row else "")
     return tuple(cells)
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.4f}" if np.isfinite(value) else "-"
 
 
 def _percent(share: float) -> str:

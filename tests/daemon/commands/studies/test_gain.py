@@ -121,6 +121,12 @@ def test_parquet_has_the_same_numbers(heliocube, tmp_path):
     assert rows(text)[0]["K_DV"] == table["K_DV"][0]
 
 
+def test_a_ratio_of_a_polar_night_is_a_dash_like_its_gain(heliocube):
+    code, out, _ = heliocube("gain", "--lat", "90", "--day", "355")
+    assert (code, out.splitlines()[3].split()) == (0, ["static", "panel", "65.0", "0", "-", "-"])
+    assert "nan" not in out
+
+
 def test_a_long_table_says_how_many_rows_it_left_out(heliocube):
     _, out, _ = heliocube("gain", "--lat", "30", "--day", "1:365")
     assert "and 165 rows more: --format csv writes them all" in out.splitlines()
