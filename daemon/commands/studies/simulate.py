@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -92,9 +93,10 @@ def _lines_of_planes(planes: "Sequence[PlaneInsolation]") -> list[str]:
 
 def _received(one: "PlaneInsolation", *, several: bool) -> str:
     of = f" of {one.tracker}" if several else ""
+    gain = "no light" if math.isnan(one.gain_pct) else f"{signed(one.gain_pct, 2)} %"
     return (
         f"on the module{of}: {one.received_kwh_m2:.2f} kWh/m2 by {one.law}, {one.chronometric_kwh_m2:.2f} where an"
-        f" ideal chronometric tracker stands: {signed(one.gain_pct, 2)} %"
+        f" ideal chronometric tracker stands: {gain}"
     )
 
 

@@ -102,3 +102,9 @@ def test_pictures_without_a_page_have_the_local_times_of_the_zone_too(heliocube,
     asked = ("--start", "2022-10-14T11:50Z", "--days", 0.01, "--plot", tmp_path / "day.svg", "--zone", "Asia/Tokyo")
     assert heliocube("simulate", *asked, "--out", tmp_path / "out")[0] == 0
     assert "local time, JST" in (tmp_path / "day-angles.svg").read_text()
+
+
+def test_a_night_has_no_gain_and_the_summary_says_so(heliocube, tmp_path):
+    _, told, _ = heliocube("simulate", "--start", "2022-10-14T00:00Z", "--days", 0.01, "--out", tmp_path / "out")
+    assert "0.00 where an ideal chronometric tracker stands: no light" in told
+    assert "- %" not in told
