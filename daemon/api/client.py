@@ -100,13 +100,21 @@ class Client:
         """Return whether the service's work goes on; raises `UserError`."""
         return self._request("GET", "/healthz", None, also=(_UNHEALTHY,))
 
+    def _without_token(self, name: str) -> str:
+        if self.configuration:
+            return (
+                f"'{name}' needs the service's token, and {self.configuration[0]} has no api.token_file: give the one"
+                f" that the service has shown at its start, in {TOKEN_VARIABLE} or with --token-file"
+            )
+        return (
+            f"'{name}' needs the service's token: name its configuration with --config, or its token with"
+            f" --token-file or in {TOKEN_VARIABLE}; a service without api.token_file shows a token at its start"
+        )
+
     def command(self, name: str, **arguments: float | str) -> Reply:
         """Give a command in the name of whoever runs this, and return what came of it; raises `UserError`."""
         if self.token is None:
-            raise UserError(
-                f"'{name}' needs the service's token: name its configuration with --config, or its token with"
-                f" --token-file or in {TOKEN_VARIABLE}; a service without api.token_file shows a token at its start"
-            )
+            raise UserError(self._without_token(name))
         body = {"by": whoami(), **arguments}
         if "why" in arguments:
             body["why"] = _readable(str(arguments["why"]))[:_LONGEST_REASON]

@@ -10,6 +10,7 @@ import pytest
 from daemon.api import client
 from daemon.api.client import Client, CommandRefusedError, NoServiceError, find, find_unarmed
 from daemon.base.addresses import parse_address
+from daemon.base.errors import UserError
 from daemon.base.records import Mode
 from tests.support.api import TOKEN
 from tests.support.bad_network import without_namespaces
@@ -125,3 +126,13 @@ def test_a_file_with_an_address_and_a_token_alone_leads_to_any_service(tmp_path)
     file = tmp_path / "way.toml"
     file.write_text('[api]\nlisten = "127.0.0.1:20572"\n', encoding="utf-8")
     assert find_unarmed(file, None).configuration == ()
+
+
+def test_whoever_named_a_file_without_a_token_is_not_told_to_name_it(tmp_path):
+    file = tmp_path / "heliocube.toml"
+    file.write_text('[api]\nlisten = "127.0.0.1:1"\n[bridge]\n')
+    with pytest.raises(UserError) as refused:
+        find(file, None, None, {}).command("stop")
+    told = str(refused.value)
+    assert told.startswith(f"'stop' needs the service's token, and {file} has no api.token_file: give the one that ")
+    assert "--config" not in told
