@@ -157,10 +157,12 @@ def test_without_room_that_was_kept_the_first_content_is_lost_and_said(small_dis
 
 
 @pytest.fixture
-def dying(monkeypatch):
-    """Return what lets a process die before its nth change of the disk."""
+def dies_in_the_middle(monkeypatch):
+    """Return what replaces a kept file twice, and a third time in a process that dies before its nth change there."""
 
-    def die_at(count):
+    def die(path, count):
+        for text in ("first", "second"):
+            replace_kept(path, text)
         done = []
 
         def counting(name):
@@ -176,33 +178,26 @@ def dying(monkeypatch):
 
         for name in ("fsync", "link", "rename", "replace", "unlink"):
             monkeypatch.setattr(os, name, counting(name))
+        with contextlib.suppress(KeyboardInterrupt):
+            replace_kept(path, "third, and longer")
+        monkeypatch.undo()
 
-    return die_at
+    return die
 
 
 @pytest.mark.parametrize("dies_at", range(6))
-def test_whoever_dies_in_the_middle_leaves_the_whole_old_or_the_whole_new_file(tmp_path, monkeypatch, dying, dies_at):
+def test_whoever_dies_in_the_middle_leaves_the_whole_old_or_the_whole_new_file(tmp_path, dies_in_the_middle, dies_at):
     path = tmp_path / "kept.json"
-    for text in ("first", "second"):
-        replace_kept(path, text)
-    dying(dies_at)
-    with contextlib.suppress(KeyboardInterrupt):
-        replace_kept(path, "third, and longer")
-    monkeypatch.undo()
+    dies_in_the_middle(path, dies_at)
     assert path.read_text() in ("second", "third, and longer")
     replace_kept(path, "4th")
     assert (path.read_text(), spare_of(path).exists()) == ("4th", True)
 
 
 @pytest.mark.parametrize("dies_at", range(6))
-def test_whoever_died_in_the_middle_has_the_room_still_when_the_disk_is_full(small_disk, monkeypatch, dying, dies_at):
+def test_whoever_died_in_the_middle_has_the_room_still_when_the_disk_is_full(small_disk, dies_in_the_middle, dies_at):
     path = small_disk / "kept.json"
-    for text in ("first", "second"):
-        replace_kept(path, text)
-    dying(dies_at)
-    with contextlib.suppress(KeyboardInterrupt):
-        replace_kept(path, "third, and longer")
-    monkeypatch.undo()
+    dies_in_the_middle(path, dies_at)
     fill(small_disk / "filler")
     for text in ("4th", "5th"):
         replace_kept(path, text)
