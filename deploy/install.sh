@@ -139,26 +139,30 @@ if [ ! -e "$release/.complete" ] || ! answers 2>/dev/null; then
   trap 'exit 129' HUP
   trap 'exit 130' INT
   trap 'exit 143' TERM
+  stays='nothing has been changed'
+  if [ "$(readlink "$opt/current" || :)" = "releases/$id" ]; then
+    stays='the release in use, which did not run, is removed: mend that and install again'
+  fi
   rm -rf "$release" "$release.build"
   mkdir -p "$opt/releases"
   "$python" -m venv "$release"
   pip() { "$release/bin/python" -m pip --disable-pip-version-check --quiet "$@"; }
   # shellcheck disable=SC2086 # words
   (cd "$here" && pip install --only-binary :all: --require-hashes $requirements) ||
-    fail 'pip could not install what heliocube needs, see above; nothing has been changed'
+    fail "pip could not install what heliocube needs, see above; $stays"
   wheel=$from
   if [ -d "$from" ]; then
     # A checkout is built by what the lock names, which does not stay, and without the network.
     pip install --only-binary :all: --require-hashes --target "$release.build/site" -r "$here/lock/build.txt" ||
-      fail 'pip could not install what builds heliocube, see above; nothing has been changed'
+      fail "pip could not install what builds heliocube, see above; $stays"
     PYTHONPATH=$release.build/site "$release/bin/python" -m pip --disable-pip-version-check --quiet \
       wheel --no-index --no-deps --no-build-isolation --wheel-dir "$release.build/wheel" "$from" ||
-      fail 'heliocube could not be built, see above; nothing has been changed'
+      fail "heliocube could not be built, see above; $stays"
     wheel=$(echo "$release.build/wheel"/heliocube-*.whl)
   fi
-  pip install --no-index --no-deps "$wheel" || fail 'pip could not install heliocube itself, see above; nothing has been changed'
+  pip install --no-index --no-deps "$wheel" || fail "pip could not install heliocube itself, see above; $stays"
   rm -rf "$release.build"
-  answers || fail 'the new environment does not run; nothing has been changed'
+  answers || fail "the new environment does not run; $stays"
   # The mark may not come to the disk before what it is for.
   sync -f "$release"
   touch "$release/.complete"

@@ -191,6 +191,18 @@ def test_an_installation_that_fails_or_is_interrupted_leaves_nothing_of_the_rele
 
 
 @needs_root
+def test_an_installation_that_fails_says_when_the_release_in_use_did_not_run_and_is_gone(tree, install):
+    assert "see above; nothing has been changed" in install(AT_PIP="exit 1").stderr
+    assert install().returncode == 0
+    (tree / "opt/heliocube/current/bin/heliocube").write_text("")
+    assert (
+        "the release in use, which did not run, is removed: mend that and install again"
+        in install(AT_PIP="exit 1").stderr
+    )
+    assert install().returncode == 0
+
+
+@needs_root
 @pytest.mark.parametrize(
     ("before", "units"),
     [
