@@ -50,10 +50,22 @@ def configure(stream: "SupportsWrite[str]", journal: bool, level: int = logging.
     logging.captureWarnings(True)
 
 
+def name_trackers() -> None:
+    """Let each warning of a process without `configure` begin with the tracker that it is about, of several."""
+    if logging.lastResort is not None:
+        logging.lastResort.setFormatter(_NamingFormatter())
+
+
 def keep_start() -> None:
     """Leave what the start has made out of all later garbage collections: it stays, and each held the loop 0.2 s."""
     gc.collect()
     gc.freeze()
+
+
+class _NamingFormatter(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        name = TRACKER.get()
+        return f"{name}: {super().format(record)}" if name else super().format(record)
 
 
 class LineFormatter(logging.Formatter):

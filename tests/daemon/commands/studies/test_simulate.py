@@ -2,6 +2,8 @@
 
 import csv
 import json
+import subprocess
+import sys
 
 import pytest
 
@@ -39,6 +41,17 @@ def test_so_many_trackers_have_names_of_their_own_and_one_line_stands_for_all_of
     )
     assert code == 0
     assert [plane["tracker"] for plane in json.loads(told)["insolation"]] == ["t1", "t2"]
+
+
+def test_a_warning_of_one_tracker_of_several_names_it(tmp_path):
+    # A process of its own: pytest's handlers take what the log has to say.
+    file = tmp_path / "heliocube.toml"
+    file.write_text('[motion]\nmoves_per_day = 1\n[[tracker]]\nname = "east"\n[[tracker]]\nname = "west"\n')
+    asked = ["simulate", "--config", file, "--start", "2022-10-14T08:00Z", "--days", "0.1", "--out", tmp_path / "out"]
+    command = [sys.executable, "-c", "from daemon.entry import main; main()", *asked]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    told = [line for line in done.stderr.splitlines() if "the day's budget of motion" in line]
+    assert sorted(line.partition(": ")[0] for line in told) == ["east", "west"]
 
 
 def test_a_number_of_trackers_is_refused_where_the_file_names_them(heliocube, tmp_path):
