@@ -155,8 +155,8 @@ def field_lines(found: FieldResult, made_on: CubeSetup, sky: str) -> list[str]:
         )
     if sky == "perez1990" and not 0.5 <= fit.shape.horizon <= 1.5:
         lines.append(
-            f"Doubtful: the readings want {fit.shape.horizon:.1f} of the Perez model's horizon band, where 1 is right; "
-            "try --sky haydavies, and trust vertical gains and albedo only if both agree."
+            f"Doubtful: the readings want {fit.shape.horizon:z.1f} of the Perez model's horizon band, where 1 is right;"
+            " try --sky haydavies, and trust vertical gains and albedo only if both agree."
         )
     return lines
 

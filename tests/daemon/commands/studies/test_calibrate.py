@@ -60,11 +60,11 @@ def beside(folder, ahead_s=37.0, weather="variable", days=2):
 
 
 @functools.cache
-def in_place(days=3):
+def in_place(days=3, sky="perez1990"):
     standing = face_orientations(attitude(2.0, 1.0, 140.0, SIRTA.latitude_deg), SIRTA.latitude_deg)
     faces = [FaceGeometry(*face) for face in zip(*standing, strict=True)]
     sensors = SensorModel(gain_error=0.0)
-    scene = Scene(SIRTA, ClearSky(SIRTA), albedo=0.35, sensors=sensors, faces=faces)
+    scene = Scene(SIRTA, ClearSky(SIRTA), sky_model=sky, albedo=0.35, sensors=sensors, faces=faces)
     utc_s = MAY + np.arange(0.0, days * 86400.0, 300.0)
     utc_s = utc_s[sun_position(utc_s, *SIRTA).elevation_deg > -12.0]
     return utc_s, np.array([[scene.sensor_voltage(k, now) for k in range(4)] for now in utc_s.tolist()]) * 1e4 * GAINS
@@ -222,6 +222,13 @@ def test_the_field_calibration_reads_a_store_and_corrects_the_gains(heliocube, t
     assert again.zenith.gain_w_m2_per_mv == pytest.approx(10.0 / GAINS[3], rel=0.002)
     assert 0.45 < again.zenith.gain_uncertainty_percent < 0.7
     assert again.reference == "clear sky, perez1990, the GHI of roof.csv (U 0.5 %)"
+
+
+def test_a_sky_without_a_horizon_band_is_told_from_the_assumed_one_with_a_plain_nought(heliocube, tmp_path):
+    fill_store(tmp_path, *in_place(sky="isotropic"))
+    code, told, _ = heliocube("calibrate", "field", "--store", tmp_path, *SITE, "--out", tmp_path / "field.toml")
+    assert code == 0
+    assert "the readings want 0.0 of the Perez model's horizon band" in " ".join(told.split())
 
 
 def test_a_calibration_by_simulated_readings_is_called_so(heliocube, tmp_path):
