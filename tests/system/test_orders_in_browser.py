@@ -132,6 +132,19 @@ def test_alarms_push_no_stop_off_the_screen_of_a_phone(context, site):
     assert stop["y"] + stop["height"] < browsers.PHONE["height"] - 75
 
 
+def test_no_answer_to_an_order_lies_over_the_stop_of_a_phone(context, site, back_to_tracking):
+    page = browsers.Page(context, site.url, "control")
+    page.page.set_viewport_size({"width": 360, "height": 740})
+    page.sees(".hero h1", "Tracking")
+    page.page.locator(".order.stop").click()
+    page.log_in()
+    page.sees(".hero h1", "Stopped by a person")
+    page.sees(".outcome", "mode hold: stopped by ana")
+    stop = page.page.locator(".order.stop").bounding_box()
+    answer = page.page.locator(".outcome").bounding_box()
+    assert answer["y"] + answer["height"] <= stop["y"] or answer["y"] >= stop["y"] + stop["height"]
+
+
 def test_with_letters_twice_as_large_nothing_leaves_the_screen_of_a_phone(browser, site):
     large = browsers.launch(browser.browser_type, "--blink-settings=defaultFontSize=32")
     try:
