@@ -212,6 +212,7 @@ class SunSpecServer:
             self._refuse_held(override)
             await self._operators.carry_out(command)
         except CommandError as error:
+            self._table.refused(override)
             self._tell(f"{command.by}: {error}")
             return error
         self._table.done(override)

@@ -50,6 +50,14 @@ class Override(NamedTuple):
     b_deg: float = 0.0
 
 
+class _Before(NamedTuple):
+    """What was kept of a tracker before its last write."""
+
+    manual: ManualTarget | None
+    written_s: float | None
+    gone_to: tuple[float, float] | None
+
+
 class SunSpecTable(NoBits):
     """The registers; a `drivers.modbus.server.RegisterTable`.
 
@@ -75,6 +83,7 @@ class SunSpecTable(NoBits):
         self._manual: dict[str, ManualTarget] = {}
         self._written_s: dict[str, float] = {}
         self._gone_to: dict[str, tuple[float, float]] = {}
+        self._before: dict[str, _Before] = {}
         # By tracker; None for a write of angles alone.
         self._newest: dict[str, Override | None] = {}
         self._seen_s = -_KEPT_S
@@ -104,6 +113,7 @@ class SunSpecTable(NoBits):
         target, mode = self._written(self._manual.get(name, ManualTarget()), register - start, values)
         self._asked = None if mode is None else self._override(self._tracker(name), target, mode)
         self._newest[name] = self._asked
+        self._before[name] = _Before(self._manual.get(name), self._written_s.get(name), self._gone_to.get(name))
         if register < start + _MODE:
             self._manual[name], self._written_s[name] = target, self._now()
             self._gone_to.pop(name, None)
@@ -155,6 +165,24 @@ class SunSpecTable(NoBits):
             self._forget(asked.tracker)
         elif asked.name == "goto":
             self._gone_to[asked.tracker] = (asked.a_deg, asked.b_deg)
+
+    def refused(self, asked: Override) -> None:
+        """Take note that an override was refused: the angles of the same write count no more, those of before do.
+
+        Else a mode that is written alone would move the tracker later to where it was refused to go.
+        """
+        self._seen_s = -_KEPT_S
+        name = asked.tracker
+        if self._newest.get(name) is not asked:
+            return
+        self._forget(name)
+        before = self._before[name]
+        if before.manual is not None:
+            self._manual[name] = before.manual
+        if before.written_s is not None:
+            self._written_s[name] = before.written_s
+        if before.gone_to is not None:
+            self._gone_to[name] = before.gone_to
 
     def _current(self) -> Registers:
         now_s = self._now()

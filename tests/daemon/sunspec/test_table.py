@@ -290,7 +290,10 @@ def test_a_persons_stop_is_not_ended_from_the_control_room(run_rig):
         at = (await control.models())[601][0] + 20
         await rig.control.stop("somebody is at the axes", "ana")
         assert await control.write(at + 4, [0]) == 4
+        assert await control.write(at, [*int32(3383), *int32(21701)]) == 0
         assert await control.write(at, [*int32(9000), *int32(18000), 1]) == 4
+        # Else a later mode that is written alone would move the tracker to where it was refused to go.
+        assert await control.read(at, 4) == (*int32(3383), *int32(21701))
         assert rig.control.wishes.stop is not None
         assert (await control.models())[601][1][22] == 1
 
