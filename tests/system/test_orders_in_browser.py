@@ -145,6 +145,15 @@ def test_no_answer_to_an_order_lies_over_the_stop_of_a_phone(context, site, back
     assert answer["y"] + answer["height"] <= stop["y"] or answer["y"] >= stop["y"] + stop["height"]
 
 
+def test_a_reference_run_is_told_by_the_name_of_its_order(context, site, back_to_tracking):
+    page = browsers.Page(context, site.url, "control")
+    page.sees(".hero h1", "Tracking")
+    assert site.order("home")["accepted"]
+    page.sees(".control .card .big", "Reference run: both axes move")
+    page.sees(".hero h1", "Reference run")
+    page.sees(".hero h1", "Tracking")
+
+
 def test_with_letters_twice_as_large_nothing_leaves_the_screen_of_a_phone(browser, site):
     large = browsers.launch(browser.browser_type, "--blink-settings=defaultFontSize=32")
     try:

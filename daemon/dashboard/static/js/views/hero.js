@@ -54,6 +54,8 @@ export function hero(orders) {
 function headline(service, state, tracker, old) {
   if (!state) return service?.up === false ? "No connection" : "Connecting ...";
   if (old) return "No connection: what is shown is old";
+  // To who has ordered it, or stands at the axes, "Starting" says too little.
+  if (tracker?.tracker.homing && tracker.mode.name === "starting") return "Reference run";
   return tracker ? ASKED[tracker.mode.asked] ?? TITLE[tracker.mode.name] ?? sentence(tracker.mode.name) : state.cube_down_why ? "The cube does not answer" : "The cube reads";
 }
 
