@@ -154,6 +154,15 @@ def test_a_reference_run_is_told_by_the_name_of_its_order(context, site, back_to
     page.sees(".hero h1", "Tracking")
 
 
+def test_nobody_is_told_that_the_axes_stand_while_the_service_is_gone(context, tmp_path):
+    with browsers.simulated_site(tmp_path) as site:
+        page = browsers.Page(context, site.url, "control")
+        page.sees(".hero h1", "Tracking")
+        site.kill()
+        page.sees(".hero h1", "No connection")
+        assert page.text(".control .card .big") == "Not known"
+
+
 def test_with_letters_twice_as_large_nothing_leaves_the_screen_of_a_phone(browser, site):
     large = browsers.launch(browser.browser_type, "--blink-settings=defaultFontSize=32")
     try:

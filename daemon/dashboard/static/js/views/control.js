@@ -64,7 +64,7 @@ export function control(orders) {
         setText(range, `${num(min)} to ${num(max)}°`);
       });
     }
-    setText(effect, context.state ? shown(unit) : "Not known");
+    setText(effect, context.state && !old ? shown(unit) : "Not known");
     setText(detail, !unit?.pose ? "" : `${old || unit.pose.stale ? "STALE: " : ""}A ${signedDeg(unit.pose.a_deg)}, B ${deg(unit.pose.b_deg)}, ${duration(unit.pose.age_s + extra)} old`);
     setClass(seen, "stale", Boolean(old || !unit?.pose || unit.pose.stale));
     fill(login, [orders.session], () => orders.session.by ? `Orders are noted as from ${orders.session.by}.` : "The first order asks for the service's token, once.");
