@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.base.records import FACES
-from solar.faces.changes import changes
+from solar.faces.changes import Changes, changes
 from solar.faces.contradiction import AGREEMENT, Misfits, misfits
 from solar.faces.plausible import Doubt
 from solar.frames import Array
@@ -36,7 +36,6 @@ class Contradictions:
     def _forget(self) -> None:
         self._minutes = self._puzzled = 0
         self._fit: Misfits | None = None
-        self._unchanging: tuple[int, ...] = ()
         self.acquitted: int | None = None
         self._found = np.full(len(FACES), Doubt.NONE, dtype=np.int64)
 
@@ -54,9 +53,8 @@ class Contradictions:
         if len(faces_w_m2) < MINUTES or any(why not in (*_OPEN, _BY_THE_OTHERS) for why in whys):
             self._forget()
         elif self._minutes % _EVERY_MINUTES == 0:
-            self._fit, change = misfits(faces_w_m2, sun), changes(faces_w_m2, sun)
-            self._unchanging = () if change is None else change.accused
-            self._found = self._judged_beside(frozen) if frozen else self._judged(whys)
+            self._fit = misfits(faces_w_m2, sun)
+            self._found = self._judged_beside(frozen) if frozen else self._judged(whys, changes(faces_w_m2, sun))
         self._minutes += 1
         return self._found
 
@@ -81,21 +79,20 @@ class Contradictions:
             found[other] = Doubt.ODD
         return found
 
-    def _accused(self) -> tuple[int, ...]:
-        """Return who is wrong by the readings or by their changes; nobody where the two accuse different faces."""
-        by_readings = () if self._fit is None else self._fit.accused
-        if by_readings and self._unchanging and by_readings != self._unchanging:
-            return ()
-        return by_readings or self._unchanging
-
-    def _judged(self, whys: Sequence[Doubt]) -> NDArray[np.int64]:
+    def _judged(self, whys: Sequence[Doubt], change: Changes | None) -> NDArray[np.int64]:
         found = np.full(len(FACES), Doubt.NONE, dtype=np.int64)
         self.acquitted = None
         contradict = self._fit is not None and self._fit.contradict
-        accused = self._accused()
+        accused = _agreed(() if self._fit is None else self._fit.accused, () if change is None else change.accused)
         self._puzzled = 0 if accused or not contradict else self._puzzled + 1
         if accused:
             found[list(accused)] = Doubt.ODD if len(accused) == 1 else Doubt.SWAPPED
         elif self._puzzled >= _PUZZLED_LOOKS and not any(why in (Doubt.ODD, Doubt.SWAPPED) for why in whys):
             found[:] = Doubt.TORN
         return found
+
+
+def _agreed(by_readings: tuple[int, ...], by_changes: tuple[int, ...]) -> tuple[int, ...]:
+    """Return whom the one or the other accuses; nobody where they accuse different faces."""
+    differ = bool(by_readings and by_changes) and by_readings != by_changes
+    return () if differ else by_readings or by_changes

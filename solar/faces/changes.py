@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from solar.faces.contradiction import PAIRS
+from solar.faces.contradiction import PAIRS, SWAPS
 from solar.faces.plausible import LOWEST_SINE
 from solar.frames import Array
 from solar.laws.light import beam_shares
@@ -84,9 +84,9 @@ def changes(faces_w_m2: Array, sun: Array) -> Changes | None:
     if not _suffice(told & (np.abs(steps) > _LARGE_W_M2).any(axis=-1)):
         return None
     steps, up = steps[told], sun[1:][told]
-    left = _left_over(steps, _hypotheses(up))
-    shares = np.sqrt(left / (steps**2).sum())
-    return Changes(float(shares[0]), shares[1:13].reshape(3, 4).min(axis=0), shares[13:])
+    shares = np.sqrt(_left_over(steps, _hypotheses(up)) / (steps**2).sum())
+    as_they_are, dead, half, shaded, swapped = np.split(shares, [1, 5, 9, 13])
+    return Changes(float(as_they_are[0]), np.min([dead, half, shaded], axis=0), swapped)
 
 
 def _suffice(large: NDArray[np.bool_]) -> bool:
@@ -106,14 +106,7 @@ def _hypotheses(sun: Array) -> Array:
     one = np.eye(4)[:, None, :, None]
     dead, half = sound * (1.0 - one), sound * (1.0 - (1.0 - _HALF) * one)
     shaded = sound - one * direct[..., None] * [1.0, 0.0, 0.0]
-    swapped = np.stack([_swapped(sound, *pair) for pair in PAIRS])
-    return np.concatenate([sound[None], dead, half, shaded, swapped])
-
-
-def _swapped(columns: Array, one: int, other: int) -> Array:
-    result = columns.copy()
-    result[:, [one, other]] = columns[:, [other, one]]
-    return result
+    return np.concatenate([sound[None], dead, half, shaded, np.moveaxis(sound[:, SWAPS], 1, 0)])
 
 
 def _left_over(steps: Array, columns: Array) -> Array:

@@ -19,6 +19,8 @@ from solar.laws.light import Light, light_from_faces, on_faces
 
 PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 """Places of two faces that may be swapped."""
+SWAPS = np.array([[{one: other, other: one}.get(face, face) for face in range(4)] for one, other in PAIRS])
+"""The order of the faces with each of `PAIRS` swapped, shape (6, 4)."""
 MISFIT = 0.15
 """Share of the readings above which they contradict each other."""
 AGREEMENT = 0.08
@@ -120,9 +122,8 @@ def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
     faces, up = faces_w_m2[good], sun[good]
     if len(faces) < _LEAST_MINUTES or not np.sort(faces)[:, -2].mean() > _LIT_W_M2:
         return None
-    orders = np.array([_order(pair) for pair in PAIRS])
     held_back = np.repeat(faces[None], len(_HELD_BACK), axis=0)
-    tried = np.concatenate([held_back, np.moveaxis(faces[:, orders], 0, 1), faces * _DOUBLED])
+    tried = np.concatenate([held_back, np.moveaxis(faces[:, SWAPS], 0, 1), faces * _DOUBLED])
     used = np.concatenate([_HELD_BACK, np.ones((len(PAIRS) + len(_DOUBLED), 4), dtype=np.bool_)])[:, None, :]
     used = np.broadcast_to(used, tried.shape)
     left = _left_over(tried, up, used, _ALBEDOS, _HORIZON_RANGE)
@@ -146,11 +147,6 @@ def _clear(shares: Array) -> int | None:
     """Return the place of the one share that leaves nothing over; None for none, or more than one."""
     best, second = np.sort(shares)[:2]
     return int(np.argmin(shares)) if best < _SOLVED and second > max(_CLEARLY * best, AGREEMENT) else None
-
-
-def _order(pair: tuple[int, int]) -> list[int]:
-    one, other = pair
-    return [{one: other, other: one}.get(face, face) for face in range(4)]
 
 
 def _left_over(
