@@ -76,8 +76,9 @@ def main() -> None:
             for _ in range(repetitions):
                 number += 1
                 into = "--keep" if "campaign" in command else "--out"
+                place = f"{folder}/{number}.csv" if "replay" in command else f"{folder}/{number}"
                 started, before = time.perf_counter(), os.times()
-                subprocess.run([*command, into, f"{folder}/{number}"], check=True, capture_output=True)
+                subprocess.run([*command, into, place], check=True, capture_output=True)
                 after = os.times()
                 walls.append(time.perf_counter() - started)
                 busy.append(after.children_user + after.children_system - before.children_user - before.children_system)
