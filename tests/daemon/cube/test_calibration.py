@@ -157,10 +157,11 @@ def test_each_number_of_a_calibration_has_its_bounds(name, least, most):
             with_value(most + 0.001)
 
 
-def test_a_serial_number_has_64_letters_at_the_most():
-    assert calibration(cube="c" * 64).cube == "c" * 64
+@pytest.mark.parametrize(("field", "most"), [("cube", 64), ("reference", 400)])
+def test_a_serial_number_and_what_is_said_of_the_reference_have_a_greatest_length(field, most):
+    assert getattr(calibration(**{field: "c" * most}), field) == "c" * most
     with pytest.raises(ValidationError):
-        calibration(cube="c" * 65)
+        calibration(**{field: "c" * (most + 1)})
 
 
 def test_a_full_disk_leaves_no_calibration_that_is_in_the_way_of_the_next(small_disk):

@@ -332,6 +332,14 @@ def test_of_faces_that_no_light_explains_the_one_that_stands_still_is_named_and_
     assert "the same while the light changes on the others" in alarm.text
 
 
+def test_a_dead_face_is_not_used_again_because_the_day_has_grown_too_dark_to_tell():
+    day = WatchedDay(MORNING_UTC_S)
+    day.minutes(8, frozen=1, at_w_m2=0.0)
+    day.share = [0.02] * 4
+    day.minutes(20, frozen=1, at_w_m2=0.0)
+    assert day.doubted() == [1], "darkness is no agreement"
+
+
 def test_a_face_stuck_at_a_level_is_named_in_the_night():
     day = WatchedDay(MORNING_UTC_S + 14 * 3600.0)
     found = day.minutes(15, frozen=1, at_w_m2=200.0)

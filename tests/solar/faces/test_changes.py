@@ -17,10 +17,10 @@ SOUND = np.array([0.05, 0.4, 0.4, 0.4])
 AS_MUCH = np.full(6, 0.4)
 
 
-def half_hour(at_utc_s=JUNE_UTC_S, model="perez1990", beam_w_m2=700.0, albedo=0.2, clouds=PASSING):
-    """Return faces with gains 3 % off under passing clouds, the same without beam, and the sun's directions."""
+def half_hour(at_utc_s=JUNE_UTC_S, model="perez1990", beam_w_m2=700.0, albedo=0.2, clouds=PASSING, off=0.03):
+    """Return faces with gains so far off under passing clouds, the same without beam, and the sun's directions."""
     utc_s = at_utc_s + 60.0 * MINUTES
-    gains = np.array([1.03, 0.97, 1.03, 0.97])
+    gains = 1.0 + off * np.array([1.0, -1.0, 1.0, -1.0])
     beam, dull = (lay_out(utc_s, share * beam_w_m2 * clouds, np.full(30, 100.0), SITE, 60.0) for share in (1.0, 0.0))
     faces, shaded = (gains * faces_under(build_sky(weather, model), albedo) for weather in (beam, dull))
     return faces, shaded, beam.sun
@@ -35,6 +35,11 @@ def test_sound_faces_change_together_under_every_sky_and_over_every_ground(model
     assert found.as_they_are < 0.2
     assert not found.contradict
     assert found.accused == ()
+
+
+def test_of_its_own_light_it_leaves_next_to_nothing_over():
+    faces, _, sun = half_hour(model="isotropic", off=0.0)
+    assert changes(faces, sun).as_they_are < 0.02
 
 
 @pytest.mark.parametrize("beam_w_m2", [250.0, 700.0])

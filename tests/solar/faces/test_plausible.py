@@ -13,11 +13,11 @@ MORNING_UTC_S = 1655283600.0  # 2022-06-15 09:00
 ALL = [True] * 4
 
 
-def half_hour(model="perez1990", beam_w_m2=700.0, at_utc_s=MORNING_UTC_S):
+def half_hour(model="perez1990", beam_w_m2=700.0, at_utc_s=MORNING_UTC_S, cloud_minutes=range(12, 19)):
     """Return the faces of thirty minutes, with a cloud in their middle, and the sun's directions."""
     utc_s = at_utc_s + 60.0 * np.arange(30)
     sun = sun_direction(utc_s, *SITE)
-    cloud = np.where(np.abs(np.arange(30) - 15) < 4, 0.3, 1.0)
+    cloud = np.where(np.isin(np.arange(30), cloud_minutes), 0.3, 1.0)
     light = sky(model, sun, beam_w_m2 * cloud, np.full(30, 150.0), np.full(30, 1330.0))
     noise = np.random.default_rng(1).normal(0.0, 0.3, (30, 4))
     return np.stack([light.irradiance_on(normal[None, :]) for normal in NORMALS], axis=-1) + noise, sun
@@ -51,6 +51,14 @@ def test_one_wrong_minute_of_a_face_accuses_no_other(face):
     faces = np.stack([light.irradiance_on(normal[None, :]) for normal in NORMALS], axis=-1)
     faces[12, face] += 800.0
     assert Response.STAYS not in responses(faces, sun, ALL)
+
+
+@pytest.mark.parametrize(("minutes", "expected"), [(1, Response.UNKNOWN), (2, Response.STAYS)])
+def test_a_face_that_stays_is_named_by_a_change_of_two_minutes(minutes, expected):
+    bright = range(12, 12 + minutes)
+    faces, sun = half_hour(cloud_minutes=[minute for minute in range(30) if minute not in bright])
+    faces[:, 3] = 300.0
+    assert responses(faces, sun, ALL)[3] == expected
 
 
 def test_nothing_is_known_of_a_face_in_its_own_shade_without_another_that_is_lit_or_under_an_even_sky():
@@ -189,8 +197,9 @@ def test_light_enough_is_30_w_m2_on_the_second_brightest_face(faces_w_m2, elevat
     ("faces_w_m2", "sine", "named"),
     [
         ((0.1, 300.0, -0.2, 0.0), -0.2, [1]),
+        ((0.1, 21.0, -0.2, 0.0), -0.2, [1]),
         ((0.1, 300.0, -0.2, 0.0), -0.08, []),
-        ((0.1, 15.0, -0.2, 0.0), -0.2, []),
+        ((0.1, 19.0, -0.2, 0.0), -0.2, []),
         ((8.0, 300.0, -0.2, 0.0), -0.2, []),
         ((0.1, 300.0, -8.0, 0.0), -0.2, []),
         ((np.nan, 300.0, -0.2, 0.0), -0.2, []),
