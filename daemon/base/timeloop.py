@@ -153,8 +153,7 @@ class _VirtualSelector(_DelegatingSelector):
         self._timers: list[tuple[float, int, _Timer]] = []
         self._timers_set = 0
         self._tidy_at = _TIDY_TIMERS
-        self._now_ns = 0
-        self.now_s = 0.0
+        self._now_ns, self.now_s = 0, 0.0
         self.jobs = 0
         self._rounds = 0
         self.loop: AbstractEventLoop
@@ -210,13 +209,11 @@ class _VirtualSelector(_DelegatingSelector):
             due_s, number, beat = beats[0]
             if due_s >= until_s:
                 break
-            if due_s > self.now_s:
-                self.skip(due_s - self.now_s)
+            self.skip(max(due_s - self.now_s, 0.0))
             heapq.heapreplace(beats, (self.now_s + beat.every_s, number, beat))
             if beat.call() or until_s == math.inf:
                 return False
-        if until_s > self.now_s:
-            self.skip(until_s - self.now_s)
+        self.skip(max(until_s - self.now_s, 0.0))
         return True
 
     def pass_alone(self, when_s: float) -> bool:
@@ -325,13 +322,16 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
     def _job_done(self, _future: Future[Any]) -> None:
         self._virtual.jobs -= 1
 
+    async def shutdown_default_executor(self, timeout: float | None = None) -> None:  # noqa: ARG002, ASYNC109
+        """Wait for the threads as long as they take: a time limit (from Python 3.12 on) would be over in no time."""
+        self._virtual.jobs += 1
+        await super().shutdown_default_executor()
+        self._virtual.jobs -= 1
+
 
 @contextmanager
 def virtual_time() -> Iterator[asyncio.Runner]:
-    """Run in virtual time, and look for garbage seldom meanwhile: hardly anything that a day makes is in a circle.
-
-    To look as often as by default takes a thirtieth of the day.
-    """
+    """Run in virtual time, looking for garbage seldom: a day makes hardly any circles, and saves a thirtieth."""
     often = gc.get_threshold()
     gc.set_threshold(*_LOOK_FOR_GARBAGE_AFTER)
     try:

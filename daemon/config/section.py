@@ -1,5 +1,6 @@
 """What the tables of the configuration file have in common."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -109,6 +110,10 @@ def whole_path(folder: Path, path: Path) -> Path:
     """Return where a path is that is meant from a folder, links followed; raises `ValueError` where that is nowhere."""
     meant = folder / at_home(path)
     try:
-        return meant.resolve()
+        whole = meant.resolve()
     except (RuntimeError, OSError):
-        raise ValueError(f"{meant} is a link that leads back to itself; remove it, or name another") from None
+        whole = None
+    # From Python 3.13 on nothing is raised where a link leads back to itself: it is left as it is.
+    if whole is None or os.path.islink(whole):  # noqa: PTH114 - what may not be looked into is no link
+        raise ValueError(f"{meant} is a link that leads back to itself; remove it, or name another")
+    return whole

@@ -7,8 +7,9 @@ from daemon.service.operator_commands import URGENT, Command
 
 _MOST_REMEMBERED = 4096
 
-# Identifier and time [s] of a command, or without an identifier the whole of it; and when it came.
-_Date = tuple[str, float] | Command
+# Identifier and time [s] of a command, or without an identifier the whole of it, as text: its angles may be NaN, and
+# such commands are not equal from Python 3.13 on. And when it came.
+_Date = tuple[str, float] | str
 _Given = dict[_Date, float]
 
 
@@ -59,12 +60,12 @@ class Dates:
         if command.time_utc_s < utc_s - (now_s - self._began_s):
             raise CommandError("it was given before this service began to listen: give it again")
         # Two programs, or one, may give two commands in one second.
-        date = command if command.identifier is None else (command.identifier, command.time_utc_s)
+        date = repr(command) if command.identifier is None else (command.identifier, command.time_utc_s)
         self._refuse_again(date, now_s, urgent=command.wanted in URGENT)
 
     def _refuse_again(self, date: _Date, now_s: float, *, urgent: bool) -> None:
         if any(date in given for given in self._given.values()):
-            what = "of this time" if isinstance(date, Command) else "with this id and time"
+            what = "of this time" if isinstance(date, str) else "with this id and time"
             raise CommandError(f"the same command, {what}, has been given before")
         given = self._given[urgent]
         if len(given) >= _MOST_REMEMBERED:

@@ -73,6 +73,19 @@ def test_virtual_time_stands_still_while_a_thread_works():
         assert runner.run(work()) < 0.001
 
 
+def test_virtual_time_stands_still_while_threads_end():
+    async def work():
+        loop = asyncio.get_running_loop()
+        loop.call_later(10.0, print)
+        loop.run_in_executor(None, time.sleep, 0.05)
+        # As asyncio's runner ends a loop from Python 3.12 on.
+        await loop.shutdown_default_executor(timeout=1.0)
+        return loop.time()
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        assert runner.run(work()) < 0.001
+
+
 def test_a_program_that_waits_for_nothing_is_told_so(monkeypatch):
     monkeypatch.setattr("daemon.base.timeloop._DEADLOCK_AFTER_S", 0.05)
 

@@ -4,6 +4,7 @@ import asyncio
 import json
 import re
 import sqlite3
+from contextlib import closing
 
 import pytest
 
@@ -130,7 +131,7 @@ def test_a_copy_that_will_not_fit_is_told_before_the_restart(heliocube, tmp_path
 
 
 def set_version(path, version):
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection:
         connection.execute(f"PRAGMA user_version = {version}")
 
 
