@@ -238,6 +238,7 @@ def test_a_link_to_a_disk_that_is_not_mounted_says_so_and_waits_for_it(tmp_path)
 
 AS_NOBODY = """
 import os, sys
+import urllib.parse  # pathlib of 3.13 asks for it late, when a Python in somebody's home can be read no more
 from pathlib import Path
 from daemon.base.clock import SystemClock
 from daemon.base.records import Event
