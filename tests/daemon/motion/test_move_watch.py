@@ -83,10 +83,11 @@ def test_leaving_the_limits_is_seen_even_short_of_the_target():
     assert move.judge(look(30, 92), 1)[0] is Progress.OVERSHOT
 
 
-def test_an_axis_that_starts_outside_the_limits_may_come_back_in():
-    move = follow(a=40, b=60, start=(55.0, 60.0))
-    assert move.judge(look(54, 60), 1)[0] is Progress.GOING
-    assert move.judge(look(57, 60), 2)[0] is Progress.OVERSHOT
+@pytest.mark.parametrize("side", [1, -1])
+def test_an_axis_that_starts_outside_the_limits_may_come_back_in(side):
+    move = follow(a=40 * side, b=60, start=(55.0 * side, 60.0))
+    assert move.judge(look(54 * side, 60), 1)[0] is Progress.GOING
+    assert move.judge(look(57 * side, 60), 2)[0] is Progress.OVERSHOT
 
 
 def test_angles_that_are_no_numbers_end_the_move():
