@@ -30,7 +30,7 @@ def save_picture(figure: Figure, path: Path, dpi: float = 120.0) -> None:
         figure.savefig(content, format=kind, dpi=dpi, metadata=_UNDATED.get(kind, {}))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content.getbuffer())
+        path.write_bytes(content.getvalue())
     except OSError as error:
         drop_cut(path, error)
         raise UserError(f"{path} cannot be written: {error.strerror}") from None

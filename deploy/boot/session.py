@@ -21,14 +21,14 @@ class Session:
 
     Parameters
     ----------
-    cache
-        Of the tree.
+    tree
+        What is booted.
     report
         Where each point goes.
     """
 
-    def __init__(self, cache: Path, report: Report) -> None:
-        self._tree = Tree(cache)
+    def __init__(self, tree: Tree, report: Report) -> None:
+        self._tree = tree
         self._packages = Packages(self._tree)
         self._report = report
 

@@ -26,6 +26,10 @@ class Tree:
     cache
         Where what takes long is kept from run to run: the Debian without heliocube, the wheels of the locks, and what
         they are unpacked and compiled to.
+    suite
+        Which Debian, such as ``trixie``; None for this machine's.
+    python
+        A Python of the version that this Debian has, which fetches the wheels; None for this machine's.
 
     Attributes
     ----------
@@ -39,8 +43,10 @@ class Tree:
         The folder that it sees as `PACKAGES`.
     """
 
-    def __init__(self, cache: Path) -> None:
+    def __init__(self, cache: Path, suite: str | None = None, python: Path | None = None) -> None:
         self.cache = cache
+        self._suite = suite or _suite()
+        self._pythons = (Path("/usr/bin/python3"), Path(sys.executable)) if python is None else (python,)
         self.base = Path()
         self._work = Path()
         self.root = Path()
@@ -78,7 +84,7 @@ class Tree:
         self.root, self.packages = work / "root", work / "packages"
 
     def _base(self) -> tuple[Path, str]:
-        suite = _suite()
+        suite = self._suite
         key = hashlib.sha256(repr((suite, DEBIAN)).encode()).hexdigest()[:12]
         base = self.cache / f"debian-{suite}-{key}"
         if base.exists():
@@ -96,7 +102,7 @@ class Tree:
     def _fetch_wheels(self) -> str:
         """Fetch what the locks name with this machine's pip and its settings; the tree itself has no network."""
         locks = [ROOT / "deploy" / "lock" / f"{name}.txt" for name in LOCKS]
-        key = hashlib.sha256(b"".join(lock.read_bytes() for lock in locks)).hexdigest()
+        key = hashlib.sha256(b"".join([self._suite.encode(), *(lock.read_bytes() for lock in locks)])).hexdigest()
         wheels, mark = self.cache / "wheels", self.cache / "wheels" / ".complete"
         if mark.exists() and mark.read_text() == key:
             return "wheels as kept"
@@ -112,7 +118,7 @@ class Tree:
 
     def _python_with_pip(self) -> Path:
         """Make an environment with pip, first of Debian's Python, for which the wheels are to be."""
-        for python in (Path("/usr/bin/python3"), Path(sys.executable)):
+        for python in self._pythons:
             with contextlib.suppress(NotSeen, OSError):
                 run(python, "-m", "venv", "--clear", self._work / "pip")
                 return self._work / "pip" / "bin" / "python"
