@@ -197,7 +197,7 @@ class Tracker:
         """Send a stop and return the connection, on which the answer will come."""
         connection = socket.create_connection(("127.0.0.1", self._port))
         connection.settimeout(ENDS_WITHIN_S)
-        head = ("POST /api/stop HTTP/1.1", "Host: x", f"Authorization: Bearer {TOKEN}", "Content-Length: 0")
+        head = ("POST /api/stop HTTP/1.1", "Host: localhost", f"Authorization: Bearer {TOKEN}", "Content-Length: 0")
         connection.sendall("\r\n".join([*head, "", ""]).encode())
         return connection
 

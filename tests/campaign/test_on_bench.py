@@ -74,5 +74,7 @@ def test_a_stop_from_the_shell_outlasts_every_command_and_a_kill(tmp_path):
         assert "a hand near the actuator" in mode["why"]
         assert turned(stood, unit.truth()) < MOVED_DEG
         assert says(tracker, "auto")[0] == 0
+        with tracker.send_stop() as connection:
+            assert connection.recv(1000).startswith(b"HTTP/1.1 200 ")
         assert tracker.end() == 0
         assert "Traceback" not in tracker.log()

@@ -42,7 +42,9 @@ def wait_until_it_moves(unit):
 def standstill_s(unit, begun_s):
     """Return when the truth last changed, in seconds after `begun_s`."""
     last, changed_s = unit.truth(), time.monotonic()
-    while time.monotonic() - changed_s < STANDS_FOR_S and changed_s - begun_s < GIVES_UP_S:
+    while time.monotonic() - changed_s < STANDS_FOR_S:
+        if changed_s - begun_s > GIVES_UP_S:
+            raise NotThereError(f"the axes still move {GIVES_UP_S:g} s after the stop was sent")
         time.sleep(LOOK_EVERY_S)
         at = unit.truth()
         if turned(last, at) > SAME_DEG:
@@ -57,10 +59,18 @@ def one_run(unit, tracker, turn, way):
     time.sleep(0.13 * (turn % 7))
     begun_s = time.monotonic()
     if way == "shell":
-        with tracker.shell("stop"):
-            return standstill_s(unit, begun_s)
-    with tracker.send_stop():
-        return standstill_s(unit, begun_s)
+        with tracker.shell("stop") as process:
+            latency_s = standstill_s(unit, begun_s)
+            answer = process.communicate()[0]
+        carried_out = process.returncode == 0
+    else:
+        with tracker.send_stop() as connection:
+            latency_s = standstill_s(unit, begun_s)
+            answer = connection.recv(1000).decode()
+        carried_out = answer.startswith("HTTP/1.1 200 ")
+    if not carried_out:
+        raise NotThereError(f"the stop was not carried out: {answer}")
+    return latency_s
 
 
 def measure(unit, tracker, runs):
