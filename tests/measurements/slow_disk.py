@@ -8,6 +8,7 @@ stop's whole answer, which comes when telemetry shows both axes standing.
 """
 
 import argparse
+import http
 import json
 import os
 import re
@@ -17,12 +18,14 @@ import subprocess
 import sys
 import tempfile
 import time
+import urllib.error
 import urllib.request
 from pathlib import Path
 
 from daemon.api.token import generate_token, write_token
 
 PROGRAM = [sys.executable, "-c", "from daemon.entry import main; main()"]
+STARTS_WITHIN_S = 120.0
 
 
 class Served:
@@ -53,9 +56,23 @@ class Served:
             return json.load(answer)
 
 
+def until_it_takes(served, a_deg, b_deg):
+    """Send a target until the tracker has taken it: after a start it first waits for readings."""
+    deadline_s = time.monotonic() + STARTS_WITHIN_S
+    while True:
+        served.post("auto")
+        try:
+            served.post("goto", a_deg=a_deg, b_deg=b_deg)
+        except urllib.error.HTTPError as refusal:
+            if refusal.code != http.HTTPStatus.CONFLICT or time.monotonic() > deadline_s:
+                raise SystemExit(f"the tracker takes no target: {refusal.read().decode()}") from None
+        else:
+            return
+        time.sleep(1.0)
+
+
 def one_run(served, turn):
-    served.post("auto")
-    served.post("goto", a_deg=(-30.0, 30.0)[turn % 2], b_deg=60.0)
+    until_it_takes(served, (-30.0, 30.0)[turn % 2], 60.0)
     time.sleep(1.0)
     served.post("hold")
     begun_s = time.monotonic()
@@ -72,7 +89,6 @@ def main():
         with tempfile.TemporaryDirectory() as name:
             served = Served(Path(name), fsync_s)
             try:
-                time.sleep(20.0)
                 found = [one_run(served, turn) for turn in range(asked.runs)]
             finally:
                 served.end()
