@@ -1,0 +1,134 @@
+"""Every script of `tests/measurements`: a slice of it is run, or it is named here why not; all know their own options.
+
+The pages quote their figures, and nobody runs them for months.
+"""
+
+import importlib
+import logging
+import re
+import subprocess
+import sys
+from typing import NamedTuple
+
+import pytest
+
+from daemon.commands.main import main
+from tests.support import ROOT
+
+pytestmark = pytest.mark.slow
+
+FOLDER = ROOT / "tests" / "measurements"
+SCRIPTS = {path.stem: path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("*.py"))}
+GUARD = '\nif __name__ == "__main__":\n'
+SIRTA = "48.7176,2.2090,156"
+
+
+class Slice(NamedTuple):
+    """Arguments for as little as a script can do, what else makes it small, and what its answer has."""
+
+    arguments: tuple[str, ...]
+    answer: str
+    smaller: tuple[tuple[str, float], ...] = ()
+
+
+SLICES = {
+    "ceilings": Slice((SIRTA, "weather/day.csv", "--without-trees", "--prices", "1"), r"optimal +-?\d"),
+    "compare_measured": Slice((SIRTA, "weather/day.csv"), r"1 afternoons: median", (("AFTERNOON_S", 3600.0),)),
+    "curve_size": Slice((), r"with points: \d+ bytes", (("CURVES", 50),)),
+    "face_faults": Slice(("weather", "13"), r"\| dead \|.*\| [0-4] of 4"),
+    "optimal_burdens": Slice((SIRTA, "weather/day.csv"), r"sun-vector, a dead zenith face +-?\d"),
+    "overcast_pointing": Slice((), r"clear sky: turned by 0\.000 deg", (("DRAWS", 100),)),
+    "rows": Slice(("weather", "--every", "1", "--laws", "optimal"), r"optimal: a decision takes"),
+    "site_years": Slice(("days", "1"), r"1 sites of one day"),
+    "speed": Slice(
+        ("1", SIRTA, "weather/day.csv"), r"a year of weather, all laws: median", (("DAYS", 1), ("LOWEST_SUN", 0.88))
+    ),
+    "theory_grid": Slice(("1",), r"all three: median"),
+    "wrong_readings": Slice((SIRTA, "weather/day.csv", "--every", "1", "--days", "1", "--scan", "60"), r"gaps +-?\d"),
+}
+# Why no slice of the others is run.
+PROCESSES = "real time, processes of its own and what they need"
+BROWSER = "real time, and a browser"
+NOT_RUN = {
+    **dict.fromkeys(("api_attack", "archive", "bridge_flood", "browser_storm", "fleet", "modbus_scan"), PROCESSES),
+    **dict.fromkeys(("positioner_wire", "shares", "slow_disk", "stop_latency"), PROCESSES),
+    **dict.fromkeys(("dashboard", "dashboard_day", "dashboard_pictures", "report_picture"), BROWSER),
+    **dict.fromkeys(
+        ("calibration_level", "calibration_pointing", "face_plausibility", "face_weeks"), "months of weather"
+    ),
+    "endurance": "a day takes many seconds",
+    "firmware_agreement": "tests/firmware does the same with some sequences",
+    "make_samples": "tests/daemon/studies/samples makes them again",
+    "theory_octave": "asks for Octave",
+}
+# Short commands in the place of those that a script gives the program.
+SHORTER = {"simulate": ("--days", "0.01"), "campaign": ("--hours", "0.1")}
+
+
+@pytest.fixture(autouse=True)
+def logged_again():
+    """Let what comes next in this process be logged: some scripts silence it all."""
+    yield
+    logging.disable(logging.NOTSET)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Where a script finds some hours of weather: five minutes with sun, five without."""
+    (tmp_path / "weather").mkdir()
+    lines = ["time,ghi,dni,dhi"]
+    for minute in range(630, 780):
+        dni = 600 * (minute // 5 % 2)
+        lines.append(f"2022-10-13T{minute // 60:02d}:{minute % 60:02d}Z,{120 + dni / 2},{dni},120")
+    (tmp_path / "weather" / "day.csv").write_text("\n".join([*lines, ""]))
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def program(monkeypatch):
+    """Let the scripts run the program's commands in this process, over a short time."""
+
+    def run(command, **_):
+        words = [str(word) for word in command[1:]]
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "argv", ["heliocube", *words, *SHORTER.get(words[0], ())])
+            with pytest.raises(SystemExit) as ended:
+                main()
+        assert not ended.value.code, command
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(subprocess, "run", run)
+
+
+def begin(name, arguments, monkeypatch):
+    """Do what ``python tests/measurements/NAME.py ARGUMENTS`` does."""
+    monkeypatch.setattr(sys, "argv", [name, *arguments])
+    code = f"if True:\n{SCRIPTS[name].partition(GUARD)[2]}"
+    exec(compile(code, name, "exec"), vars(importlib.import_module(f"tests.measurements.{name}")))
+
+
+@pytest.mark.usefixtures("folder", "program")
+@pytest.mark.parametrize("name", SLICES)
+def test_a_slice_of_a_script_comes_to_its_figures(name, monkeypatch, capsys):
+    module = importlib.import_module(f"tests.measurements.{name}")
+    for constant, value in SLICES[name].smaller:
+        monkeypatch.setattr(module, constant, value)
+    begin(name, SLICES[name].arguments, monkeypatch)
+    assert re.search(SLICES[name].answer, capsys.readouterr().out)
+
+
+def test_every_script_is_run_or_named_with_a_reason():
+    assert {*SLICES, *NOT_RUN} == set(SCRIPTS)
+    assert not SLICES.keys() & NOT_RUN
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_script_has_the_options_that_its_usage_names(name, monkeypatch, capsys):
+    module = importlib.import_module(f"tests.measurements.{name}")
+    if not hasattr(module, "argparse"):
+        return
+    with pytest.raises(SystemExit) as ended:
+        begin(name, ["--help"], monkeypatch)
+    assert ended.value.code == 0
+    options = set(re.findall(r"--[a-z-]+", module.__doc__))
+    assert options <= set(re.findall(r"--[a-z-]+", capsys.readouterr().out))
