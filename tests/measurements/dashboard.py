@@ -23,6 +23,7 @@ import httpx
 from daemon.base.clock import SystemClock
 from daemon.base.records import Decision, Estimate, FaceReading, Mode, Pose, Quality, Scan, Target
 from daemon.store.store import Origin, Store
+from tests.support import forks
 from tests.system import browser as browsers
 
 EVERY_S = 5
@@ -170,6 +171,9 @@ def main():
     """Measure all, and print it."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        # A copy of the tests' own process would have the memory of all that they load: others start from nothing.
+        forks.begin()
+        os.environ["PYTHONHASHSEED"] = "0"
         # First the service: records that it has not begun itself are those of an earlier release, and hold the tracker.
         site = stack.enter_context(browsers.simulated_site(folder))
         fill(folder / "records")
