@@ -39,7 +39,7 @@ from tests.support.postgres import Postgres
 
 # Of one tracker with a cube of its own: a scan each 5 s, a pose each 5 s at rest and 0.5 s under way, a decision each
 # 5 min by day; counted by `heliocube simulate --start 2022-10-14 --weather variable`.
-ROWS_A_DAY = {"scans": 17_280, "poses": 21_239, "decisions": 128, "moves": 82, "modes": 3, "events": 2}
+ROWS_A_DAY = {"scans": 17_280, "poses": 21_285, "decisions": 128, "moves": 82, "modes": 3, "events": 2}
 PLANTS = (10, 1_000, 100_000)
 INSTALLATIONS = 1_000
 DAY_S = 86_400
