@@ -2,10 +2,10 @@
 
 Last come the paper's laws with one face missing or dead.
 
-Usage: python tests/measurements/optimal_burdens.py LAT,LON,ALT WEATHER... [--sky SKY]
+Usage: python tests/measurements/optimal_burdens.py LAT,LON,ALT WEATHER... [--sky SKY] [--scan SECONDS]
 
-The weather is by the minute, the tracker at 0.9 deg/s, as in `heliocube energy`; the worst day is over
-ideal chronometric. Three minutes for a year.
+The weather is by the minute, the tracker at 0.9 deg/s, as in `heliocube energy`; --scan 10 interpolates the weather for
+readings every 10 s. The worst day is over ideal chronometric. Three minutes for a year.
 """
 
 import argparse
@@ -24,6 +24,14 @@ LIMITS = Limits()
 FACES = ("east", "south", "west", "zenith")
 GAINS = (1.03, 0.97, 1.02, 0.97)
 BUDGETS = ({"travel_per_day_deg": 900.0}, {"travel_per_day_deg": 650.0}, {"moves_per_day": 60})
+
+
+def interpolated(minutes, scan_s):
+    """Return instants so far apart [s], and DNI and DHI [W/m2], interpolated between minutes that are known."""
+    utc_s = np.arange(minutes.utc_s[0], minutes.utc_s[-1] + 1.0, scan_s)
+    known = [np.isin(60.0 * whole(utc_s / 60.0), minutes.utc_s) for whole in (np.floor, np.ceil)]
+    utc_s = utc_s[np.logical_and(*known)]
+    return utc_s, *(np.interp(utc_s, minutes.utc_s, values) for values in (minutes.dni_w_m2, minutes.dhi_w_m2))
 
 
 def without(days, *missing):
@@ -63,10 +71,11 @@ def main():
     parser.add_argument("site")
     parser.add_argument("weather", nargs="+", type=Path)
     parser.add_argument("--sky", default="perez1990")
+    parser.add_argument("--scan", type=float, default=60.0)
     asked = parser.parse_args()
     site = Site(*parse_site(asked.site))
-    minutes = measured_minutes(asked.weather, site)
-    weather = lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, site)
+    light = interpolated(measured_minutes(asked.weather, site), asked.scan)
+    weather = lay_out(*light, site, asked.scan)
     days, snowy = (under_sky(weather, asked.sky, Terms(albedo, LIMITS, Drive())) for albedo in (0.2, 0.6))
     say("nothing", days, days.faces)
     for number, face in enumerate(FACES):
