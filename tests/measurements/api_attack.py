@@ -1,6 +1,7 @@
 """How soon a stop is answered while the local interface is attacked, and what the attack costs the service.
 
 Usage: python tests/measurements/api_attack.py [--clients N] [--idle N] [--stops N] [--processes N] [--only KIND ...]
+       [--fill SECONDS] [--seed N]
 
 Starts `heliocube run` on the simulated rig, lets it fill its memory with scans, and attacks it from a process of its
 own, over loopback alone: one kind of attack after the other, each beside N clients that ask for every page as fast as

@@ -1,6 +1,6 @@
 """What an archive takes: rows a second, bytes a row, and every record once whoever is killed.
 
-    python -m tests.measurements.archive rate
+    python -m tests.measurements.archive rate [--rounds 20]
     python -m tests.measurements.archive kill --trackers 50 --minutes 10
     python -m tests.measurements.archive hour --trackers 50
 

@@ -1,6 +1,6 @@
 """How late the event loop runs while the voltmeter never answers and many browsers ask for everything.
 
-Usage: python -m tests.measurements.browser_storm [--minutes N] [--browsers N]
+Usage: python -m tests.measurements.browser_storm [--minutes N] [--browsers N] [--seed N]
 
 `heliocube bench` and the service that drives it are processes of their own, in real time. The voltmeter hangs from the
 second minute on. Each browser keeps six connections, as browsers do: one for the events, which it reads and now and

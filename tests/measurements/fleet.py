@@ -283,7 +283,7 @@ def main():
     parser.add_argument("--law", nargs="+", default=LAWS)
     parser.add_argument("--virtual", action="store_true", help="virtual time, for a busy machine")
     parser.add_argument("--profile", action="store_true")
-    parser.add_argument("--child", nargs=2)
+    parser.add_argument("--child", nargs=2, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.child:
         child(int(given.child[0]), given.child[1], given)

@@ -1,6 +1,7 @@
 """What rows of trackers take from each other in a year, and what turning back gives: on measured weather, by a model.
 
 Usage: python tests/measurements/rows.py FOLDER [--columns 5] [--rows 2] [--pitch 2.5] [--every 4] [--laws optimal ...]
+       [--shade-costs area thirds all]
 
 FOLDER holds the months of weather at Lyngby; of their days every so many-th is driven, in steps of five minutes.
 """
