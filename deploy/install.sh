@@ -134,35 +134,41 @@ release=$opt/releases/$id
 answers() { [ -n "$("$release/bin/heliocube" --version)" ]; }
 if [ ! -e "$release/.complete" ] || ! answers 2>/dev/null; then
   say "building the environment in $release"
-  # What is half done is of no use to anybody, and a full disk needs the room.
-  trap 'rm -rf "$release" "$release.build"' EXIT
+  # What is half done is of no use to anybody, and a full disk needs the room. One that did not answer comes back: a
+  # service may run from it, and what keeps it from answering may pass.
+  take_back() {
+    rm -rf "$release" "$release.build"
+    [ ! -e "$release.old" ] || mv -T "$release.old" "$release"
+  }
+  trap take_back EXIT
   trap 'exit 129' HUP
   trap 'exit 130' INT
   trap 'exit 143' TERM
-  stays='nothing has been changed'
-  if [ "$(readlink "$opt/current" || :)" = "releases/$id" ]; then
-    stays='the release in use, which did not run, is removed: mend that and install again'
-  fi
+  # Where there is one aside already, a cut of the power has ended the building, and this is what it has left.
+  [ -e "$release.old" ] || [ ! -e "$release/.complete" ] || mv -T "$release" "$release.old"
   rm -rf "$release" "$release.build"
   mkdir -p "$opt/releases"
   "$python" -m venv "$release"
   pip() { "$release/bin/python" -m pip --disable-pip-version-check --quiet "$@"; }
   # shellcheck disable=SC2086 # words
   (cd "$here" && pip install --only-binary :all: --require-hashes $requirements) ||
-    fail "pip could not install what heliocube needs, see above; $stays"
+    fail "pip could not install what heliocube needs, see above; nothing has been changed"
   wheel=$from
   if [ -d "$from" ]; then
     # A checkout is built by what the lock names, which does not stay, and without the network.
     pip install --only-binary :all: --require-hashes --target "$release.build/site" -r "$here/lock/build.txt" ||
-      fail "pip could not install what builds heliocube, see above; $stays"
+      fail "pip could not install what builds heliocube, see above; nothing has been changed"
     PYTHONPATH=$release.build/site "$release/bin/python" -m pip --disable-pip-version-check --quiet \
       wheel --no-index --no-deps --no-build-isolation --wheel-dir "$release.build/wheel" "$from" ||
-      fail "heliocube could not be built, see above; $stays"
+      fail "heliocube could not be built, see above; nothing has been changed"
     wheel=$(echo "$release.build/wheel"/heliocube-*.whl)
   fi
-  pip install --no-index --no-deps "$wheel" || fail "pip could not install heliocube itself, see above; $stays"
+  pip install --no-index --no-deps "$wheel" ||
+    fail "pip could not install heliocube itself, see above; nothing has been changed"
   rm -rf "$release.build"
-  answers || fail "the new environment does not run; $stays"
+  answers || fail "the new environment does not run; nothing has been changed"
+  # Before the mark: two that bear it would both pass for the release before.
+  rm -rf "$release.old"
   # The mark may not come to the disk before what it is for.
   sync -f "$release"
   touch "$release/.complete"
