@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from daemon.archive.address import ArchiveAddress, connected, telling
-from daemon.archive.tables import COLUMNS_OF, SCHEMA, check_is_archive, part_name
+from daemon.archive.tables import COLUMNS_OF, SCHEMA, check_is_archive, identity_of, part_name
 from daemon.base.errors import UserError
 from daemon.base.files import sync_names
 from daemon.store.batches import KINDS
@@ -138,14 +138,8 @@ def _dropped(connection: "psycopg.Connection", kind: str, day: date, out: Path) 
 
 
 def _final(connection: "psycopg.Connection", table: str, path: Path) -> Path:
-    """Return the name that the file of a part has once the part is gone; of one day each part has another.
-
-    A server that is set up anew counts its parts from the same number again, and has another identifier of its own.
-    """
-    query = "SELECT system_identifier, %s::regclass::oid FROM pg_control_system()"
-    row = connection.execute(query, (table,)).fetchone()
-    assert row is not None  # noqa: S101 - narrowing; it is there
-    return path.with_name(f"final-{row[0]}-{row[1]}.parquet")
+    """Return the name that the file of a part has once the part is gone; of one day each part has another."""
+    return path.with_name(f"final-{identity_of(connection, table)}.parquet")
 
 
 def _written(connection: "psycopg.Connection", kind: str, day: date, out: Path, *, again: bool) -> ArchivedDay:

@@ -17,6 +17,7 @@ COLUMNS_OF: dict[str, list[Column]] = dict(COLUMNS.values())
 # Chosen by chance, so that no other program has the same.
 _LOCK = 0x68656C63_61726368
 _DAYS_AT_ONCE = 100
+_PART = "heliocube part"
 _RUNS = f"""CREATE TABLE {SCHEMA}.runs (
   run int4 GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
   installation text NOT NULL,
@@ -151,11 +152,30 @@ def make_days(connection: "psycopg.Connection", wanted: set[tuple[str, int]]) ->
         with connection.transaction():
             connection.execute("SELECT pg_advisory_xact_lock(%s)", (_LOCK,))
             for name, day in ordered[first : first + _DAYS_AT_ONCE]:
-                begin = datetime.fromtimestamp(day * 86400, UTC)
-                connection.execute(
-                    f"CREATE TABLE IF NOT EXISTS {SCHEMA}.{part_name(name, day)} PARTITION OF {SCHEMA}.{name}"
-                    f" FOR VALUES FROM ('{begin.isoformat()}') TO ('{(begin + timedelta(days=1)).isoformat()}')"
-                )
+                _make_day(connection, name, day)
+
+
+def _make_day(connection: "psycopg.Connection", name: str, day: int) -> None:
+    part, begin = f"{SCHEMA}.{part_name(name, day)}", datetime.fromtimestamp(day * 86400, UTC)
+    if connection.execute("SELECT to_regclass(%s) IS NOT NULL", (part,)).fetchone() == (True,):
+        return
+    connection.execute(
+        f"CREATE TABLE {part} PARTITION OF {SCHEMA}.{name}"
+        f" FOR VALUES FROM ('{begin.isoformat()}') TO ('{(begin + timedelta(days=1)).isoformat()}')"
+    )
+    # Restored from a dump it has another number, and this one still.
+    connection.execute(f"COMMENT ON TABLE {part} IS '{_PART} {identity_of(connection, part)}'")
+
+
+def identity_of(connection: "psycopg.Connection", part: str) -> str:
+    """Return what no other part has, of this server or of one that is set up anew, and what a part keeps for good."""
+    row = connection.execute(
+        f"SELECT coalesce(substring(obj_description(oid, 'pg_class') FROM '^{_PART} ([0-9]+-[0-9]+)$'),"  # noqa: S608 - ours
+        " system_identifier || '-' || oid) FROM pg_control_system(), (SELECT %s::regclass::oid AS oid) AS part",
+        (part,),
+    ).fetchone()
+    assert row is not None  # noqa: S101 - narrowing; it is there
+    return str(row[0])
 
 
 def part_name(name: str, day: int) -> str:

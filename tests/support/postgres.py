@@ -75,6 +75,18 @@ class Postgres:
             cursor = connection.execute(statement)
             return cursor.fetchall() if cursor.description else []
 
+    def dump(self, database):
+        """Dump a database; return the file."""
+        file = self.folder / f"{database}.dump"
+        self._run("pg_dump", "-Fc", "-f", file, "-d", self.url(database))
+        return file
+
+    def restore(self, database, file):
+        """Put what a dump has in the place of a database."""
+        self.sql(f"DROP DATABASE {database} WITH (FORCE)")
+        self.sql(f"CREATE DATABASE {database}")
+        self._run("pg_restore", "-d", self.url(database), file)
+
     def _signal(self, number):
         """To the server and to all that it has started, which are groups of their own."""
         pid = int((self._data / "postmaster.pid").read_text().split()[0])

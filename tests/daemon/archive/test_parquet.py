@@ -71,6 +71,35 @@ def test_what_the_database_has_lost_since_stays_in_the_file_of_its_day(postgres,
     assert [(one.rows, one.written) for one in write_days(address, tmp_path, date(2026, 1, 1))] == [(4, True)]
 
 
+@pytest.mark.parametrize("drops", [False, True])
+def test_a_record_is_in_one_file_whether_its_day_was_dropped_or_not_before_a_dump_was_restored(
+    postgres, database, tmp_path, drops
+):
+    address, run, name = parse_archive(database), origin(), database.rpartition("/")[2]
+
+    def take(*rows):
+        with closing(ArchiveWriter(address)) as writer:
+            writer.prepare()
+            writer.take([SentPage("lab/roof", batch_of(run, {"poses": list(rows)}))])
+
+    def written():
+        return [(one.rows, one.written) for one in write_days(address, tmp_path, date(2026, 1, 1))]
+
+    take(pose_row(0))
+    dump = postgres.dump(name)
+    take(pose_row(1))
+    assert written() == [(2, True)]
+    if drops:
+        assert [one.rows for one in drop_days(address, tmp_path, date(2026, 1, 1))] == [2]
+    postgres.restore(name, dump)
+    assert written() == [(2, False)]
+    assert list(drop_days(address, tmp_path, date(2026, 1, 1))) == []
+    take(pose_row(0), pose_row(1), pose_row(2))
+    assert written() == [(3, True)]
+    assert [one.rows for one in drop_days(address, tmp_path, date(2026, 1, 1))] == [3]
+    assert list(map(rows_in, tmp_path.rglob("*.parquet"))) == [3]
+
+
 def test_a_file_of_before_that_cannot_be_read_is_one_sentence(database, tmp_path):
     address = parse_archive(database)
     with closing(ArchiveWriter(address)) as writer:
