@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from daemon.base.clock import LEAST_SHOWN_UTC_S, MOST_SHOWN_UTC_S
 from daemon.base.records import Pose, Quality, Scan
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError, turn_day
 from daemon.tracker.phase import ALONE, Phase
@@ -45,7 +46,7 @@ class Insolation(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     day: int
-    since_utc_s: float | None = Field(default=None, allow_inf_nan=False)
+    since_utc_s: float | None = Field(default=None, allow_inf_nan=False, ge=LEAST_SHOWN_UTC_S, le=MOST_SHOWN_UTC_S)
     known_s: float = _Energy
     actual_kwh_m2: float = _Energy
     chronometric_kwh_m2: float = _Energy

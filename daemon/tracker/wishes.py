@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat
 
-from daemon.base.clock import iso_utc
+from daemon.base.clock import LEAST_SHOWN_UTC_S, MOST_SHOWN_UTC_S, iso_utc
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 
 log = logging.getLogger("heliocube.control")
@@ -49,7 +49,7 @@ class Wish(BaseModel):
 
     why: str
     by: str = ""
-    since_utc_s: float | None = Field(default=None, allow_inf_nan=False, ge=-6e10, le=2.5e11)
+    since_utc_s: float | None = Field(default=None, allow_inf_nan=False, ge=LEAST_SHOWN_UTC_S, le=MOST_SHOWN_UTC_S)
     goto_deg: tuple[FiniteFloat, FiniteFloat] | None = Field(default=None, strict=False)
 
     @property

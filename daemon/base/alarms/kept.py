@@ -1,17 +1,20 @@
 """Which alarms a restart must not forget: those that wait for a person, and those that one has acknowledged."""
 
 import logging
-from typing import Self
+from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.alarms.alarm import Alarm
+from daemon.base.clock import LEAST_SHOWN_UTC_S, MOST_SHOWN_UTC_S
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 
 log = logging.getLogger("heliocube.alarm")
 
 FILE_NAME = "alarms.json"
 CUBE_FILE_NAME = "cube-alarms.json"
+
+_Utc = Annotated[float, Field(ge=LEAST_SHOWN_UTC_S, le=MOST_SHOWN_UTC_S)]
 
 
 class KeptAlarm(BaseModel):
@@ -20,10 +23,10 @@ class KeptAlarm(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     text: str
-    raised_utc_s: float
-    acknowledged_utc_s: float | None = None
+    raised_utc_s: _Utc
+    acknowledged_utc_s: _Utc | None = None
     acknowledged_by: str = ""
-    cleared_utc_s: float | None = None
+    cleared_utc_s: _Utc | None = None
 
     @classmethod
     def of(cls, alarm: Alarm) -> Self:

@@ -122,8 +122,10 @@ def test_many_trackers_book_the_day_that_has_ended_one_after_the_other(tmp_path)
         runner.run(scenario())
 
 
-def test_a_file_that_cannot_be_read_is_said_and_counted_anew(tmp_path, caplog):
-    (tmp_path / "received.json").write_text('{"day": 1, "known_s": -3}')
+# No calendar goes so far as the second one: it could be kept and never be shown.
+@pytest.mark.parametrize("more", ['"known_s": -3', '"known_s": 3, "since_utc_s": 1e18'])
+def test_a_file_that_cannot_be_read_is_said_and_counted_anew(tmp_path, caplog, more):
+    (tmp_path / "received.json").write_text(f'{{"day": 1, {more}}}')
     assert today(tmp_path).today.known_s == 0.0
     assert "counted from zero again" in caplog.text
 

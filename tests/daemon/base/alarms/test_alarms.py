@@ -217,7 +217,15 @@ def test_what_nobody_has_seen_and_nothing_latches_costs_no_disk(house):
 
 
 @pytest.mark.parametrize(
-    "content", ["{", '{"alarms": {"move-failed": {"text": 3}}}', '{"alarms": {"x": {"text": "", "raised_utc_s": NaN}}}']
+    "content",
+    [
+        "{",
+        '{"alarms": {"move-failed": {"text": 3}}}',
+        '{"alarms": {"x": {"text": "", "raised_utc_s": NaN}}}',
+        # No calendar goes so far: it could be kept and never be shown.
+        '{"alarms": {"move-failed": {"text": "", "raised_utc_s": 1e18}}}',
+        '{"alarms": {"move-failed": {"text": "", "raised_utc_s": 1.0, "acknowledged_utc_s": -1e18}}}',
+    ],
 )
 def test_a_file_that_cannot_be_used_is_logged_and_written_anew(tmp_path, caplog, content):
     (tmp_path / FILE_NAME).write_text(content)
