@@ -31,6 +31,8 @@ class ClockWatch:
         Told while the clock is in doubt; None for nobody.
     synchronised
         Whether anything has synchronised the clock since it was set last; None where that cannot be known.
+    ran_utc_s
+        When the service ran before [s], by this clock: an earlier time is doubted like one that was set back.
 
     Attributes
     ----------
@@ -41,7 +43,11 @@ class ClockWatch:
     """
 
     def __init__(
-        self, clock: Clock, alarms: Alarms | None = None, synchronised: Callable[[], bool | None] = lambda: None
+        self,
+        clock: Clock,
+        alarms: Alarms | None = None,
+        synchronised: Callable[[], bool | None] = lambda: None,
+        ran_utc_s: float = -math.inf,
     ) -> None:
         self._clock = clock
         self._alarms = alarms
@@ -53,6 +59,9 @@ class ClockWatch:
         self._never: bool | None = None
         self.trusted = True
         self.corrections = 0
+        if ran_utc_s - clock.utc() > _DISTRUST_S and synchronised() is not True:
+            self.trusted, self._never = False, False
+            self._believed_s = ran_utc_s - clock.monotonic()
 
     def step_s(self) -> float | None:
         """Return by how much UTC has stepped since the last call [s], or None if it has not.

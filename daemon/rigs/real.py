@@ -188,4 +188,5 @@ def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
         wind_speed_m_s=None,
         simulated=settings.instruments.bench,
         clock_synchronised=synchronised if isinstance(clock, SystemClock) else lambda: None,
+        clock_lasts=isinstance(clock, SystemClock),
     )

@@ -7,13 +7,16 @@ that may be the same one.
 """
 
 import logging
+import math
 from collections.abc import Sequence
 from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.alarms import kept
 from daemon.base.errors import UserError
 from daemon.base.files import replace_file
-from daemon.base.state import StateFolder
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.motion import place, reference
 from daemon.received import today
 from daemon.store.place import is_claimed
@@ -26,12 +29,36 @@ log = logging.getLogger("heliocube.service")
 STARTED_NAME = "started.json"
 """The file of the last start: it is written by every start."""
 
+
+class Started(BaseModel):
+    """The last start [s of UTC], and of which version."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
+
+    started_utc_s: float = Field(allow_inf_nan=False)
+    version: str = ""
+
+
 # The trackers of one service write it one after the other.
 _STARTED_TOGETHER_S = 30.0
 _FILES = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference, budget, law_file, kept, today))
 _IN_FORCE: tuple[str, ...] = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference))
 _LOOK = "look at the tracker, then 'heliocube auto'"
 _REMEDY = f"give that name back in a table [[tracker]] and restart, or {_LOOK}"
+
+
+def started_in(folder: StateFolder) -> StateFile[Started]:
+    """Return the file of a tracker's last start."""
+    return StateFile(folder, STARTED_NAME, Started, log, "what persons ask for, a storm and what is in doubt")
+
+
+def last_start_utc_s(folder: StateFolder) -> float:
+    """Return when a tracker was last started, by the clock of then [s]; minus infinity where that is not known."""
+    try:
+        kept = started_in(folder).load()
+    except UnreadableStateError:
+        return -math.inf
+    return -math.inf if kept is None else kept.started_utc_s
 
 
 def hand_on(directory: Path, trackers: Sequence[str]) -> None:

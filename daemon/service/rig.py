@@ -57,6 +57,8 @@ class Rig:
         One line about the simulated sky for displays, or None.
     clock_synchronised
         Whether anything has synchronised the machine's clock; None where that is not known or there is no such clock.
+    clock_lasts
+        The clock goes on while no service runs, as a simulated one does not.
     """
 
     cube: Cube | None
@@ -65,3 +67,4 @@ class Rig:
     simulated: bool
     sky_text: Callable[[], str] | None = None
     clock_synchronised: Callable[[], bool | None] = lambda: None
+    clock_lasts: bool = False

@@ -127,7 +127,8 @@ class Service:
         cube = calibrated_cube(settings.cube, self.calibration) if self.calibration else settings.cube
         # Beside trackers it is they who tell of the clock that they share.
         alarms = self.cube_alarms if self.role is Role.CUBE else None
-        clock_watch = ClockWatch(self.clock, alarms, rig.clock_synchronised)
+        ran_utc_s = max((tracker.ran_utc_s for tracker in self.trackers), default=-math.inf)
+        clock_watch = ClockWatch(self.clock, alarms, rig.clock_synchronised, ran_utc_s)
         self.acquisition = Acquisition(
             cube,
             rig.cube,

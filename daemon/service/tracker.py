@@ -1,8 +1,8 @@
 """One tracker: all that belongs to it alone, from its settings to its positioner, its wishes and its alarms."""
 
 import asyncio
-import json
 import logging
+import math
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from dataclasses import replace
 from importlib.metadata import version
@@ -22,7 +22,7 @@ from daemon.motion.motion import Motion
 from daemon.motion.polling import Polling
 from daemon.received.shadow import Active, Shadow
 from daemon.received.today import FILE_NAME, ReceivedToday
-from daemon.service.inheritance import STARTED_NAME
+from daemon.service.inheritance import Started, last_start_utc_s, started_in
 from daemon.service.mode_times import ModeTimes
 from daemon.service.rig import Rig, TrackerInstruments
 from daemon.tracker.control import Control
@@ -43,7 +43,6 @@ _commands_log = logging.getLogger("heliocube.operator")
 # Of the ground, where the law learns none; the same as that of laws that are told one.
 _ALBEDO = 0.2
 _NO_WIND_SOURCE = "no wind source: nothing stows the tracker in a storm"
-_TO_KEEP = "what persons ask for, a storm and what is in doubt"
 _NOTHING_KEPT = (
     "store.directory is not set: a restart forgets what persons asked for, a storm and what is in doubt, and no records"
     " are kept"
@@ -145,7 +144,8 @@ class Tracker:
             polling,
             begins_anew=instruments.begins_anew,
         )
-        self._clock_watch = ClockWatch(clock, self.alarms, rig.clock_synchronised)
+        self.ran_utc_s = last_start_utc_s(folder) if rig.clock_lasts else -math.inf
+        self._clock_watch = ClockWatch(clock, self.alarms, rig.clock_synchronised, self.ran_utc_s)
         pointing = build_pointing(settings, clock.utc(), folder, common)
         self.control = Control(
             settings,
@@ -263,9 +263,7 @@ class Tracker:
         Whether the disk takes it is known before the first stop: the folder reports what it could not write.
         """
         self.alarms.set("nothing-kept", self.forgets)
-        if self.folder.directory is not None:
-            started = json.dumps({"started_utc_s": self.clock.utc(), "version": version("heliocube")})
-            self.folder.put(self.folder.directory / STARTED_NAME, started, _TO_KEEP, log)
+        started_in(self.folder).save(Started(started_utc_s=self.clock.utc(), version=version("heliocube")))
 
     def _check_wind_source(self) -> None:
         """Raise an alarm where nothing would stow a real tracker in a storm."""

@@ -118,6 +118,7 @@ class HandledRig:
 
     hold_why: str | None = None
     begins_anew = False
+    clock_lasts = False
     synchronised: bool | None = None
 
     def __init__(
@@ -197,6 +198,7 @@ class HandledRig:
                 lambda: self.wind_m_s,
                 simulated=True,
                 clock_synchronised=lambda: self.synchronised,
+                clock_lasts=self.clock_lasts,
             ),
             self.clock,
             Random(1),  # noqa: S311 - jitter

@@ -39,6 +39,31 @@ def test_a_step_is_told_once_and_the_sun_is_doubted_until_it_is_undone(step):
     assert watch.believed_utc_s == clock.utc()
 
 
+@pytest.mark.parametrize(("known", "trusted"), [(None, False), (False, False), (True, True)])
+def test_a_time_before_the_one_of_the_last_run_is_doubted_until_something_synchronises_the_clock(known, trusted):
+    clock, answers = SetClock(), [known]
+    watch = ClockWatch(clock, synchronised=lambda: answers[-1], ran_utc_s=clock.utc() + 31.0)
+    assert watch.trusted == watch.trusted_now == trusted
+    assert watch.step_s() is None
+    assert watch.trusted == trusted
+    clock.now += 200.0
+    # It is set right, and believed when whatever has done so says it.
+    clock.offset += 3e7
+    watch.step_s()
+    assert not watch.trusted
+    clock.now += 200.0
+    answers.append(True)
+    watch.step_s()
+    assert watch.trusted
+    assert watch.believed_utc_s == clock.utc()
+
+
+def test_a_time_a_little_before_the_one_of_the_last_run_is_believed():
+    clock = SetClock()
+    assert ClockWatch(clock, ran_utc_s=clock.utc() + 30.0).trusted
+    assert ClockWatch(clock, ran_utc_s=float("nan")).trusted
+
+
 def test_slewing_and_small_corrections_are_no_steps():
     clock = SetClock()
     watch = ClockWatch(clock)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.base.clock import SystemClock
+from daemon.base.clock import LoopClock, SystemClock
 from daemon.base.errors import UserError
 from daemon.config.file import ConfigError, load_settings
 from daemon.rigs.real import build_real_rig
@@ -41,6 +41,12 @@ def test_a_rig_has_what_its_role_needs_and_no_wind_and_is_not_simulated(load):
         rig = build_real_rig(settings, role, SystemClock())
         assert tuple(bool(part) for part in (rig.cube, rig.trackers)) == present
         assert (rig.simulated, rig.wind_speed_m_s, rig.sky_text) == (False, None, None)
+        assert rig.clock_lasts
+
+
+def test_a_clock_that_is_a_bench_s_does_not_last(load):
+    settings = load(REAL.replace('kind = "real"', 'kind = "real"\nbench = true'))
+    assert not build_real_rig(settings, Role.BOTH, LoopClock(lambda: 0.0, 1.7e9)).clock_lasts
 
 
 def test_a_rig_at_a_bench_is_marked_as_simulated(load):

@@ -7,9 +7,11 @@ import re
 import pytest
 
 from daemon.base.records import CurveQuality, Decision, Event, IvCurve, Move
+from daemon.base.state import StateFolder
+from daemon.service.inheritance import Started, started_in
 from daemon.service.rig import Role
 from tests.support.phases import at_rest, tracking
-from tests.support.rig import HandWeather
+from tests.support.rig import HandWeather, ServiceRig
 
 
 @pytest.mark.parametrize("step_s", [3600.0, -3600.0, 86400.0, -86400.0])
@@ -71,6 +73,33 @@ def test_after_a_step_the_chronometric_law_waits_until_the_clock_is_set_right(ru
         assert len(rig.of(Move)) > moves
 
     run_rig(scenario, law={"name": "chronometric"})
+
+
+@pytest.mark.parametrize("lasts", [True, False])
+def test_a_start_before_the_last_one_is_a_clock_in_doubt_and_the_start_after_it_is_believed(
+    run_rig, tmp_path, monkeypatch, lasts
+):
+    """As without a battery before the network is there; what is simulated begins again as often as one likes."""
+    monkeypatch.setattr(ServiceRig, "clock_lasts", lasts)
+    year_later = Started(started_utc_s=1.7e9)
+    started_in(StateFolder(tmp_path)).save(year_later)
+
+    async def doubts(rig):
+        await asyncio.sleep(1500)
+        assert ("clock" in [alarm.name for alarm in rig.tracker.alarms.active]) == lasts
+        assert bool(rig.of(Move)) != lasts
+        rig.synchronised = True
+        await asyncio.sleep(600)
+        assert rig.of(Move)
+        assert "clock" not in [alarm.name for alarm in rig.tracker.alarms.active]
+
+    async def believes(rig):
+        await asyncio.sleep(1500)
+        assert rig.of(Move)
+
+    kept = {"law": {"name": "chronometric"}, "store": {"directory": tmp_path}}
+    run_rig(doubts, **kept)
+    run_rig(believes, **kept)
 
 
 @pytest.mark.parametrize("step_s", [3600.0, 12 * 3600.0])
