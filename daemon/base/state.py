@@ -302,7 +302,8 @@ class StateFolder:
         chosen = list(paths)
         if not chosen:
             return None
-        forgotten = " and ".join(self._waiting[path].forgotten for path in chosen)
+        # A law in the shadow keeps a day of its own beside that of the law that points.
+        forgotten = " and ".join(dict.fromkeys(self._waiting[path].forgotten for path in chosen))
         reason = self._failed.get(chosen[0], "the disk has not answered yet")
         # All files of a folder are beside each other.
         files = " and ".join([str(chosen[0]), *(path.name for path in chosen[1:])])

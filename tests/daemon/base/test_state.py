@@ -84,6 +84,16 @@ def test_a_disk_that_fails_is_reported_once_until_it_works_again_and_gets_the_ne
     ]
 
 
+def test_what_two_files_keep_alike_is_said_once(tmp_path):
+    directory = tmp_path / "folder"
+    folder = StateFolder(directory)
+    directory.touch()
+    for name in ("one.json", "two.json"):
+        StateFile(folder, name, Kept, LOG, "the light of today").save(Kept(count=1))
+    files = f"{directory / 'one.json'} and two.json"
+    assert folder.unsaved == f"a restart would forget the light of today: {files} cannot be written (File exists)"
+
+
 class SlowDisk:
     """A disk that takes one file when it is let, and remembers the order."""
 
