@@ -16,7 +16,8 @@ from daemon.service.operator_commands import URGENT, Command, Operators, parse, 
 
 log = logging.getLogger("heliocube.mqtt")
 
-# What makes things safe is not refused because a queue of wishes stands before it, and a stop for nothing else.
+# What makes things safe is not refused because a queue of wishes stands before it. A stop is never refused: one above
+# its number waits for nothing where the tracker is stopped already.
 _AT_ONCE = {"wish": 8, "safe": 64, "stop": 64}
 # Whoever sends more is answered no more: it would be telemetry that has to wait.
 _REPLIES_PER_S, _REPLIES_AT_ONCE = 10.0, 50
@@ -56,7 +57,9 @@ class Commands:
         self._budget = LogBudget("commands over MQTT are refused")
         # Each kind for itself, so that whoever stops the tracker in a flood of wishes reads that it stands.
         self._replies = {kind: RateLimit(_REPLIES_PER_S / speed, _REPLIES_AT_ONCE) for kind in _AT_ONCE}
-        self._running: dict[asyncio.Task[None], str] = {}
+        self._running: set[asyncio.Task[None]] = set()
+        # By kind, of those that may wait for their effect: a flood of thousands is counted at each of them.
+        self._waiting: Counter[str] = Counter()
 
     def take(self, name: str, message: Incoming) -> None:
         """Begin to carry out a command, or refuse it; needs a running loop and does not wait."""
@@ -66,15 +69,20 @@ class Commands:
             _refuse_empty(message)
             command = parse(name, message.payload, "MQTT")
             # First: what a flood is refused for takes no memory, and may be given again.
-            self._refuse_flood(command.wanted)
+            room = self._has_room_for(command.wanted)
             _refuse_overdue(message, command)
             self._dates.check(command)
         except CommandError as error:
             self._refuse(name, None if command is None else command.identifier, error)
             return
-        task = asyncio.create_task(self._carry_out(command), name=f"mqtt command {command.wanted}")
-        self._running[task] = _kind(command.wanted)
-        task.add_done_callback(self._running.pop)
+        work = self._carry_out(command) if room else self._stop_in_a_crowd(command)
+        task = asyncio.create_task(work, name=f"mqtt command {command.wanted}")
+        self._running.add(task)
+        task.add_done_callback(self._running.discard)
+        if room:
+            kind = _kind(command.wanted)
+            self._waiting[kind] += 1
+            task.add_done_callback(lambda _: self._waiting.subtract((kind,)))
 
     async def run(self) -> None:
         """Say when a flood is over, until cancelled; then end what is being waited for."""
@@ -88,10 +96,28 @@ class Commands:
                 task.cancel()
             await asyncio.gather(*running, return_exceptions=True)
 
-    def _refuse_flood(self, wanted: str) -> None:
+    def _has_room_for(self, wanted: str) -> bool:
+        """Return whether a command may wait for its effect; where it may not, all but a stop are refused."""
         kind = _kind(wanted)
-        if Counter(self._running.values())[kind] >= _AT_ONCE[kind]:
+        room = self._waiting[kind] < _AT_ONCE[kind]
+        if not room and kind != "stop":
             raise CommandError(f"{len(self._running)} commands are being carried out already; ask again")
+        return room
+
+    async def _stop_in_a_crowd(self, command: Command) -> None:
+        """Stop what is not stopped yet; else others wait for the same already.
+
+        That is looked at when its turn comes, so that an `auto` before it has ended what was in force.
+        """
+        try:
+            answer = self._operators.stopped_already(command)
+        except CommandError as error:
+            self._refuse(command.name, command.identifier, error)
+            return
+        if answer is None:
+            await self._carry_out(command)
+        else:
+            self._answer(answer, "stop")
 
     async def _carry_out(self, command: Command) -> None:
         try:

@@ -132,6 +132,7 @@ class Operators:
     """
 
     def __init__(self, trackers: Sequence[Tracker], speed: float, cube_alarms: Alarms | None = None) -> None:
+        self._trackers = {tracker.name: tracker for tracker in trackers}
         self._of = {tracker.name: Operator(tracker, speed) for tracker in trackers}
         self._alarms = {} if cube_alarms is None else {"": cube_alarms}
         self._alarms |= {tracker.name: tracker.alarms for tracker in trackers}
@@ -155,6 +156,17 @@ class Operators:
             ((_, operator),) = chosen.items()
             return answer_json(command.name, command.identifier, await _by(operator, command))
         return answer_json(command.name, command.identifier, await self._by_all(command))
+
+    def stopped_already(self, command: Command) -> dict[str, Any] | None:
+        """Return the answer to a stop that changes nothing, as all whom it is for are stopped; None where one is not.
+
+        Raises `CommandError` as `carry_out` does.
+        """
+        stops = [self._trackers[name].control.wishes.describe("stop") for name in self._meant(command)]
+        if None in stops:
+            return None
+        text = f"the tracker is {stops[0]}; so many stops wait for their answers that this one waits for nothing"
+        return answer_json(command.name, command.identifier, Answer(Seen.NOT_SEEN, text))
 
     def _meant(self, command: Command) -> dict[str, Operator]:
         if not self._of:

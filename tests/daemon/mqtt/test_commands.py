@@ -14,8 +14,9 @@ from daemon.mqtt.connection import Incoming
 from daemon.mqtt.dates import Dates
 from daemon.mqtt.outbox import Lane, Message, Outbox
 from daemon.service.operator import CommandError
-from daemon.service.operator_commands import parse
+from daemon.service.operator_commands import Operators, parse
 from tests.support.mqtt import SPEED, BrokerRig, needs_mosquitto, observer, serving, settings_for, until
+from tests.support.phases import tracking
 
 BASE = "heliocube/tracker"
 UTC_S = 1665742815.0
@@ -271,3 +272,35 @@ def test_a_time_that_is_none_is_one_sentence(time):
 def test_a_time_is_no_part_of_a_command_over_http():
     with pytest.raises(CommandError, match="may have only"):
         parse("stow", b'{"time": "2022-10-14T10:20:00Z"}', "HTTP")
+
+
+def test_a_stop_is_carried_out_however_many_wait_for_their_answers(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        replies = []
+        commands = Commands(Operators([rig.tracker], 1.0), replies.append, MqttSettings(), rig.clock)
+
+        def give(name, identifier, tracker=None):
+            body = {"id": identifier, "why": identifier} | ({"tracker": tracker} if tracker else {})
+            commands.take(name, Incoming(name, json.dumps(body).encode(), retained=False))
+
+        for number in range(64):
+            give("stop", f"first {number}")
+        give("stop", "of another", "elsewhere")
+        give("auto", "all clear")
+        give("stop", "a hand")
+        begun_s = time.process_time()
+        for number in range(12_000):
+            give("stop", f"last {number}")
+        assert time.process_time() - begun_s < 5.0, "each costs the same, however many there are"
+        await asyncio.sleep(0.0)
+        assert rig.control.wishes.stop.why == "a hand"
+        assert len(commands._running) > 1000
+        await asyncio.sleep(0.0)
+        assert len(commands._running) < 70, "those that change nothing wait for nothing"
+        await asyncio.gather(*commands._running)
+        refused = {reply["id"]: reply["text"] for reply in replies if not reply["accepted"]}
+        assert list(refused) == ["of another"], "a stop is refused for want of nothing but its tracker"
+        assert any("wait for their answers" in reply["text"] for reply in replies)
+
+    run_rig(scenario)
