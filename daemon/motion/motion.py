@@ -340,9 +340,9 @@ class Motion(MotionState):
             self._changed()
         elif guard.must_halt:
             await guard.halt()
-        elif self._clear_wanted is not None:
+        elif self._clear_wanted is not None and not self._stow_can_go():
             shown, self._clear_wanted = self._clear_wanted, None
-            await self._runs.clear(shown)
+            await self._runs.clear(shown, self._stow_can_go)
         elif telemetry.autonomous:
             if self._home_wanted and guard.own_mode.text:
                 # Whoever switches it off stands at the unit.
@@ -354,6 +354,7 @@ class Motion(MotionState):
             await self._runs.home()
         elif (order := self._due_order()) is not None:
             (target, stow), self._wanted = order, None
+            self._drop_clear("a stow came")
             await self._take_up(target, stow=stow)
         elif self._must_rehome():
             self._rehoming.began(self._clock.monotonic())
@@ -362,6 +363,12 @@ class Motion(MotionState):
         else:
             return False
         return True
+
+    def _stow_can_go(self) -> bool:
+        """Whether a stow waits that nothing hinders; a unit may take no target after a restart until it is cleared."""
+        order, telemetry = self._due_order(), self._guard.judged
+        hindered = self.blocked is not None or (telemetry is not None and telemetry.was_reset)
+        return order is not None and order[1] and not hindered
 
     async def _take_up(self, target: Target, *, stow: bool) -> None:
         obstacle = self.blocked or (None if stow else self._guard.doubts.reference)
@@ -377,20 +384,11 @@ class Motion(MotionState):
             return False
         return self._rehoming.due(doubt, self._clock.monotonic())
 
-    def _refuse_frozen(self) -> None:
-        if self._guard.frozen is not None:
-            raise RefusedError("positioner", self._guard.frozen)
-        if self.pressed:
-            raise RefusedError("positioner", "a button is pressed at the unit: somebody is there")
-
     def _note_readiness(self) -> None:
         ready = self._readiness()
         if ready != self._was_ready:
             self._was_ready = ready
             self._changed()
-
-    def _readiness(self) -> tuple[bool, bool]:
-        return self.connected and self.blocked is None and self.doubt is None, self.pressed
 
     def _report(self, text: str) -> None:
         log.info(text)

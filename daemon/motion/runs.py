@@ -236,18 +236,21 @@ class Runs:
             log.debug("own tracking: %s", error.message)
         await self._guard.halt()
 
-    async def clear(self, shown: tuple[str, ...]) -> None:
-        """Clear the positioner's marks, and forgive what a person was shown of them and of the doubts."""
+    async def clear(self, shown: tuple[str, ...], gives_way: Callable[[], bool]) -> None:
+        """Clear the positioner's marks, and forgive what a person was shown of them and of the doubts.
+
+        A unit may tell only after seconds that it has cleared them; where `gives_way` says so that is not waited for.
+        """
         guard = self._guard
         doubt = "" if guard.telemetry is None else guard.telemetry.reference_doubt
         # One that came while the person's order waited was not shown, and steers the next reference run.
         clear = partial(self._positioner.clear_faults, forgive=not doubt or doubt in shown)
         guard.clearing = True
         try:
-            before = await guard.attended(clear())
+            before = await guard.attended(clear(), gives_way)
             guard.doubts.forgive(shown, before)
         except RefusedError as error:
-            self._report(f"nothing was cleared: {error.message}")
+            self._report(f"nothing was cleared: {'a stow came first' if gives_way() else error.message}")
             return
         finally:
             guard.clearing = False

@@ -8,6 +8,7 @@ from daemon.motion.guard import Guard
 from daemon.motion.reference import fault_text
 from daemon.motion.retry import Retries
 from daemon.motion.runs import Runs
+from drivers.errors import RefusedError
 from drivers.interfaces import PositionerIdentity, Telemetry
 
 
@@ -136,3 +137,12 @@ class MotionState:
     def stands_since_s(self) -> float | None:
         """Monotonic time since which telemetry has shown both axes unmoved; None: moving, or not known."""
         return self._guard.stands_since_s
+
+    def _readiness(self) -> tuple[bool, bool]:
+        return self.connected and self.blocked is None and self.doubt is None, self.pressed
+
+    def _refuse_frozen(self) -> None:
+        if self._guard.frozen is not None:
+            raise RefusedError("positioner", self._guard.frozen)
+        if self.pressed:
+            raise RefusedError("positioner", "a button is pressed at the unit: somebody is there")
