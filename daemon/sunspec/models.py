@@ -134,19 +134,19 @@ class SunSpecMap:
         mode = tracker.control.mode
         bits = _OBSTRUCTED if positioner.blocked_why is not None or mode is Mode.FAULT else 0
         kept_from_it = any(alarm.on and alarm.name == _KEPT_FROM_STOW for alarm in tracker.alarms)
-        if kept_from_it or (mode is Mode.STOW and not tracker.at_stow):
+        # In a fault a stow that is wanted cannot be made, and a move that it has ended is not taken up.
+        fault = mode is Mode.FAULT
+        stow = mode is Mode.STOW or (fault and _wants_stow(tracker))
+        if kept_from_it or (stow and not tracker.at_stow):
             # A person keeps it still, or a stow that has failed waits to be tried again: nothing is on its way.
             return bits | _NOT_THERE
-        target = positioner.target
+        target = _sent_to(tracker) if fault else positioner.target
         if target is None or positioner.pose is None or positioner.pose_is_stale:
             return bits
         return bits if self.is_at(tracker, target.a_deg, target.b_deg) else bits | _NOT_THERE
 
     def _target(self, seen: Snapshot, tracker: TrackerState) -> list[int]:
-        """Return where it is sent, or where it was sent last unless that was called off."""
-        target, last = tracker.positioner.target, tracker.positioner.last_move
-        if target is None and last is not None and last.outcome is not MoveOutcome.INTERRUPTED:
-            target = Target(last.target_a_deg, last.target_b_deg, last.why)
+        target = _sent_to(tracker)
         if target is None:
             return [*_NO_INT32, *_NO_INT32]
         return self._angles(f"{tracker.name} target", target.a_deg, target.b_deg, seen.site.latitude_deg)
@@ -164,6 +164,18 @@ class SunSpecMap:
             self._azimuth_deg[name] = float(azimuth_deg)
         kept_deg = self._azimuth_deg.get(name, equator_azimuth_deg(latitude_deg))
         return [*degree_words(float(elevation_deg)), *degree_words(kept_deg)]
+
+
+def _sent_to(tracker: TrackerState) -> Target | None:
+    """Return where it is sent, or where it was sent last unless that was called off."""
+    target, last = tracker.positioner.target, tracker.positioner.last_move
+    if target is None and last is not None and last.outcome is not MoveOutcome.INTERRUPTED:
+        return Target(last.target_a_deg, last.target_b_deg, last.why)
+    return target
+
+
+def _wants_stow(tracker: TrackerState) -> bool:
+    return tracker.wishes.stow is not None or any(source.why is not None for source in tracker.wind)
 
 
 def _model(number: int, points: list[int]) -> list[int]:

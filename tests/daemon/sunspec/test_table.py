@@ -4,70 +4,14 @@ import asyncio
 
 import pytest
 
-from daemon.base.records import Event, Mode, Move, MoveOutcome
+from daemon.base.records import Event, Mode
 from daemon.service.operator import Operator
-from daemon.service.operator_commands import Operators
-from daemon.service.recent import Recent
 from daemon.sunspec.models import BASE, SunSpecMap
-from daemon.sunspec.server import SunSpecServer
 from daemon.sunspec.table import SunSpecTable
-from drivers.modbus.framing import Asked
-from drivers.modbus.pdu import ModbusRequest, number, read_registers, registers_of, write_register, write_registers
-from tests.support.phases import at_rest, tracking
+from drivers.modbus.pdu import ModbusRequest, number, read_registers, registers_of, write_register
+from tests.daemon.sunspec.desk import UNIT, Control, int32, on_rig
+from tests.support.phases import at_rest
 from tests.support.rig import ServiceRig
-
-UNIT = 1
-
-
-def int32(value):
-    return [value >> 16 & 0xFFFF, value & 0xFFFF]
-
-
-class Control:
-    """A control room that asks the server without a socket."""
-
-    def __init__(self, rig, *, manual=True):
-        settings = rig.service.settings
-        own = settings.sunspec.model_copy(update={"enabled": True, "manual": manual})
-        settings = settings.model_copy(update={"sunspec": own})
-        operators = Operators(rig.service.trackers, 1.0)
-        self.recent = Recent()
-        rig.bus.subscribe(self.recent.note)
-        self.see = lambda: rig.see(self.recent)
-        self.server = SunSpecServer(settings, self.see, operators, rig.clock, rig.service.cube_alarms.set, 1.0)
-
-    async def ask(self, request):
-        return await self.server._answer(Asked(request), "127.0.0.1")
-
-    async def read(self, register, count):
-        return registers_of(await self.ask(read_registers(UNIT, 3, register, count)))
-
-    async def models(self):
-        """Return the points of every model by its number, and where it begins."""
-        found, at = {}, BASE + 2
-        assert await self.read(BASE, 2) == (0x5375, 0x6E53)
-        while (head := await self.read(at, 2))[0] != 0xFFFF:
-            found[head[0]] = (at, await self.read(at + 2, head[1]))
-            at += 2 + head[1]
-        return found
-
-    async def write(self, register, values):
-        """Return 0, or the code of the exception."""
-        reply = await self.ask(write_registers(UNIT, register, values))
-        return reply[1] if reply[0] & 0x80 else 0
-
-
-def on_rig(run_rig, scenario, *, manual=True, **options):
-    async def beside(rig):
-        await tracking(rig)
-        await at_rest(rig)
-        control = Control(rig, manual=manual)
-        try:
-            await scenario(rig, control)
-        finally:
-            await control.server._end(None)
-
-    return run_rig(beside, **options)
 
 
 def test_the_models_say_what_the_state_says(run_rig):
@@ -103,30 +47,6 @@ def test_what_is_stale_is_unimplemented_and_no_number(run_rig):
         models = await control.models()
         assert set(models[302][1]) == {0xFFFF}
         assert models[601][1][26 + 12 : 26 + 16] == (0x8000, 0, 0x8000, 0)
-
-    on_rig(run_rig, scenario)
-
-
-@pytest.mark.parametrize("stopped", [False, True])
-def test_a_stow_that_fails_and_waits_to_be_tried_again_is_not_where_it_should_be(run_rig, stopped):
-    async def scenario(rig, control):
-        for axis in "ab":
-            rig.unit.inject(f"{axis}_ignores_targets", rig.clock.monotonic())
-        if stopped:
-            # A person's own stow would end with the stop.
-            rig.wind_m_s = 20.0
-        else:
-            rig.control.stow("storm")
-        failed = MoveOutcome.REFUSED, MoveOutcome.STALLED
-        await rig.until(lambda: any(move.outcome in failed for move in rig.of(Move)), 120, "a stow that fails")
-        if stopped:
-            await rig.control.stop("somebody is at the axes", "ana")
-        await asyncio.sleep(5)
-        assert (rig.mode, rig.motion.target) == (Mode.HOLD if stopped else Mode.STOW, None)
-        tracker = (await control.models())[601][1]
-        assert (tracker[23], tracker[26 + 21]) == (1, 1)
-        sent = tracker[26 + 8 : 26 + 12]
-        assert number(sent[:2], "int32") == 9000, "it has been sent flat"
 
     on_rig(run_rig, scenario)
 
