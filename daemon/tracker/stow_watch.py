@@ -148,8 +148,11 @@ class StowWatch:
         if found.keys() != self._kept:
             self._keep(found)
         if silent != self._silent:
+            # By the sources: one may be called as another one is, and more, such as roof and roof (2).
+            worse = not silent.keys() <= (self._silent or {}).keys()
             self._silent = silent
-            self._alarms.set("stow-source-silent", "; ".join(silent.values()) or None, of=silent)
+            text = "; ".join(silent.values()) or None
+            self._alarms.set("stow-source-silent", text, of=silent, worse=worse)
         self._tell_failed()
         return tuple(dict.fromkeys(found.values())) if found else ()
 

@@ -228,6 +228,19 @@ def test_a_source_that_is_silent_for_its_time_is_an_alarm_until_it_is_heard():
     assert alarms() == {}, "they are heard, and strong wind is no fault"
 
 
+def test_a_silent_source_whose_name_is_part_of_that_of_another_is_told_of_its_own():
+    speeds = [3.0, None]
+    watch, alarms = plugged(*(WindStow(SAFETY, lambda place=place: speeds[place], "roof") for place in range(2)))
+    watch.reasons(0.0)
+    watch.reasons(301.0)
+    assert texts(alarms)["stow-source-silent"] == "roof (2) has not been heard since the start of the service"
+    alarms.acknowledge("ana")
+    speeds[0] = None
+    watch.reasons(602.0)
+    assert texts(alarms)["stow-source-silent"].startswith("roof is silent; roof (2) ")
+    assert alarms.active[0].state == "raised"
+
+
 class Plugged:
     """A source of somebody else's, which answers with what a test wants: an error is raised."""
 
