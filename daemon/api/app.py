@@ -135,8 +135,11 @@ class Api:
         host = request.client.host if request.client else ""
         if not self._places.are_free_for(host):
             raise HTTPException(503, "too many programs listen to the events already; close one")
-        stream = self._stream(host)
-        return StreamingResponse(stream, media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+        headers = {"Cache-Control": "no-store"}
+        if request.method == "HEAD":
+            # Nothing is listened to, and a stream would hold its place until whoever asked goes.
+            return Response(media_type="text/event-stream", headers=headers)
+        return StreamingResponse(self._stream(host), media_type="text/event-stream", headers=headers)
 
     async def _stream(self, host: str) -> AsyncIterator[bytes]:
         """Yield the state once a second of wall time, and every record as it comes."""

@@ -96,8 +96,10 @@ class Dashboard:
         host = request.client.host if request.client else ""
         if not self._places.are_free_for(host):
             raise HTTPException(503, "too many pages are open already; close some")
-        stream = self._stream(host)
-        return StreamingResponse(stream, media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+        headers = {"Cache-Control": "no-store"}
+        if request.method == "HEAD":
+            return Response(media_type="text/event-stream", headers=headers)
+        return StreamingResponse(self._stream(host), media_type="text/event-stream", headers=headers)
 
     async def _stream(self, host: str) -> AsyncIterator[str]:
         hello = {"version": version("heliocube"), "services": list(self._fleet.services)}

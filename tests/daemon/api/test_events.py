@@ -45,6 +45,22 @@ def test_the_seventeenth_listener_is_sent_away(serve):
     serve(scenario)
 
 
+def test_whoever_asks_for_the_head_of_the_events_alone_takes_no_place(serve):
+    async def scenario(rig, call):
+        asked = [await call.open("HEAD", "/api/events") for _ in range(16)]
+        for reader, _ in asked:
+            assert (await reader.readline()).split()[1] == b"200"
+        reader, writer = await call.open("GET", "/api/events")
+        await reader.readuntil(b"event: state")
+        async with asyncio.timeout(5):
+            rest = [await reader.read() for reader, _ in asked]
+        assert all(b"text/event-stream" in head and head.endswith(b"\r\n\r\n") for head in rest)
+        for _, each in (*asked, (reader, writer)):
+            each.close()
+
+    serve(scenario)
+
+
 def test_one_far_address_has_half_of_the_listeners_places(serve):
     async def scenario(rig, call):
         far = {"X-Forwarded-For": "192.0.2.7"}

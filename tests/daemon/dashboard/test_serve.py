@@ -129,9 +129,9 @@ def test_connections_on_which_no_whole_request_comes_keep_nobody_out_for_long(fi
 
 def test_one_far_address_has_half_of_the_places_for_pages():
     async def scenario():
-        async def listen(host):
+        async def listen(host, method="GET"):
             connection = await asyncio.open_connection(*address)
-            head = f"GET /events HTTP/1.1\r\nHost: localhost\r\nX-Forwarded-For: {host}\r\n\r\n"
+            head = f"{method} /events HTTP/1.1\r\nHost: localhost\r\nX-Forwarded-For: {host}\r\n\r\n"
             connection[1].write(head.encode())
             answer = await connection[0].readuntil(b"\r\n\r\n")
             held.append(connection[1])
@@ -139,12 +139,14 @@ def test_one_far_address_has_half_of_the_places_for_pages():
 
         held = []
         async with served() as address:
+            # Whoever asks for the head alone opens no page.
+            assert [await listen("127.0.0.1", "HEAD") for _ in range(64)] == [200] * 64
             assert [await listen("192.0.2.7") for _ in range(32)] == [200] * 32
             assert await listen("192.0.2.7") == 503
             assert await listen("no number") == 200
             assert [await listen("127.0.0.1") for _ in range(31)] == [200] * 31
             assert await listen("127.0.0.1") == 503
-            held[0].close()
+            held[64].close()
             await asyncio.sleep(5.0)
             assert await listen("192.0.2.7") == 200
             for one in held:
