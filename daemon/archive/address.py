@@ -39,6 +39,10 @@ class PagesRefusedError(ArchiveError):
     """The database does not take what is in the pages, or in one of them."""
 
 
+class RecordsRefusedError(PagesRefusedError):
+    """The same for the sake of single records: it would take the others."""
+
+
 @dataclass(frozen=True, slots=True)
 class ArchiveAddress:
     """A database, and one installation in it.
@@ -176,8 +180,15 @@ def telling(address: ArchiveAddress) -> Iterator[None]:
     except (psycopg.OperationalError, psycopg.InterfaceError) as error:
         does = "does not answer" if error.sqlstate is None else "refuses"
         raise ArchiveAwayError(f"the database {address.url} {does}: {one_line(error)}") from None
-    except (psycopg.DataError, psycopg.IntegrityError, UnicodeError) as error:
-        raise PagesRefusedError(f"the database takes no such records: {one_line(error)}") from None
+    except (
+        psycopg.DataError,
+        psycopg.IntegrityError,
+        # What a trigger raises, and a column that somebody has made to hold something else.
+        psycopg.errors.RaiseException,
+        psycopg.errors.DatatypeMismatch,
+        UnicodeError,
+    ) as error:
+        raise RecordsRefusedError(f"the database takes no such records: {one_line(error)}") from None
     except psycopg.Error as error:
         raise ArchiveError(f"the database {address.url} refuses: {one_line(error)}") from None
 

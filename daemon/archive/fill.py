@@ -6,7 +6,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
-from daemon.archive.address import ArchiveAddress
+from daemon.archive.address import ArchiveAddress, PagesRefusedError
+from daemon.archive.aside import take_what_can_be
 from daemon.archive.writer import ArchiveWriter, SentPage
 from daemon.base.errors import UserError
 from daemon.store.batches import Batch, BatchError, decoded, encoded, next_batch
@@ -17,10 +18,11 @@ _PAGES_AT_ONCE = 20
 
 
 class ArchiveFilled(NamedTuple):
-    """How many records the store has, and how many of them the archive had not."""
+    """How many records the store has, how many the archive had not, and how many it does not take and has set aside."""
 
     read: int
     added: int
+    aside: int
 
 
 def fill(
@@ -44,7 +46,7 @@ def fill(
     """
     path = store / FILE_NAME if store.is_dir() else store
     writer = None
-    read = added = 0
+    read = added = aside = 0
     try:
         part: list[SentPage] = []
         for batch in _batches(path):
@@ -53,16 +55,26 @@ def fill(
                 writer.prepare()
             part.append(SentPage(installation, batch, live=False))
             if len(part) == _PAGES_AT_ONCE:
-                added += writer.take(part).added
-                part = []
+                more, refused = _take(writer, part)
+                added, aside, part = added + more, aside + refused, []
             read += batch.count
             progress(read)
         if writer is not None and part:
-            added += writer.take(part).added
+            more, refused = _take(writer, part)
+            added, aside = added + more, aside + refused
     finally:
         if writer is not None:
             writer.close()
-    return ArchiveFilled(read, added)
+    return ArchiveFilled(read, added, aside)
+
+
+def _take(writer: ArchiveWriter, pages: list[SentPage]) -> tuple[int, int]:
+    """Write pages; return how many records are new, and how many are set aside."""
+    try:
+        return writer.take(pages).added, 0
+    except PagesRefusedError:
+        sifted = [take_what_can_be(writer, page) for page in pages]
+        return sum(added for added, _ in sifted), sum(len(refused) for _, refused in sifted)
 
 
 def _batches(path: Path) -> Iterator[Batch]:

@@ -12,6 +12,7 @@ from random import Random
 from typing import Any, TypeVar
 
 from daemon.archive.address import ArchiveAddress, ArchiveAwayError, ArchiveError, PagesRefusedError
+from daemon.archive.aside import Sieve
 from daemon.archive.writer import ArchiveWriter, SentPage, Taken
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
@@ -192,17 +193,37 @@ class Ingester:
         """Write pages and return what is said to those who sent them; one that cannot be kept costs no other."""
         try:
             taken = await self._bounded(writer, partial(writer.take, pages))
-        except PagesRefusedError as error:
+        except PagesRefusedError:
             if len(pages) > 1:
                 return [answer for page in pages for answer in await self._keep(writer, [page])]
-            installation, batch, _ = pages[0]
-            self._say(installation, f"a page of {installation} is not kept: {error}")
-            return [_answer(installation, {"run": batch.origin.id, "refused": str(error)})]
+            return [await self._sift(writer, pages[0])]
         self._database.up(self._clock.monotonic())
         self._note(taken)
         return [
             _answer(page.installation, {"run": page.batch.origin.id, "through": page.batch.through}) for page in pages
         ]
+
+    async def _sift(self, writer: ArchiveWriter, page: SentPage) -> Message:
+        """Write what the database takes of a page, set aside the rest, and return what is said to who sent it."""
+        (installation, batch, _), sieve = page, Sieve(page)
+        try:
+            for part in sieve:
+                try:
+                    self._note(await self._bounded(writer, partial(writer.take, [part])))
+                except PagesRefusedError as error:
+                    sieve.refuse(part, error)
+            await self._bounded(writer, partial(writer.set_aside, page, sieve.refused))
+        except PagesRefusedError as error:
+            self._say(installation, f"a page of {installation} is not kept: {error}")
+            return _answer(installation, {"run": batch.origin.id, "refused": str(error)})
+        self._database.up(self._clock.monotonic())
+        kept = {"run": batch.origin.id, "through": batch.through}
+        if not sieve.refused:
+            return _answer(installation, kept)
+        aside = len(sieve.refused)
+        what = f"{counted(aside, 'record is', 'records are')} set aside ({sieve.refused[0].why})"
+        self._say(f"aside {installation}", f"of {installation} {what}: put it right, then 'heliocube archive retry'")
+        return _answer(installation, {**kept, "set_aside": aside, "why": sieve.refused[0].why})
 
     def _note(self, taken: Taken) -> None:
         self.records += taken.added

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "heliocube"
 VERSION = 1
+SET_ASIDE = "set_aside"
 TYPES = {"time": "timestamptz", "float": "float8", "int": "int8", "bool": "bool", "text": "text"}
 COLUMNS_OF: dict[str, list[Column]] = dict(COLUMNS.values())
 # Chosen by chance, so that no other program has the same.
@@ -34,6 +35,16 @@ _RUNS = f"""CREATE TABLE {SCHEMA}.runs (
   through int8 NOT NULL DEFAULT -1,
   heard timestamptz,
   UNIQUE (installation, id)
+)"""
+# What is left out of the tables, as it came: a time in seconds since 1970.
+_SET_ASIDE = f"""CREATE TABLE {SCHEMA}.{SET_ASIDE} (
+  run int4 NOT NULL,
+  kind text NOT NULL,
+  number int8 NOT NULL,
+  record jsonb NOT NULL,
+  why text NOT NULL,
+  since timestamptz NOT NULL DEFAULT now(),
+  PRIMARY KEY (run, kind, number)
 )"""
 
 
@@ -75,6 +86,8 @@ def ensure(connection: "psycopg.Connection") -> None:
             if version_of(connection) is None:
                 for statement in schema():
                     connection.execute(statement)
+            if not _is_there(connection, SET_ASIDE):
+                connection.execute(_SET_ASIDE)
             for name in KINDS:
                 for column in missing_columns(connection, name):
                     connection.execute(f"ALTER TABLE {SCHEMA}.{name} ADD COLUMN {column.name} {TYPES[column.holds]}")
@@ -86,6 +99,11 @@ def ensure(connection: "psycopg.Connection") -> None:
         ) from None
 
 
+def _is_there(connection: "psycopg.Connection", name: str) -> bool:
+    row = connection.execute("SELECT to_regclass(%s)", (f"{SCHEMA}.{name}",)).fetchone()
+    return row is not None and row[0] is not None
+
+
 def _check_rights(connection: "psycopg.Connection") -> None:
     """Raise `ArchiveError` for a reader: it would take pages from who may write, and keep none of them."""
     row = connection.execute(
@@ -93,7 +111,7 @@ def _check_rights(connection: "psycopg.Connection") -> None:
         "SELECT min(pg_get_userbyid(relowner)) FROM pg_class"
         " WHERE relnamespace = %s::regnamespace AND relname = ANY(%s) AND NOT"
         " (has_table_privilege(oid, 'INSERT') AND (relkind <> 'p' OR pg_has_role(relowner, 'USAGE')))",
-        (SCHEMA, ["runs", *KINDS]),
+        (SCHEMA, ["runs", SET_ASIDE, *KINDS]),
     ).fetchone()
     if row is not None and row[0] is not None:
         raise ArchiveError(f"this user may not write into the archive's tables: name their owner, {row[0]}, instead")

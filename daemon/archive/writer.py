@@ -1,17 +1,19 @@
 """Pages of records into the tables: binary, each record once, however often it comes."""
 
 import contextlib
+import json
 import os
 import socket
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple
 from datetime import UTC, datetime
+from itertools import groupby
 from typing import Any, NamedTuple
 
 from daemon.archive.address import ArchiveAddress, connected, telling
-from daemon.archive.tables import COLUMNS_OF, SCHEMA, TYPES, ensure, make_days, partitioned
-from daemon.store.batches import KINDS, Batch
+from daemon.archive.tables import COLUMNS_OF, SCHEMA, SET_ASIDE, TYPES, columns_sql, ensure, make_days, partitioned
+from daemon.store.batches import KINDS, MOST_ROWS, Batch
 from daemon.store.schema import RUN_COLUMNS
 from daemon.store.store import Origin
 
@@ -33,6 +35,14 @@ class Taken(NamedTuple):
 
     added: int
     rivals: list[str]
+
+
+class Refused(NamedTuple):
+    """A record that the database does not take: its kind, its number with the values of its columns, and why."""
+
+    kind: str
+    row: tuple[Any, ...]
+    why: str
 
 
 class ArchiveWriter:
@@ -63,7 +73,9 @@ class ArchiveWriter:
             ensure(self._connection)
             self._divided = partitioned(self._connection)
             for name in KINDS:
-                self._connection.execute(f"CREATE TEMP TABLE new_{name} (LIKE {SCHEMA}.{name}) ON COMMIT DELETE ROWS")
+                # Of the types that are sent: what somebody has made of a column is for the server to make of them.
+                columns = ", ".join(columns_sql(name))
+                self._connection.execute(f"CREATE TEMP TABLE new_{name} ({columns}) ON COMMIT DELETE ROWS")
 
     def give_up(self) -> None:
         """End from another thread a call that waits for a database that hangs; the call raises `ArchiveAwayError`."""
@@ -92,10 +104,71 @@ class ArchiveWriter:
         with telling(self._address):
             try:
                 return self._written(pages)
-            except psycopg.errors.CheckViolation:
+            except psycopg.errors.CheckViolation as error:
+                if error.diag.constraint_name is not None:
+                    raise
                 # A day that was made here has been dropped since, as Parquet: what comes late for it begins it anew.
                 self._days.clear()
                 return self._written(pages)
+
+    def set_aside(self, page: SentPage, refused: Sequence[Refused]) -> None:
+        """Keep records of a page that the database does not take, and note that the whole page is here.
+
+        Raises
+        ------
+        ArchiveError
+            What the database does not let; nothing is kept then.
+        """
+        known = dict(self._runs)
+        with telling(self._address), self._connection.transaction(), self._connection.cursor() as cursor:
+            run = self._run_of(page, known)
+            cursor.executemany(
+                f"INSERT INTO {SCHEMA}.{SET_ASIDE} (run, kind, number, record, why) VALUES (%s, %s, %s, %s, %s)"  # noqa: S608 - our own names
+                " ON CONFLICT (run, kind, number) DO UPDATE SET why = EXCLUDED.why",
+                [(run, each.kind, each.row[0], _as_json(each), each.why) for each in refused],
+            )
+            self._advance([page], [run])
+        self._runs = known
+
+    def pages_aside(self) -> Iterator[SentPage]:
+        """Yield what is set aside, in pages."""
+        after = (-1, "", -1)
+        while rows := self._aside_after(after):
+            after = rows[-1][:3]
+            for run, of_run in groupby(rows, lambda row: row[0]):
+                installation, origin = self._known_run(run)
+                found: dict[str, list[tuple[Any, ...]]] = {}
+                for _, kind, number, record in of_run:
+                    if kind in COLUMNS_OF:
+                        values = (record.get(column.name) for column in COLUMNS_OF[kind])
+                        found.setdefault(kind, []).append((number, *values))
+                yield SentPage(installation, Batch(origin, -1, found), live=False)
+
+    def forget_aside(self, page: SentPage, but: Sequence[Refused]) -> None:
+        """Forget what was set aside and is in its table by now; `but` what is refused still."""
+        kept = {(each.kind, each.row[0]) for each in but}
+        gone = [(kind, row[0]) for kind, rows in page.batch.rows.items() for row in rows if (kind, row[0]) not in kept]
+        with telling(self._address), self._connection.transaction(), self._connection.cursor() as cursor:
+            run = self._run_of(page, self._runs)
+            cursor.executemany(
+                f"DELETE FROM {SCHEMA}.{SET_ASIDE} WHERE run = %s AND kind = %s AND number = %s",  # noqa: S608 - our own names
+                [(run, kind, number) for kind, number in gone],
+            )
+
+    def _aside_after(self, place: tuple[int, str, int]) -> list[tuple[Any, ...]]:
+        with telling(self._address):
+            return self._connection.execute(
+                f"SELECT run, kind, number, record FROM {SCHEMA}.{SET_ASIDE} WHERE (run, kind, number) > (%s, %s, %s)"  # noqa: S608 - our own names
+                " ORDER BY run, kind, number LIMIT %s",
+                (*place, MOST_ROWS),
+            ).fetchall()
+
+    def _known_run(self, run: int) -> tuple[str, Origin]:
+        columns = ", ".join(("installation", "extract(epoch FROM started)::float8", *RUN_COLUMNS[1:]))
+        with telling(self._address):
+            row = self._connection.execute(f"SELECT {columns} FROM {SCHEMA}.runs WHERE run = %s", (run,)).fetchone()  # noqa: S608 - our own names
+        assert row is not None  # noqa: S101 - narrowing; a run is never deleted
+        return row[0], Origin(*row[1:])
 
     def _written(self, pages: Sequence[SentPage]) -> Taken:
         self._make_days(pages)
@@ -154,7 +227,9 @@ class ArchiveWriter:
             for run, row in rows:
                 copy.write_row((run, *_with_instants(row, times)))
         done = self._connection.execute(
-            f"INSERT INTO {SCHEMA}.{name} ({names}) SELECT {names} FROM new_{name} ON CONFLICT DO NOTHING"  # noqa: S608 - our own names
+            f"INSERT INTO {SCHEMA}.{name} ({names}) SELECT {names} FROM new_{name}"  # noqa: S608 - our own names
+            # What is there already by another key, which somebody has added, is no record that came twice.
+            " ON CONFLICT (run, number, time) DO NOTHING"
         )
         return done.rowcount
 
@@ -193,6 +268,11 @@ class ArchiveWriter:
             " mqtt.name or mqtt.prefix; all their records are kept, as runs of one installation"
             for installation, site, other in found
         ]
+
+
+def _as_json(refused: Refused) -> str:
+    columns = COLUMNS_OF[refused.kind]
+    return json.dumps(dict(zip((column.name for column in columns), refused.row[1:], strict=True)))
 
 
 def _instant(utc_s: float) -> datetime:

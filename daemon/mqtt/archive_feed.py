@@ -3,6 +3,7 @@
 import asyncio
 import json
 import logging
+import math
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
@@ -17,6 +18,7 @@ from daemon.base.clock import Clock
 from daemon.base.reconnect import Backoff
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.base.timeloop import wait_at_most
+from daemon.base.words import counted
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.link import Link
 from daemon.mqtt.outbox import Message
@@ -51,7 +53,9 @@ class Archived(BaseModel):
 class _Answer:
     run: str
     through: int
-    refused: str
+    refused: str = ""
+    aside: int = 0
+    why: str = ""
 
 
 class ArchiveFeed:
@@ -105,6 +109,7 @@ class ArchiveFeed:
         self._asked: Batch | None = None
         self._is_kept = False
         self._answered = asyncio.Event()
+        self._aside, self._aside_s = 0, math.inf
         self._saved_s = clock.monotonic()
         self._confirmed_s = clock.monotonic()
         self._alarm: Callable[[str, str | None], None] = lambda _name, _text: None
@@ -205,6 +210,18 @@ class ArchiveFeed:
                 f" {self._keep_days} days; see heliocube archive there",
             )
 
+    def _note_aside(self, answer: _Answer) -> None:
+        """Raise that the archive's database does not take records, until for an hour it has taken all."""
+        now_s = self._clock.monotonic()
+        if answer.aside > 0:
+            self._aside += answer.aside
+            self._aside_s = now_s
+            what = f"the archive's database does not take {counted(self._aside, 'record')} of {self._topic}"
+            self._alarm("archive-set-aside", f"{what}: {answer.why}")
+        elif now_s - self._aside_s >= _ALARM_AFTER_S * self._speed:
+            self._aside, self._aside_s = 0, math.inf
+            self._alarm("archive-set-aside", None)
+
     def _save(self) -> None:
         self._saved_s = self._clock.monotonic()
         self._file.save(Archived(through=self._through))
@@ -224,6 +241,7 @@ class ArchiveFeed:
             self._link.trouble("archive", f"the archive refuses records of {self._topic}: {answer.refused}")
         elif answer.through == self._asked.through:
             # Of another end is what was confirmed before, or was never sent.
+            self._note_aside(answer)
             self._is_kept = True
             self._answered.set()
 
@@ -231,8 +249,14 @@ class ArchiveFeed:
 def _read(found: Any) -> _Answer:
     match found:
         case {"run": str(run), "refused": str(refused)}:
-            # It is logged, shown and stored, whatever letters somebody has put there.
-            return _Answer(run, -1, ascii(refused)[1:-1][:300])
+            return _Answer(run, -1, _shown(refused))
+        case {"run": str(run), "through": int(through), "set_aside": int(aside), "why": str(why)}:
+            return _Answer(run, through, aside=aside, why=_shown(why))
         case {"run": str(run), "through": int(through)}:
-            return _Answer(run, through, "")
+            return _Answer(run, through)
     raise ValueError("it says neither how far a run is kept nor why it is not")
+
+
+def _shown(text: str) -> str:
+    # It is logged, shown and stored, whatever letters somebody has put there.
+    return ascii(text)[1:-1][:300]

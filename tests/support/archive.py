@@ -19,6 +19,7 @@ from daemon.store.batches import Batch
 from daemon.store.schema import FILE_NAME
 from daemon.store.store import Origin, Store, new_run_id
 from daemon.store.tables import COLUMNS
+from tests.support import forks
 from tests.support.postgres import BINARIES, WITHOUT_POSTGRES, Postgres
 
 KINDS = [name for name, _ in COLUMNS.values()]
@@ -42,6 +43,24 @@ def database(postgres, request):
     postgres.sql(f"CREATE DATABASE {name}")
     yield postgres.url(name)
     postgres.sql(f"DROP DATABASE IF EXISTS {name} WITH (FORCE)")
+
+
+@pytest.fixture
+def start_archive(tmp_path, database):
+    """Start `heliocube archive` as a process; returns it, and its log in the folder."""
+    started = []
+
+    def start(port, *arguments):
+        path = tmp_path / "archive.toml"
+        path.write_text(f"[mqtt]\nport = {port}\nkeepalive_s = 2\n[archive]\ndatabase = '{database}'\n")
+        with (tmp_path / "archive.log").open("a") as log:
+            started.append(forks.start(["archive", "--config", path, *arguments], log, log))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
 
 
 def origin(**changes):

@@ -267,6 +267,16 @@ _ALL = (
         " and fill that into the archive later (docs/archive.md)",
     ),
     _kind(
+        "archive-set-aside",
+        Severity.WARNING,
+        "the archive's database does not take records: a constraint or a trigger that somebody has added, a column"
+        " that holds less",
+        "these records are set aside in the database, with the reason, and all others go on; ends an hour after the"
+        " last one",
+        "look into heliocube.set_aside there, put the database right, then `heliocube archive retry` (docs/archive.md)",
+        latched=True,
+    ),
+    _kind(
         "day-budget",
         Severity.NOTICE,
         "the laws have used three quarters of the solar day's travel, or all of that or the moves; ends at midnight",

@@ -9,7 +9,7 @@ import typer
 
 from daemon.base.errors import UserError
 from daemon.base.words import counted
-from daemon.commands.answers import JsonOption, goes_on_later, print_json, teller
+from daemon.commands.answers import JsonOption, goes_on_later, print_json, teller, warn
 from daemon.commands.options import CONFIG_VARIABLE
 from daemon.studies.inputs import instant
 
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 # Before the first record of all, and still a date.
 _LONGEST_DAYS = 9_999
+# Each day's table has a name of its own in what the database says.
+_MOST_REASONS = 5
+_HOW_TO_RETRY = "see why in heliocube.set_aside, put it right, then 'heliocube archive retry'"
 
 app = typer.Typer(
     help="Keep the records of many services in one PostgreSQL database.\n\nWithout a command: store the records that"
@@ -99,6 +102,29 @@ def fill(
         return
     read = counted(found.read, "record was", "records were")
     typer.echo(f"{store}: {read} read; {found.added} of them are new in {address}, as {name}")
+    if found.aside:
+        warn(f"{counted(found.aside, 'record')} not taken by the database, and set aside: {_HOW_TO_RETRY}")
+
+
+@app.command()
+def retry(config: ConfigOption = None, to: ToOption = None, as_json: JsonOption = False) -> None:
+    """Write the records that were set aside because the database did not take them; those that it takes now."""
+    from daemon.archive.aside import retry as write_again
+
+    address = database(config, to)
+    with goes_on_later(f"what was written so far is in {address}"):
+        found = write_again(address)
+    if as_json:
+        print_json({"archive": str(address), **found._asdict()})
+        return
+    aside = counted(found.aside, "record was", "records were")
+    typer.echo(f"{aside} set aside in {address}; written now: {found.taken}")
+    often = sorted(found.still.items(), key=lambda item: -item[1])
+    for why, count in often[:_MOST_REASONS]:
+        warn(f"{counted(count, 'record')}: {why}")
+    if len(often) > _MOST_REASONS:
+        rest = sum(count for _, count in often[_MOST_REASONS:])
+        warn(f"{counted(rest, 'record')} for {len(often) - _MOST_REASONS} other reasons")
 
 
 @app.command()

@@ -7,11 +7,10 @@ from pathlib import Path
 import pytest
 
 from daemon.store.batches import encoded
-from tests.daemon.archive.test_ingest import running, start_archive
+from tests.daemon.archive.test_ingest import running
 from tests.support.archive import batch_of, origin, pose_row
 from tests.support.mqtt import needs_mosquitto, observer, until
 
-__all__ = ["start_archive"]
 pytestmark = [needs_mosquitto, pytest.mark.skipif(sys.platform != "linux", reason="its memory is read in /proc")]
 _SENDERS = 40
 

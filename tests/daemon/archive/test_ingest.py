@@ -18,30 +18,11 @@ from daemon.base.process import Notifier
 from daemon.config.links import ArchiveSettings, MqttSettings
 from daemon.store.batches import encoded
 from tests.daemon.bridge.desk import HandClock
-from tests.support import forks
 from tests.support.archive import T0, Sender, archived, batch_of, event, origin, pose, pose_row, scan
 from tests.support.mqtt import SPEED, needs_mosquitto, observer, until
 from tests.support.postgres import Postgres
 
 pytestmark = needs_mosquitto
-
-
-@pytest.fixture
-def start_archive(tmp_path, database):
-    """Start `heliocube archive` as a process; returns it, and its log in the folder."""
-    started = []
-
-    def start(port, *arguments):
-        path = tmp_path / "archive.toml"
-        path.write_text(f"[mqtt]\nport = {port}\nkeepalive_s = 2\n[archive]\ndatabase = '{database}'\n")
-        with (tmp_path / "archive.log").open("a") as log:
-            started.append(forks.start(["archive", "--config", path, *arguments], log, log))
-        return started[-1]
-
-    yield start
-    for process in started:
-        process.kill()
-        process.wait()
 
 
 def running(scenario):

@@ -1,0 +1,120 @@
+"""Records that the database does not take: found among those of a page, and set aside in a table of their own.
+
+A constraint that somebody has added, or a column that holds less, must not keep back all that comes after one record.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+from daemon.archive.address import ArchiveAddress, PagesRefusedError, RecordsRefusedError
+from daemon.archive.writer import ArchiveWriter, Refused, SentPage
+from daemon.store.batches import Batch
+
+
+class Sieve:
+    """Hands out a refused page in ever smaller parts, until what is refused is single records.
+
+    Iterate over the parts and try to write each; `refuse` those that fail. None of them says how far its run is.
+
+    Attributes
+    ----------
+    refused
+        The records, and why.
+    """
+
+    def __init__(self, page: SentPage) -> None:
+        self._left = _halves(page) or [page]
+        self.refused: list[Refused] = []
+
+    def __iter__(self) -> Iterator[SentPage]:
+        """Yield parts until all are tried."""
+        while self._left:
+            yield self._left.pop()
+
+    def refuse(self, part: SentPage, error: PagesRefusedError) -> None:
+        """Take note that a part was refused; raises the error where that is not for the sake of its one record."""
+        halves = _halves(part)
+        if not halves and not isinstance(error, RecordsRefusedError):
+            raise error
+        self._left += halves
+        if not halves:
+            ((kind, (row,)),) = part.batch.rows.items()
+            self.refused.append(Refused(kind, row, str(error)))
+
+
+def _halves(page: SentPage) -> list[SentPage]:
+    """Return the two halves of a page, the later one first; nothing for one record. Those of a kind are beside."""
+    batch = page.batch
+    records = [(kind, row) for kind, rows in batch.rows.items() for row in rows]
+    if len(records) < 2:
+        return []
+    middle = len(records) // 2
+    halves = records[middle:], records[:middle]
+    return [page._replace(batch=Batch(batch.origin, -1, _by_kind(half))) for half in halves]
+
+
+def _by_kind(records: Sequence[tuple[str, tuple[Any, ...]]]) -> dict[str, list[tuple[Any, ...]]]:
+    rows: dict[str, list[tuple[Any, ...]]] = {}
+    for kind, row in records:
+        rows.setdefault(kind, []).append(row)
+    return rows
+
+
+def take_what_can_be(writer: ArchiveWriter, page: SentPage) -> tuple[int, list[Refused]]:
+    """Write a page but for the records that the database does not take; return how many are new, and those.
+
+    Raises
+    ------
+    ArchiveError
+        As `ArchiveWriter.take`, but for what is set aside.
+    """
+    try:
+        return writer.take([page]).added, []
+    except PagesRefusedError:
+        sieve, added = Sieve(page), 0
+    for part in sieve:
+        try:
+            added += writer.take([part]).added
+        except PagesRefusedError as error:
+            sieve.refuse(part, error)
+    writer.set_aside(page, sieve.refused)
+    return added, sieve.refused
+
+
+class Retried(NamedTuple):
+    """How many records were set aside, how many of them the database takes now, and why it does not take the others."""
+
+    aside: int
+    taken: int
+    still: dict[str, int]
+
+
+def retry(address: ArchiveAddress, progress: Callable[[int], None] = lambda _count: None) -> Retried:
+    """Write what was set aside, and forget each record there that the database has now.
+
+    Parameters
+    ----------
+    address
+        Of the archive.
+    progress
+        Called with the number of records that are done.
+
+    Raises
+    ------
+    ArchiveError
+        The database cannot be used, or does not answer.
+    """
+    writer = ArchiveWriter(address)
+    try:
+        writer.prepare()
+        aside, still = 0, dict[str, int]()
+        for page in writer.pages_aside():
+            _, refused = take_what_can_be(writer, page)
+            for each in refused:
+                still[each.why] = still.get(each.why, 0) + 1
+            writer.forget_aside(page, refused)
+            aside += page.batch.count
+            progress(aside)
+    finally:
+        writer.close()
+    return Retried(aside, aside - sum(still.values()), still)
