@@ -23,6 +23,9 @@ _HOW = "postgresql://USER@HOST/DATABASE"
 # The server's own words, in whatever language: libpq writes two spaces after their severity, and a connection that
 # fails carries no SQLSTATE.
 _SAID = re.compile(r'(?:.* failed: )?[^:"]+:  (.+)')
+# SQLSTATEs of what the database has against records, besides those of data (22) and of constraints (23): what a trigger
+# raises, in any language, a check of a view, a limit such as that of an index, and a column of another type.
+_OF_RECORDS = ("P0", "2F", "38", "39", "44", "54", "42804")
 
 
 class ArchiveError(UserError):
@@ -178,19 +181,24 @@ def telling(address: ArchiveAddress) -> Iterator[None]:
         # Of the locks that a transaction needs, one for each day: the pages of others need no more than there are.
         raise PagesRefusedError(f"the database cannot hold them in one transaction: {one_line(error)}") from None
     except (psycopg.OperationalError, psycopg.InterfaceError) as error:
+        if _is_of_records(error):
+            raise _records_refused(error) from None
         does = "does not answer" if error.sqlstate is None else "refuses"
         raise ArchiveAwayError(f"the database {address.url} {does}: {one_line(error)}") from None
-    except (
-        psycopg.DataError,
-        psycopg.IntegrityError,
-        # What a trigger raises, and a column that somebody has made to hold something else.
-        psycopg.errors.RaiseException,
-        psycopg.errors.DatatypeMismatch,
-        UnicodeError,
-    ) as error:
-        raise RecordsRefusedError(f"the database takes no such records: {one_line(error)}") from None
+    except (psycopg.DataError, psycopg.IntegrityError, UnicodeError) as error:
+        raise _records_refused(error) from None
     except psycopg.Error as error:
+        if _is_of_records(error):
+            raise _records_refused(error) from None
         raise ArchiveError(f"the database {address.url} refuses: {one_line(error)}") from None
+
+
+def _is_of_records(error: "psycopg.Error") -> bool:
+    return (error.sqlstate or "").startswith(_OF_RECORDS)
+
+
+def _records_refused(error: Exception) -> RecordsRefusedError:
+    return RecordsRefusedError(f"the database takes no such records: {one_line(error)}")
 
 
 def _reason(address: ArchiveAddress, error: "psycopg.OperationalError") -> ArchiveError:

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+from random import Random
 
 import pytest
 
@@ -88,6 +89,17 @@ def test_a_column_that_somebody_has_changed_holds_what_it_can(ask, writer, colum
     ask(f"ALTER TABLE heliocube.poses ADD COLUMN {column} {holds}")
     added, refused = take_what_can_be(writer, page_of())
     assert (added, len(refused)) == (100 - aside, aside)
+
+
+def test_a_text_that_is_too_long_for_an_index_of_somebody_s_is_set_aside(ask, writer):
+    ask("CREATE INDEX ON heliocube.events (text)")
+    noise = Random(1).randbytes(20_000).hex()
+    page = page_of(
+        events=[(100, 1.6657056e9, 100.0, "test", noise, "roof"), (101, 1.6657056e9, 101.0, "test", "", "roof")]
+    )
+    added, refused = take_what_can_be(writer, page)
+    assert (added, [(each.kind, each.row[0]) for each in refused]) == (101, [("events", 100)])
+    assert "index row" in refused[0].why
 
 
 def test_a_page_of_more_days_than_the_database_can_lock_is_written_in_parts():
