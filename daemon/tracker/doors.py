@@ -158,6 +158,9 @@ class Doors:
     def _freeze(self) -> None:
         """Tell motion at once what persons want to stand still."""
         stillness = self.wishes.stillness
+        if stillness is not None:
+            # What was under way ends, and is to be ordered again at once should that be released before a tick.
+            self._parking.forget()
         self._motion.freeze(None if stillness is None else f"the tracker is {stillness}; {RELEASE}")
 
     def _refuse_stowed(self, command: str) -> None:

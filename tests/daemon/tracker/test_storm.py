@@ -197,3 +197,27 @@ def test_a_stop_at_stow_whose_positioner_is_unplugged_is_a_stow_that_nobody_sees
         await rig.until(lambda: stow_missed(rig), 15, "the alarm")
 
     run_rig(scenario)
+
+
+def test_a_stop_that_is_released_while_it_is_sent_keeps_no_stow_waiting(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.wind_m_s = 25.0
+        await rig.until_mode(Mode.STOW, 6)
+        await rig.until(lambda: rig.motion.moving, 5, "the stow")
+        stop = rig.positioner.stop
+
+        async def stop_as_on_a_port():
+            await asyncio.sleep(0.005)
+            await stop()
+
+        rig.positioner.stop = stop_as_on_a_port
+        stopping = asyncio.create_task(operator(rig).stop("enough", "ana"))
+        await asyncio.sleep(0.002)
+        await operator(rig).auto("a mistake", "ben")
+        await stopping
+        assert rig.mode is Mode.STOW
+        await asyncio.sleep(10)
+        assert rig.motion.target is not None
+
+    run_rig(scenario)
