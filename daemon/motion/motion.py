@@ -191,8 +191,10 @@ class Motion(MotionState):
         self._wake.set()
 
     def forget_waiting(self) -> None:
-        """Drop an order that waits for the end of the pause after a failure; what moves goes on."""
-        self._wanted = self._due_order()
+        """Drop an order that has not been taken up: it comes next, or waits for the pause after a failure."""
+        if (order := self._due_order()) is not None:
+            self._tell_obstacle(stow=order[1])
+        self._wanted = None
 
     def forget_order(self) -> None:
         """Drop what was ordered last, and stop a move to there; a reference run goes on."""
@@ -319,10 +321,8 @@ class Motion(MotionState):
     def _may_be_new(self) -> bool:
         """Glance at a unit that rests; tell whether it has to be looked at, or a pause is over."""
         waits = self._retries.text is not None or self._guard.doubts.reference is not None
-        return (waits and self._pause_is_over()) or not self._guard.glance()
-
-    def _pause_is_over(self) -> bool:
-        return self._due_order() is not None or self._must_rehome() or self._readiness() != self._was_ready
+        over = waits and (self._due_order() is not None or self._must_rehome() or self._readiness() != self._was_ready)
+        return over or not self._guard.glance()
 
     def _due_order(self) -> tuple[Target, bool] | None:
         # An order waits only for the pause after a failure.
@@ -355,7 +355,8 @@ class Motion(MotionState):
         elif (order := self._due_order()) is not None:
             (target, stow), self._wanted = order, None
             self._drop_clear("a stow came")
-            await self._take_up(target, stow=stow)
+            if not self._tell_obstacle(stow=stow):
+                await self._runs.move(target, stow=stow)
         elif self._must_rehome():
             self._rehoming.began(self._clock.monotonic())
             await self._runs.home()
@@ -370,13 +371,12 @@ class Motion(MotionState):
         hindered = self.blocked is not None or (telemetry is not None and telemetry.was_reset)
         return order is not None and order[1] and not hindered
 
-    async def _take_up(self, target: Target, *, stow: bool) -> None:
+    def _tell_obstacle(self, *, stow: bool) -> bool:
+        """Tell what has come up after an order was taken, so that it cannot be carried out; return whether there is."""
         obstacle = self.blocked or (None if stow else self._guard.doubts.reference)
-        if obstacle is None:
-            await self._runs.move(target, stow=stow)
-        else:
-            # It came up after the order was taken.
+        if obstacle is not None:
             self._report(f"no move: {obstacle}")
+        return obstacle is not None
 
     def _must_rehome(self) -> bool:
         doubt = self._guard.doubts.reference

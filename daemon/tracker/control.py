@@ -299,7 +299,7 @@ class Control(Doors):
         self._since_utc_s = utc_s
         self._due_s = max(now_s, self._readings.good_s + kept_s)
         self._parking.forget()
-        # A move that waits to be tried again was ordered for a reason that is no longer in force.
+        # What has not begun yet was ordered for a reason that is no longer in force.
         self._motion.forget_waiting()
         if mode is Mode.FAULT:
             self._orders.end_goto()

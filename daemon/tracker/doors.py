@@ -109,6 +109,8 @@ class Doors:
             remedy = "; give it again in a minute, or after 'heliocube hold'" if self.mode is Mode.STARTING else ""
             raise RefusedError("positioner", f"no goto in mode {self.mode}: {self.why}{remedy}")
         self._orders.hold_at = Target(a_deg, b_deg, why)
+        # From where it stands it may be on its way to elsewhere in a moment.
+        self._motion.forget_waiting()
         self._orders.latch("hold", why, by, instead_of="snow", goto_deg=(a_deg, b_deg))
         self._parking.forget()
         self._keep_wishes()

@@ -44,7 +44,7 @@ class Parking:
             self._parked_s = now_s
 
     def _heads_for(self, target: Target) -> bool:
-        heading = self._motion.target
+        heading = self._motion.heading
         return heading is not None and (heading.a_deg, heading.b_deg) == (target.a_deg, target.b_deg)
 
     def stands_at(self, a_deg: float, b_deg: float) -> bool:

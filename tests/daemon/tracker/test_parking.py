@@ -18,7 +18,7 @@ def at(a_deg, b_deg):
 def ordered(times_s, pose=None, target=None, homing=False, after=lambda _parking: None, taken=True):
     """Return at which of these times a move is ordered."""
     found = []
-    motion = SimpleNamespace(pose=pose or at(20.0, 60.0), target=target, homing=homing)
+    motion = SimpleNamespace(pose=pose or at(20.0, 60.0), target=target, heading=target, homing=homing)
 
     def order(place):
         found.append(place)
@@ -56,7 +56,7 @@ def test_the_place_need_not_be_the_zero_of_an_axis_and_an_unknown_pose_is_there_
     stow = Target(-30.0, 80.0, "stow")
     for pose, orders in ((at(-30.0, 80.0), []), (at(30.0, 80.0), [stow]), (at(-40.0, 80.0), [stow]), (None, [stow])):
         found = []
-        Parking(SimpleNamespace(pose=pose, target=None, homing=False), 0.8, found.append).park(stow, 0.0)
+        Parking(SimpleNamespace(pose=pose, target=None, heading=None, homing=False), 0.8, found.append).park(stow, 0.0)
         assert found == orders
 
 
@@ -64,6 +64,13 @@ def test_what_is_on_its_way_there_is_left_alone_and_what_goes_elsewhere_is_not()
     assert ordered([0.0, 100.0], target=Target(0.0, 90.0, "stow")) == []
     assert ordered([0.0], target=Target(0.0, 89.0, "law")) == [0.0]
     assert ordered([0.0], pose=at(0.0, 90.0), target=Target(20.0, 60.0, "law")) == [0.0]
+
+
+def test_a_move_there_that_is_being_ended_is_none():
+    found = []
+    motion = SimpleNamespace(pose=at(0.0, 90.0), target=NIGHT, heading=None, homing=False)
+    Parking(motion, 0.8, found.append).park(NIGHT, 0.0)
+    assert found == [NIGHT]
 
 
 def test_a_place_during_a_reference_run_is_none():

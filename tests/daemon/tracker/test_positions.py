@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from daemon.base.records import Event, Mode
+from daemon.base.records import Event, Mode, Move
 from daemon.service.operator import CommandError, Seen
 from solar.frames import Limits
 from tests.daemon.tracker.days import SLOW, at, operator, pass_quietly
@@ -177,6 +177,46 @@ def test_auto_ends_the_way_to_where_a_person_wanted_it_though_nothing_is_decided
         assert rig.mode is (Mode.TRACKING if decided_s else Mode.STARTING)
 
     run_rig(scenario, motion={"minimum_interval_s": decided_s})
+
+
+def test_a_goto_that_another_one_replaces_before_it_has_begun_is_not_begun(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        await operator(rig).goto(40.0, 40.0, "a look", "ana")
+        # The move that is on takes half a second to end, and the one that it ends for waits until then.
+        elsewhere = asyncio.create_task(operator(rig).goto(-40.0, 80.0, "a look", "ben"))
+        await asyncio.sleep(0.1)
+        await operator(rig).goto(40.0, 40.0, "a look", "ana")
+        await elsewhere
+        await at_rest(rig)
+        assert (-40.0, 80.0) not in [(move.target_a_deg, move.target_b_deg) for move in rig.of(Move)]
+        assert rig.truth() == (pytest.approx(40.0, abs=1.0), pytest.approx(40.0, abs=1.0))
+
+    run_rig(scenario)
+
+
+@pytest.mark.parametrize("command", ["stow", "goto"])
+def test_what_waits_for_a_clear_does_not_leave_a_place_that_was_asked_for_again(run_rig, command):
+    async def scenario(rig):
+        await quiet(rig)
+        person, place = operator(rig), (0.0, 90.0) if command == "goto" else ()
+        await getattr(person, command)(*place, "a look", "ana")
+        await at_rest(rig)
+        await asyncio.sleep(20)
+        moves = len(rig.of(Move))
+        # The unit takes its time to show that it has cleared its marks.
+        clearing = asyncio.create_task(person.clear("all is well", "ana"))
+        await asyncio.sleep(0.1)
+        if command == "goto":
+            await asyncio.wait((asyncio.create_task(person.goto(40.0, 40.0, "a look", "ben")),), timeout=0.1)
+        else:
+            await person.auto("it is calm", "ben")
+        assert (await getattr(person, command)(*place, "not yet", "ana")).seen is Seen.DONE
+        await clearing
+        await asyncio.sleep(15)
+        assert len(rig.of(Move)) == moves
+
+    run_rig(scenario)
 
 
 def test_a_reference_run_that_was_asked_for_during_a_goto_is_made_after_auto(run_rig):
