@@ -12,8 +12,8 @@ from typing import NamedTuple
 TURN_DEG = 360.0
 FLAT_WITHIN_DEG = 0.5
 """So near to the zenith the azimuth means nothing: it is held."""
-# How far beyond its range a rotator may be seen, by its run-out and by the steps of its count.
-_BEYOND_DEG = 5.0
+BEYOND_DEG = 5.0
+"""How far beyond its range a rotator may be seen, by its run-out and by the steps of its count."""
 
 
 class RotatorPosition(NamedTuple):
@@ -94,7 +94,7 @@ class Mount:
         `before_deg` is what was returned for the look before: one that rests a little beyond the end of its range has
         not gone to the other end.
         """
-        beyond_deg = 0.0 if before_deg is None else _BEYOND_DEG
+        beyond_deg = 0.0 if before_deg is None else BEYOND_DEG
         low_deg, high_deg = self.azimuth_min_deg - beyond_deg, self.azimuth_max_deg + beyond_deg
         turns_deg = [azimuth_deg + turn_deg for turn_deg in _TURNS if low_deg <= azimuth_deg + turn_deg <= high_deg]
         if before_deg is None or not turns_deg:

@@ -24,7 +24,7 @@ from drivers.errors import (
 from drivers.interfaces import AxisName, PositionerIdentity, Telemetry
 from drivers.positioners.rotctld import protocol
 from drivers.positioners.rotctld.link import RotctldLine
-from drivers.positioners.rotctld.mount import Mount, RotatorPosition, UnreachableError, angles
+from drivers.positioners.rotctld.mount import BEYOND_DEG, Mount, RotatorPosition, UnreachableError, angles
 from drivers.positioners.rotctld.protocol import RotatorState, RotctldReply
 from drivers.settings import AngleRange
 
@@ -182,9 +182,13 @@ class RotctldPositioner:
         reply = await self._ask(protocol.STOP)
         if reply.error in _WITHOUT_STOP:
             # Such a rotator is sent to where it is, which ends its way as well.
-            reply = await self._ask(protocol.SET_POSITION, *self._known_mount().nearest(await self._position()))
+            here = await self._position()
+            reply = await self._ask(protocol.SET_POSITION, *here)
+            inside = self._known_mount().nearest(here)
+            if reply.error in protocol.REFUSALS and _is_near(here, inside):
+                reply = await self._ask(protocol.SET_POSITION, *inside)
             if reply.error in protocol.REFUSALS:
-                # It has been heard and goes on, which `halt` sees.
+                # It has been heard and goes on, which `halt` sees; far outside of its range no stop may turn it.
                 return
         if reply.error:
             raise self._unreached(reply.command, reply.error)
@@ -277,6 +281,11 @@ class RotctldPositioner:
 
     def _same(self, one: RotatorPosition, other: RotatorPosition) -> bool:
         return all(abs(here - there) <= self._jitter_deg for here, there in zip(one, other, strict=True))
+
+
+def _is_near(here: RotatorPosition, inside: RotatorPosition) -> bool:
+    """Tell whether a position lies outside of the range by no more than a rotator runs out."""
+    return here != inside and all(abs(one - other) <= BEYOND_DEG for one, other in zip(here, inside, strict=True))
 
 
 def _state(reply: RotctldReply) -> RotatorState:

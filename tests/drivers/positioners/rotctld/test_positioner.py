@@ -219,12 +219,6 @@ def test_a_stop_that_comes_while_a_target_is_made_ready_lets_it_not_go_out():
     assert "set_pos 180.00 60.00" not in line.sent
 
 
-@pytest.mark.parametrize("error", [-4, -11])
-def test_a_rotator_without_a_stop_is_sent_to_where_it_is(error):
-    _, line = told(lambda driver, _: driver.stop(), stop=ends_with("stop", error))
-    assert line.sent == ["stop", "get_pos", "set_pos 180.00 45.00"]
-
-
 def test_a_stop_that_does_not_reach_the_rotator_is_said_with_the_remedy():
     sentence = r"rotctld answers stop with time-out of the rotator \(RPRT -5\): .* then restart rotctld"
     with pytest.raises(LinkLostError, match=sentence):
