@@ -1,5 +1,6 @@
 """The simulated positioner's stream of telemetry in memory."""
 
+import asyncio
 from collections.abc import Callable
 
 from drivers.positioners.pozsol.link import LinkState
@@ -23,6 +24,8 @@ class InMemoryStream(Cabled):
     ----------
     silent
         Nothing comes from the unit any more, although the cable is in and the unit obeys.
+    write_s
+        How long it takes to write a packet, of which half is over when the unit has it [s].
     """
 
     simulated = True
@@ -36,6 +39,7 @@ class InMemoryStream(Cabled):
         self._table = FieldTable()
         self._screens = b""
         self.silent = False
+        self.write_s = 0.0
         core.enumerate_usb(now())
 
     async def open(self) -> None:
@@ -57,7 +61,12 @@ class InMemoryStream(Cabled):
         """Hand one command to the unit."""
         self._require_open()
         require_allowed(packet)
+        if self.write_s:
+            await asyncio.sleep(0.5 * self.write_s)
+            self._require_open()
         self._core.feed(packet, self._now())
+        if self.write_s:
+            await asyncio.sleep(0.5 * self.write_s)
 
     def state(self) -> LinkState:
         """Return what the unit would have said by now."""

@@ -26,6 +26,8 @@ PLUGGED = ("positioner", "multiplexer", "voltmeter")
 UNIT_GOES_TO = Angles(35.0, 30.0)
 """Where the unit's own tracking and its stow modes drive, far from what the service ever asks for by itself."""
 _OWN_TARGET_EVERY_S = 300
+_WRITE_S = 0.004
+"""As to a real port through its thread: what else happens while a packet is on its way can come in between."""
 
 
 class Witness(Protocol):
@@ -181,7 +183,7 @@ class Plant(HandledRig):
         super().connect(settings)
         for device, up in self.plugged.items():
             getattr(self.cables, device).link_up = up
-        self.cables.positioner.silent = self._silent
+        self.cables.positioner.silent, self.cables.positioner.write_s = self._silent, _WRITE_S
 
     def drive(self, unit: PositionerCore, settings: Settings) -> Positioner:
         """Return the driver of the unit with a tap before and behind it."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 
-from daemon.base.records import Mode
+from daemon.base.records import Mode, MoveOutcome
 from daemon.rigs.campaign.plant import Plant
 from solar.frames import Angles
 
@@ -12,6 +12,8 @@ STORM_S = 11.0
 GUST_STOWS_S = 60.0
 STOWED_WITHIN_S = 420.0
 """From one corner of the limits to the stow position, one axis after the other, with a second try."""
+SENT_WITHIN_S = 12.0
+"""So long nothing may keep a stow waiting that has not failed: two decisions of control, and a little."""
 STOWED_DEG = 1.3
 FREE = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT, Mode.SNOW)
 
@@ -35,6 +37,7 @@ class Storms:
     def __init__(self, fails: Callable[[str, str], None]) -> None:
         self._fails = fails
         self._storm_s: float | None = None
+        self._waits_s: float | None = None
         self._undisturbed_s = -math.inf
         self.gust_s = -math.inf
         self.excused = False
@@ -69,7 +72,21 @@ class Storms:
         if now_s - since_s > STORM_S and plant.control.mode in FREE and live:
             self._fails("storm", f"mode {plant.control.mode} {now_s - since_s:.0f} s into a wind of {wind} m/s")
         since_s = max(since_s, self._undisturbed_s)
-        if live and now_s - since_s > STOWED_WITHIN_S and not self.excused and plant.control.mode is Mode.STOW:
-            safety = plant.service.settings.safety
-            if not max(abs(at.a_deg - safety.stow_a_deg), abs(at.b_deg - safety.stow_b_deg)) <= STOWED_DEG:
-                self._fails("stow", f"the tracker stands at {at} {now_s - since_s:.0f} s into a storm")
+        if live and not self.excused and plant.control.mode is Mode.STOW:
+            self._check_stow(plant, at, now_s, since_s)
+        else:
+            self._waits_s = None
+
+    def _check_stow(self, plant: Plant, at: Angles, now_s: float, since_s: float) -> None:
+        safety, last = plant.service.settings.safety, plant.motion.last_move
+        there = max(abs(at.a_deg - safety.stow_a_deg), abs(at.b_deg - safety.stow_b_deg)) <= STOWED_DEG
+        if now_s - since_s > STOWED_WITHIN_S and not there:
+            self._fails("stow", f"the tracker stands at {at} {now_s - since_s:.0f} s into a storm")
+        # One that has failed waits to be tried again.
+        failed = last is not None and last.outcome not in (MoveOutcome.ARRIVED, MoveOutcome.INTERRUPTED)
+        if there or failed or plant.motion.target is not None:
+            self._waits_s = None
+        elif self._waits_s is None:
+            self._waits_s = now_s
+        elif now_s - max(self._waits_s, since_s) > SENT_WITHIN_S:
+            self._fails("stow", f"the tracker stands at {at} in a storm, and is not sent to the stow position")

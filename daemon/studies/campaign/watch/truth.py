@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from daemon.base.records import Mode, Scan
 from daemon.base.timeloop import call_until, wait_at_most
 from daemon.rigs.campaign.plant import Plant
+from daemon.studies.campaign.watch.asked_for import check_asked_for
 from daemon.studies.campaign.watch.believed import check_scan
 from daemon.studies.campaign.watch.clock_steps import ClockSteps
 from daemon.studies.campaign.watch.explained import AT_TARGET, RUN_OUT_S, Counted, Explained
@@ -355,8 +356,7 @@ class TruthWatch:
             return
         since_s = self._stop_s if self._stop_s is not None else self._maintenance_s
         assert since_s is not None  # noqa: S101 - narrowing; one of the two is on
-        blind = any(self.moving[axis] for axis in self.blind)
-        itself_s = UNEXPLAINED_S + (UNIT_TRIPS_S if blind else 0.0)
+        itself_s = UNEXPLAINED_S + (UNIT_TRIPS_S if any(self.moving[axis] for axis in self.blind) else 0.0)
         free_s = max(since_s + STANDSTILL_S, self._self_moved_s + itself_s) + SAMPLING_S
         if now_s > free_s:
             kind = "stop" if self._stop_s is not None else "maintenance"
@@ -381,14 +381,14 @@ class TruthWatch:
 
     def _check_target(self, target: tuple[float, float]) -> None:
         control, now_s = self.plant.control, self.now_s
+        check_asked_for(self.plant, target, self.fails)
         if self._sendings:
             self.fails("two-targets", f"{target} is sent while another target is being sent")
         itself = now_s - self._self_moved_s < 10.0 or self.explained.by_hand(now_s)
         seen = self._at is not None and self._counts("a", self._at.a_deg) and self._counts("b", self._at.b_deg)
-        near = now_s - self._sampled_s <= SAMPLING_S
         # Without Hall pulses an axis seems to stand, until the unit notices.
         moves = any(moves for axis, moves in self.moving.items() if axis not in self.blind)
-        if moves and near and seen and not itself and self._live(now_s):
+        if moves and now_s - self._sampled_s <= SAMPLING_S and seen and not itself and self._live(now_s):
             self.fails("two-targets", f"{target} is sent while an axis moves ({self.moving})")
         if self._stop_s is not None and self.plant.is_served and now_s > self._stop_s:
             self.fails("moves-under-stop", f"{target} is sent under a stop; mode {control.mode}: {control.why}")

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 from daemon.base.records import Mode
 from daemon.config.settings import Settings
+from daemon.tracker.wishes import Wishes
 from solar.frames import Angles
 
 
@@ -21,10 +22,11 @@ class Scripted:
         self.is_served = True
         self.wind_m_s = 3.0
         self.motion = SimpleNamespace(connected=True, homing=False, target=None, doubt=None, unexplained=None)
-        self.motion.last_move_started_s = 0.0
+        self.motion.last_move_started_s, self.motion.last_move = 0.0, None
         self.records = []
         self.close_looks = 0
-        self.control = SimpleNamespace(mode=Mode.TRACKING, why="", state=SimpleNamespace(scan_age_s=1.0))
+        self.control = SimpleNamespace(mode=Mode.TRACKING, why="", wishes=Wishes())
+        self.control.state = SimpleNamespace(scan_age_s=1.0)
         self.sun_deg = 30.0
         self.is_silent = False
         self.service = SimpleNamespace(

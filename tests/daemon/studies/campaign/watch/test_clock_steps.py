@@ -12,12 +12,12 @@ def test_a_move_by_a_clock_that_was_set_wrong_is_seen_however_late(plant, later_
     plant.watch.steps.note(43200.0, plant.now_s)
     plant.wait(later_s)
     plant.control.mode = Mode.NIGHT
-    plant.order(1, 60)
+    plant.order(0, 90)
     assert promises(plant) == ["clock"]
     plant.watch.violations.clear()
     plant.wait(60)
     plant.sun_deg = -5.0
-    plant.order(0, 60)
+    plant.order(0, 90)
     assert promises(plant) == [], "it is night in truth"
 
 
