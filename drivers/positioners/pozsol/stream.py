@@ -16,6 +16,8 @@ _LOOK_AT_ECHO_EVERY_S = 1.0
 # that tell of the axes, and not at all where a command is about to show its effect.
 _GATHER_S = 0.25
 _ATTENDS_FOR_S = 1.0
+# More than comes in that time: the process stood still, and what is newer waits in the port.
+_BACKLOG_BYTES = 2048
 
 
 class Port(Protocol):
@@ -145,7 +147,7 @@ class TelemetryReader:
                 look_s = now + _LOOK_AT_ECHO_EVERY_S
                 if self.port.echoes():
                     raise LinkLostError("positioner", "another program has switched the port's echo on")
-            waited_s = self._gather(now)
+            waited_s = 0.0 if len(data) >= _BACKLOG_BYTES else self._gather(now)
 
     def _gather(self, now_s: float) -> float:
         """Let screens come together until somebody attends to them; return for how long at most [s]."""

@@ -1,5 +1,6 @@
 import queue
 import threading
+import time
 
 import pytest
 
@@ -181,6 +182,33 @@ def test_screens_are_gathered_until_a_command_is_sent():
     assert reader.lost is None
     assert reader.table.get(Field.A_POSITION).time_s == unit.now_s
     assert thread.daemon, "a port that hangs does not keep the process from ending"
+
+
+class StoodStill(Resting):
+    """A port on which old screens wait, because nobody has read it for some time."""
+
+    def __init__(self):
+        super().__init__()
+        old = angle(b"2.0") * 300
+        self._waiting = [old[at : at + 4095] for at in range(0, len(old), 4095)] + [angle(b"3.0")]
+
+    def read(self):
+        screens = super().read()
+        # Its first second is read as it comes.
+        return self._waiting.pop(0) if self.now_s > 1.0 and self._waiting else screens
+
+
+def test_what_has_waited_in_the_port_is_not_let_gather():
+    unit = StoodStill()
+    reader = TelemetryReader(unit, lambda: unit.now_s, gather_s=60.0)
+    assert unit.begun.wait(30.0)
+    for _ in range(2_000):
+        if reader.table.get(Field.A_ANGLE) is not None and reader.table.get(Field.A_ANGLE).text == b"3.0":
+            break
+        time.sleep(0.001)
+    else:
+        pytest.fail("the newest screen is not read")
+    reader.close()
 
 
 def test_a_lost_port_and_an_echo_end_the_reading_and_say_why(wire, reader):
