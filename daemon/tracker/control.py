@@ -253,8 +253,8 @@ class Control(Doors):
         self.last_tick_s = now_s
 
     def _watch_clock(self) -> None:
-        step_s = self._clock_watch.step_s()
-        if step_s is not None:
+        if (step_s := self._clock_watch.step_s()) is not None:
+            self._readings.note_step(step_s)
             text = told_step(step_s, self._clock.utc())
             log.warning(text)
             self._report(text)

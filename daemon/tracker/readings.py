@@ -92,6 +92,14 @@ class Readings:
         if sum(face.quality is Quality.OK for face in scan.faces) >= self._faces_needed:
             self.good_s = scan.time_monotonic_s
 
+    def note_step(self, step_s: float) -> None:
+        """Take note of a step of the clock [s]: after one forward the machine may have slept, and all readings be old.
+
+        The steady clock stands still meanwhile, and they seem fresh by it.
+        """
+        if step_s > self._safety.scan_stale_s:
+            self._window.forget()
+
     def mean(self, now_s: float) -> Irradiances | None:
         """Return the window's mean, or None while too many faces have nothing in it."""
         return self._window.mean(now_s, self._faces_needed)
@@ -207,8 +215,12 @@ class Window:
         self._nominal_s = nominal_s
         self._longest_s = longest_s
         self._stale_s = stale_s
-        self._faces = tuple(_FaceWindow(mean_s) for _ in range(4))
         self._newest: Scan | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew with the next scan."""
+        self._faces = tuple(_FaceWindow(self._mean_s) for _ in range(4))
 
     def add(self, scan: Scan) -> None:
         """Take in a scan, once for all who hand it in; its monotonic times must not run backwards."""
