@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from typing import Any
+from typing import Any, NoReturn
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.process import TRACKER
@@ -150,6 +150,8 @@ class Operators:
             self._refuse_too_many(command)
             answer = acknowledge(self._alarms, command.tracker, command.alarm, command.by, command.why)
             return answer_json(command.name, command.identifier, answer)
+        if command.wanted == "stop" and self._of and not (command.tracker is None or command.tracker in self._of):
+            await self._stop_all(command)
         chosen = self._meant(command)
         self._refuse_too_many(command)
         if len(chosen) == 1:
@@ -177,10 +179,19 @@ class Operators:
                 return self._of
             raise CommandError(f"'{command.wanted}' needs the name of a tracker, one of {names}", wrong=True)
         if command.tracker not in self._of:
-            raise CommandError(
-                f"there is no tracker {ascii(command.tracker)[:40]}; the trackers are {names}", wrong=True
-            )
+            raise CommandError(self._none_of_that_name(command), wrong=True)
         return {command.tracker: self._of[command.tracker]}
+
+    def _none_of_that_name(self, command: Command) -> str:
+        return f"there is no tracker {ascii(command.tracker)[:40]}; the trackers are {', '.join(self._of)}"
+
+    async def _stop_all(self, command: Command) -> NoReturn:
+        """Stop all trackers for a stop of one that there is not, and say so: nobody can tell which was meant."""
+        try:
+            found = (await self._by_all(command)).text
+        except CommandError as error:
+            found = str(error)
+        raise CommandError(f"{self._none_of_that_name(command)}; a stop is for all then: {found}", wrong=True)
 
     def _refuse_too_many(self, command: Command) -> None:
         if command.wanted == "stop" or self._clock is None:

@@ -117,6 +117,22 @@ def test_a_stop_without_a_name_is_for_all_and_other_commands_ask_for_one(run_rig
     run_rig(scenario, tracker=TWO)
 
 
+def test_a_stop_of_a_tracker_that_there_is_not_is_for_all_and_says_so(run_rig):
+    async def scenario(rig):
+        await both_track(rig)
+        sentence = "there is no tracker 'nroth'; the trackers are east, west; a stop is for all then: all 2 trackers: "
+        with pytest.raises(CommandError, match=sentence) as caught:
+            await give(rig, "stop", tracker="nroth", why="fire")
+        assert caught.value.wrong
+        assert modes(rig) == [Mode.HOLD] * 2
+        rig.cables.positioner.link_up = False
+        await asyncio.sleep(1)
+        with pytest.raises(CommandError, match="a stop is for all then: not by all 2 trackers: east: stop could"):
+            await give(rig, "stop", tracker="nroth", why="fire")
+
+    run_rig(scenario, tracker=TWO)
+
+
 def test_a_stop_of_all_that_one_cannot_be_told_says_so_and_stops_the_others(run_rig):
     async def scenario(rig):
         await both_track(rig)
