@@ -3,9 +3,9 @@
 Our CSV has a header ``time,ghi,dni,dhi`` and optionally ``wind_speed,temp_air`` in any order, plain or gzipped,
 with tabs, or with semicolons and then decimal commas, in place of commas if need be. ``time`` is ISO 8601; without an
 offset it is UTC. Irradiance is in W/m2, wind in m/s, temperature in deg C; an empty cell, ``NaN``, ``NA``, ``N/A`` and
-``null`` are a missing value, and so is a number out of the quantity's range. Negative irradiance at night (a
-pyranometer's thermal offset) becomes zero. A column ``simulated`` with ``true`` in any row says that nobody has
-measured it.
+``null`` are a missing value, and so is a number out of the quantity's range. A last line that breaks off is left out.
+Negative irradiance at night (a pyranometer's thermal offset) becomes zero. A column ``simulated`` with ``true`` in any
+row says that nobody has measured it.
 
 A value is taken to hold at the instant it is stamped with, and to change linearly until the next. The hours of TMY3
 are stamped at their end; they are moved back to their middle, and the typical year, whose months come from different
@@ -31,7 +31,7 @@ from sim_drivers.weather import Conditions, WeatherError
 from solar.ephemeris import Site, sun_position
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
-from solar.tables import NO_READING, separator_of, summer_time_hint, unreadable, utc_times
+from solar.tables import NO_READING, broken_line, separator_of, summer_time_hint, unreadable, utc_times
 
 LONGEST_GAP_S = 3600.0
 IRRADIANCES = ("ghi", "dni", "dhi")
@@ -58,8 +58,8 @@ class MeasuredWeather:
         all three irradiances are there.
     site
         Where it was measured, if the file tells.
-    impossible
-        Numbers out of their quantity's range, taken as missing, each with its place.
+    left_out
+        What of the file does not count, a sentence each.
     simulated
         Whether the file says of itself that a model made it.
 
@@ -75,7 +75,7 @@ class MeasuredWeather:
         utc_s: Array,
         values: dict[str, Array],
         site: Site | None = None,
-        impossible: Sequence[str] = (),
+        left_out: Sequence[str] = (),
         *,
         simulated: bool = False,
     ) -> None:
@@ -85,17 +85,14 @@ class MeasuredWeather:
         self.name = name
         self.site = site
         self.simulated = simulated
-        self.impossible = tuple(impossible)
+        self._left_out = tuple(left_out)
         self.utc_s = utc_s[complete]
         self.irradiance_w_m2 = {key: np.maximum(values[key][complete], 0.0) for key in IRRADIANCES}
         self._others = {key: _present(utc_s, values[key]) for key in OPTIONAL}
 
     def note(self) -> str | None:
-        """Return what a person should know of values that were taken as missing, in a sentence, or None."""
-        if not self.impossible:
-            return None
-        count = "1 impossible value" if len(self.impossible) == 1 else f"{len(self.impossible)} impossible values"
-        return f"{self.name} has {count}, taken as missing; first {self.impossible[0]}"
+        """Return what a person should know of what does not count, in a sentence, or None."""
+        return "; ".join(self._left_out) or None
 
     @property
     def start_utc_s(self) -> float:
@@ -160,9 +157,7 @@ def load_weather(path: Path, *, typical_year: int | None = None) -> MeasuredWeat
     except FileNotFoundError:
         raise WeatherFileError(f"there is no weather file at {path}") from None
     except UnicodeDecodeError:
-        raise WeatherFileError(
-            f"weather file {path} cannot be read, as it is not text in UTF-8: save it as such"
-        ) from None
+        raise WeatherFileError(f"{path} cannot be read, as it is not text in UTF-8: save it as such") from None
     except (
         OSError,
         EOFError,
@@ -254,7 +249,8 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
             raise WeatherFileError(f"weather file {path} has two columns {column}: leave in the one that counts")
     if not isinstance(frame.index, pd.RangeIndex):
         raise WeatherFileError(f"weather file {path} has more cells in its lines than names in its header")
-    cells = frame.fillna("").apply(lambda column: column.str.strip())
+    broken = broken_line(path, separator)
+    cells = frame[: -1 if broken else None].fillna("").apply(lambda column: column.str.strip())
     if separator == ";":
         # So does a spreadsheet write where numbers have a decimal comma.
         cells = cells.replace(",", ".", regex=True)
@@ -289,7 +285,11 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
         impossible += [f"in line {line[row]}: {column} {text.iloc[row]}, not in {low:g}..{high:g}" for row in wrong]
         values[column] = np.where(possible, numbers, np.nan)
     simulated = "simulated" in found and bool((cells["simulated"].str.lower() == "true").any())
-    return MeasuredWeather(f"weather file {path}", utc_s, values, impossible=impossible, simulated=simulated)
+    left_out = [f"weather file {path}: {broken.note()}"] if broken else []
+    if impossible:
+        count = "1 impossible value" if len(impossible) == 1 else f"{len(impossible)} impossible values"
+        left_out.append(f"weather file {path} has {count}, taken as missing; first {impossible[0]}")
+    return MeasuredWeather(f"weather file {path}", utc_s, values, left_out=left_out, simulated=simulated)
 
 
 def _bsrn(path: Path) -> MeasuredWeather:

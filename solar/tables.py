@@ -3,11 +3,12 @@
 import csv
 import gzip
 import re
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO, cast
+from typing import TYPE_CHECKING, NamedTuple, TextIO, cast
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
@@ -63,6 +64,44 @@ def numbered_rows(lines: Iterable[str], separator: str) -> Iterator[tuple[int, l
             raise _never_closed(line)
         yield line, cells
         line = reader.line_num + 1
+
+
+class BrokenLine(NamedTuple):
+    """The last line of a table that was cut off while it was written: its number, its cells, and how many are due."""
+
+    number: int
+    cells: int
+    due: int
+
+    def note(self) -> str:
+        """Return the end of a sentence that begins with the file."""
+        return f"the last line, {self.number}, breaks off at cell {self.cells} of {self.due} and is left out"
+
+
+def broken_line(path: Path, separator: str) -> BrokenLine | None:
+    """Return the last line of a CSV file, plain or ``.gz``, if it has neither its end nor all cells of the header.
+
+    A logger that loses its power leaves such a line, and of the last number in it perhaps the first digit alone. A line
+    with all its cells counts, as many programs write no end behind the last. A cell that is never closed is left to
+    the reader, and so is a pipe, which can be read but once. Raises `OSError`, `UnicodeDecodeError`, and for a damaged
+    ``.gz`` `EOFError` or `zlib.error`.
+    """
+    if not path.is_file():
+        return None
+    text = ""
+    with opened(path) as file:
+        for text in file:  # noqa: B007 - the last is looked at
+            pass
+    if not text.strip(f"{separator} \t") or text.endswith(("\n", "\r")):
+        return None
+    try:
+        with opened(path) as file:
+            rows = numbered_rows(file, separator)
+            due = len(next(rows)[1])
+            number, cells = deque(rows, 1).pop()
+    except (CellError, IndexError):
+        return None
+    return BrokenLine(number, len(cells), due) if len(cells) < due else None
 
 
 def unreadable(path: Path, separator: str, error: Exception) -> str:

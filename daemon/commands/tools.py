@@ -78,6 +78,7 @@ def send_csv(
                 speed=speed,
                 keep_times=keep_times,
                 on_progress=lambda done, total: progress(done / total),
+                warn=lambda note: say(note, err=True),
             )
         )
     if as_json:

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+import warnings
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
@@ -130,14 +131,17 @@ def read_faces(path: Path | str) -> pd.DataFrame:
     ----------
     path
         CSV file, plain or ``.gz``, with the columns time,east,south,west,zenith. A face without a
-        possible reading is NaN.
+        possible reading is NaN. A last line in which the file breaks off is left out, with a `UserWarning`.
 
     Raises
     ------
     UserError
         One sentence with the file, the line, the value and what is expected.
     """
-    rows = read_csv(_named(path, "path")).rows
+    recording = read_csv(_named(path, "path"))
+    if recording.broken:
+        warnings.warn(f"{path}: {recording.broken.note()}", stacklevel=2)
+    rows = recording.rows
     # Seconds since 1970 in a float are good for a microsecond, and no more is written.
     times = pd.to_datetime([row.time_utc_s for row in rows], unit="s", utc=True).round("us")
     index = pd.DatetimeIndex(times, name="time")

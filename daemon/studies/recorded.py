@@ -18,7 +18,7 @@ from daemon.store.schema import FILE_NAME, open_for_reading
 from daemon.studies.inputs import check_names, check_table, not_utf8, with_point
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
-from solar.tables import NO_READING, CellError, numbered_rows, opened, summer_time_hint
+from solar.tables import NO_READING, BrokenLine, CellError, broken_line, numbered_rows, opened, summer_time_hint
 
 COLUMNS = ("time", *FACES)
 _ROWS_AT_ONCE = 50_000
@@ -48,16 +48,19 @@ class Recording:
         Numbers that no face can read, taken as missing.
     first_impossible
         Where the first of them stands, and what it says; empty without any.
+    broken
+        The last line, where the file breaks off in it; it is none of the rows.
     """
 
     rows: list[RecordedScan]
     missing: int
     impossible: int
     first_impossible: str
+    broken: BrokenLine | None = None
 
     def notes(self) -> list[str]:
         """Return what a person should know of the missing readings, a sentence each."""
-        found = []
+        found = [self.broken.note()] if self.broken else []
         if self.missing:
             found.append(f"{self.missing} of {len(FACES) * len(self.rows)} readings are missing")
         if self.impossible:
@@ -73,7 +76,7 @@ def read_csv(path: Path) -> Recording:
 
     ``time`` is ISO 8601, UTC where it names no zone, and rises from line to line. An empty cell, ``NaN``, ``NA``,
     ``N/A``, ``null`` and a number that no face can read are a face without a reading. Other columns are ignored, and so
-    are rows of empty cells.
+    are rows of empty cells, and a last line in which the file breaks off.
 
     Raises
     ------
@@ -84,7 +87,8 @@ def read_csv(path: Path) -> Recording:
     impossible: list[str] = []
     try:
         with opened(path) as file:
-            rows = list(_rows(path, file, separator, impossible))
+            broken = broken_line(path, separator)
+            rows = list(_rows(path, file, separator, impossible, broken))
     except FileNotFoundError:
         raise UserError(f"{path} does not exist: name a CSV file with the columns {','.join(COLUMNS)}") from None
     except (OSError, EOFError, zlib.error) as error:
@@ -96,7 +100,13 @@ def read_csv(path: Path) -> Recording:
     if not rows:
         raise UserError(f"{path} has no readings below its header")
     missing = sum(map(math.isnan, (value for row in rows for value in row.irradiances_w_m2)))
-    return Recording(rows, missing, len(impossible), impossible[0] if impossible else "")
+    return Recording(
+        rows=rows,
+        missing=missing,
+        impossible=len(impossible),
+        first_impossible=impossible[0] if impossible else "",
+        broken=broken,
+    )
 
 
 def rows_of_store(directory: Path) -> list[RecordedScan]:
@@ -132,7 +142,9 @@ def stored_faces(
     return utc_s, table[first, 1:]
 
 
-def _rows(path: Path, file: TextIO, separator: str, impossible: list[str]) -> Iterator[RecordedScan]:
+def _rows(
+    path: Path, file: TextIO, separator: str, impossible: list[str], broken: BrokenLine | None
+) -> Iterator[RecordedScan]:
     rows = numbered_rows(file, separator)
     header = [name.strip().lower() for name in next(rows, (1, []))[1]]
     missing = [name for name in COLUMNS if name not in header]
@@ -142,7 +154,7 @@ def _rows(path: Path, file: TextIO, separator: str, impossible: list[str]) -> It
     places = [header.index(name) for name in COLUMNS]
     before: list[float] = []
     for line, given in rows:
-        if not any(cell.strip() for cell in given):
+        if not any(cell.strip() for cell in given) or (broken and line == broken.number):
             continue
         cells = given if separator == "," else [with_point(cell, separator) for cell in given]
         try:

@@ -28,6 +28,7 @@ async def send_csv(
     speed: float = 1.0,
     keep_times: bool = False,
     on_progress: Callable[[int, int], None] | None = None,
+    warn: Callable[[str], None] = lambda _note: None,
     source: str = "csv",
 ) -> int:
     """Send every row of a CSV file as a scan, in the rhythm of its own times, and return how many were sent.
@@ -46,6 +47,8 @@ async def send_csv(
         Send the file's UTC instead of the present one; a receiver refuses what is beyond its ``clock_skew_s``.
     on_progress
         Called after each scan with the number sent and the number in the file.
+    warn
+        Called before the first scan with a sentence for what is missing in the file.
     source
         Name of the cube.
 
@@ -57,7 +60,10 @@ async def send_csv(
     if not (0 < speed < math.inf):
         raise BridgeError(f"the speed must be a number greater than 0, not {speed:g}")
     sender = BridgeSender(settings, key, clock)
-    rows = read_csv(path).rows
+    recording = read_csv(path)
+    rows = recording.rows
+    for note in recording.notes():
+        warn(f"{path}: {note}")
     session = f"{rng.getrandbits(64):016x}"
     await sender.open()
     try:

@@ -20,7 +20,7 @@ from daemon.studies.inputs import check_frame, check_table, impossible_note, not
 from daemon.studies.recorded import stored_faces
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
-from solar.tables import NO_READING, summer_time_hint, unreadable, utc_times
+from solar.tables import NO_READING, broken_line, summer_time_hint, unreadable, utc_times
 
 _MV, _W_M2 = "_mv", "_w_m2"
 _REFERENCE_NAMES = ("ghi", "ghi_w_m2")
@@ -71,11 +71,12 @@ class ReferenceReadings:
 
 def read_reference(path: Path) -> ReferenceReadings:
     """Read a CSV with the columns time and ghi; raises `UserError` that names the file, the line and the cell."""
-    frame, utc_s = _table(path)
+    frame, utc_s, broken = _table(path)
     name = next((name for name in _REFERENCE_NAMES if name in frame), None)
     if name is None:
         raise UserError(f"{path} has no column ghi; found: {', '.join(map(str, frame.columns))}")
-    ghi, note = _possible(path, frame, [name])
+    ghi, wrong = _possible(path, frame, [name])
+    note = "; ".join(filter(None, (broken, wrong)))
     there = np.isfinite(ghi[:, 0])
     if not there.any():
         raise UserError(f"{path} has no reading in its column {name}" + (f": {note}" if note else ""))
@@ -91,7 +92,7 @@ def read_csv(path: Path) -> FaceReadings:
     reading.
     Raises `UserError` that names the file, the line and the cell.
     """
-    frame, utc_s = _table(path)
+    frame, utc_s, broken = _table(path)
     for ending in (_MV, _W_M2):
         names = [face + ending for face in FACES]
         if set(names) <= set(frame.columns):
@@ -105,7 +106,7 @@ def read_csv(path: Path) -> FaceReadings:
     for face, name in zip(FACES, names, strict=True):
         if f"{face}_quality" in frame:
             frame[name] = frame[name].where(frame[f"{face}_quality"] == "ok", "")
-    faces, note = _possible(path, frame, names)
+    faces, wrong = _possible(path, frame, names)
     made_with = frozenset(frame["calibration"]) if "calibration" in frame else frozenset({""})
     return FaceReadings(
         source=str(path),
@@ -113,7 +114,7 @@ def read_csv(path: Path) -> FaceReadings:
         faces=faces,
         in_mv=ending == _MV,
         calibrations=made_with,
-        note=note,
+        note="; ".join(filter(None, (broken, wrong))),
         simulated=_simulated(frame),
     )
 
@@ -149,12 +150,14 @@ def span_text(utc_s: Array) -> str:
     return f"{iso_utc(float(utc_s[0]))[:16]}Z to {iso_utc(float(utc_s[-1]))[:16]}Z"
 
 
-def _table(path: Path) -> tuple[pd.DataFrame, Array]:
+def _table(path: Path) -> tuple[pd.DataFrame, Array, str]:
+    """Return a table's rows, their instants [s UTC], and in a sentence that the file breaks off; empty if not."""
     separator = check_table(path)
     try:
         frame = pd.read_csv(
             path, sep=separator, dtype=str, keep_default_na=False, encoding="utf-8-sig", skipinitialspace=True
         )
+        broken = broken_line(path, separator)
     except FileNotFoundError:
         raise UserError(f"there is no file at {path}") from None
     except pd.errors.EmptyDataError:
@@ -169,6 +172,7 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array]:
     if "time" not in frame:
         raise UserError(f"{path} has no column time; found: {', '.join(map(str, frame.columns))}")
     check_frame(path, frame)
+    frame = frame[: -1 if broken else None]
     frame = frame[(frame != "").any(axis=1)]
     if separator == ";":
         frame = frame.replace(",", ".", regex=True)
@@ -185,7 +189,7 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array]:
         row = int(back[0]) + 1
         remedy = summer_time_hint(frame["time"].iloc[row], utc_s[: row + 1].tolist()) or "; sort the file"
         raise UserError(f"{path}, line {_line_of(path, row)}: the time does not come after the one before{remedy}")
-    return frame, utc_s
+    return frame, utc_s, f"{path}: {broken.note()}" if broken else ""
 
 
 def _simulated(frame: pd.DataFrame) -> bool:

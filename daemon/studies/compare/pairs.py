@@ -16,7 +16,7 @@ from daemon.studies.compare.measurements import OPTIONAL, REQUIRED, SIMULATED, M
 from daemon.studies.inputs import check_frame, check_table, impossible_note, not_utf8
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, possible
-from solar.tables import unreadable, utc_times
+from solar.tables import broken_line, unreadable, utc_times
 
 TOGETHER_WITHIN_S = 5.0
 _NUMBERS = ("pmpp_w", *OPTIONAL)
@@ -83,7 +83,7 @@ def read_tables(paths: Sequence[Path]) -> tuple[pd.DataFrame, list[str]]:
     Returns
     -------
     One frame with all columns of `Measurement`, and what a person should know of it, a sentence each: irradiances that
-    cannot be are NaN in it.
+    cannot be are NaN in it, and a last line in which a file breaks off is not there.
 
     Raises
     ------
@@ -91,8 +91,12 @@ def read_tables(paths: Sequence[Path]) -> tuple[pd.DataFrame, list[str]]:
         A file cannot be read, lacks a column, has one that is unknown, or holds no measurement; or a tracker has two
         measurements of one time that differ.
     """
-    frames = [_read(path) for path in paths]
-    notes = [note for path, frame in zip(paths, frames, strict=True) if (note := _leave_out_impossible(frame, path))]
+    notes: list[str] = []
+    frames = []
+    for path in paths:
+        frame, broken = _read(path)
+        notes += filter(None, (broken, _leave_out_impossible(frame, path)))
+        frames.append(frame)
     together = pd.concat(frames, ignore_index=True)
     _refuse_contradictions(together)
     return together, notes
@@ -152,9 +156,10 @@ def pair(frame: pd.DataFrame, names: tuple[str, str], within_s: float = TOGETHER
     )
 
 
-def _read(path: Path) -> pd.DataFrame:
+def _read(path: Path) -> tuple[pd.DataFrame, str]:
+    """Return a file's measurements, and in a sentence that the file breaks off; empty if not."""
     try:
-        table = pd.read_parquet(path).reset_index() if path.suffix.lower() == ".parquet" else _csv(path)
+        table, broken = (pd.read_parquet(path).reset_index(), "") if path.suffix.lower() == ".parquet" else _csv(path)
     except FileNotFoundError:
         raise UserError(f"there is no file {path} with measured powers") from None
     except UnicodeDecodeError:
@@ -184,17 +189,20 @@ def _read(path: Path) -> pd.DataFrame:
             f"{path}, row {found.index[row] + 1}: pmpp_w is {found['pmpp_w'].iloc[row]:g} W, which no module of a"
             f" tracker gives ({low:g}..{high:g} W)"
         )
-    return found
+    return found, broken
 
 
-def _csv(path: Path) -> pd.DataFrame:
+def _csv(path: Path) -> tuple[pd.DataFrame, str]:
     separator = check_table(path)
     decimal = "," if separator == ";" else "."
     try:
         names = pd.read_csv(path, sep=separator, nrows=0, skipinitialspace=True).columns
         # Otherwise pandas takes 'NA' for none, even behind a converter, and '01' for 1.
         as_written: Any = {name: "={}".format for name in names if name.strip().lower() == "tracker"}
-        table = pd.read_csv(path, sep=separator, decimal=decimal, skipinitialspace=True, converters=as_written)
+        broken = broken_line(path, separator)
+        # What stands in it would turn a column of numbers into one of texts; the fast engine skips no last line.
+        whole: Any = {"skipfooter": 1, "engine": "python"} if broken else {}
+        table = pd.read_csv(path, sep=separator, decimal=decimal, skipinitialspace=True, converters=as_written, **whole)
     except pd.errors.EmptyDataError:
         raise UserError(f"{path} is empty: name a table with the columns time and pmpp_w") from None
     except pd.errors.ParserError as error:
@@ -205,9 +213,8 @@ def _csv(path: Path) -> pd.DataFrame:
         trackers = table["tracker"].str[1:]
         table["tracker"] = trackers.mask(trackers == "")
     # A comma behind the last name makes a column without one.
-    return table.drop(
-        columns=[name for name in table if str(name).startswith("unnamed: ") and table[name].isna().all()]
-    )
+    nameless = [name for name in table if str(name).startswith("unnamed: ") and table[name].isna().all()]
+    return table.drop(columns=nameless), f"{path}: {broken.note()}" if broken else ""
 
 
 def _leave_out_impossible(frame: pd.DataFrame, path: Path) -> str | None:

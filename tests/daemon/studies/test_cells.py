@@ -73,3 +73,64 @@ def test_a_remark_of_two_lines_is_read(tmp_path, read, head, row):
         return repr(read(path))
 
     assert found_with('"dull,\nand ""cold"""') == found_with("dull")
+
+
+def notes_of_weather(path):
+    return [measured_weather(path).note()]
+
+
+def times_of_weather(path):
+    return measured_weather(path).utc_s
+
+
+LOGGED = [
+    (lambda path: len(read_csv(path).rows), lambda path: read_csv(path).notes(), *NOT_CLOSED[0][1:]),
+    (lambda path: len(read_faces_in_mv(path).utc_s), lambda path: [read_faces_in_mv(path).note], *NOT_CLOSED[1][1:]),
+    (lambda path: len(read_reference(path).utc_s), lambda path: [read_reference(path).note], *NOT_CLOSED[2][1:]),
+    (lambda path: len(read_tables([path])[0]), lambda path: read_tables([path])[1], *NOT_CLOSED[3][1:]),
+    (lambda path: len(times_of_weather(path)), notes_of_weather, *NOT_CLOSED[4][1:]),
+]
+
+
+def logged(folder, packed, *lines):
+    path = folder / ("table.csv.gz" if packed else "table.csv")
+    content = "\n".join(lines).encode()
+    path.write_bytes(gzip.compress(content) if packed else content)
+    return path
+
+
+@pytest.mark.parametrize(("count", "notes", "head", "row"), LOGGED)
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("cut", ["2022-1", "2022-10-14T10:02Z,", "2022-10-14T10:02Z,-"])
+def test_a_last_line_that_a_logger_has_not_finished_is_left_out_and_told(
+    tmp_path, count, notes, head, row, packed, cut
+):
+    lines = [head, f"2022-10-14T10:00Z,{row}", "", f"2022-10-14T10:01Z,{row}"]
+    path = logged(tmp_path, packed, *lines, cut)
+    assert count(path) == 2
+    (note,) = notes(path)
+    cells, due = cut.count(",") + 1, head.count(",") + 1
+    assert note.endswith(f"the last line, 5, breaks off at cell {cells} of {due} and is left out")
+
+
+@pytest.mark.parametrize(("count", "notes", "head", "row"), LOGGED)
+def test_a_last_line_with_all_its_cells_counts_without_an_end_of_line(tmp_path, count, notes, head, row):
+    path = logged(tmp_path, False, head, f"2022-10-14T10:00Z,{row}", f"2022-10-14T10:01Z,{row}")
+    assert count(path) == 2
+    assert not any(notes(path))
+
+
+@pytest.mark.parametrize(("count", "notes", "head", "row"), LOGGED)
+@pytest.mark.parametrize("blank", ["   ", "\t", ",,"])
+def test_blanks_behind_the_last_line_are_no_line_that_breaks_off(tmp_path, count, notes, head, row, blank):
+    path = logged(tmp_path, False, head, f"2022-10-14T10:00Z,{row}", f"2022-10-14T10:01Z,{row}", blank)
+    assert count(path) == 2
+    assert not any(notes(path))
+
+
+@pytest.mark.parametrize(("count", "notes", "head", "row"), [*LOGGED[:3], LOGGED[4]])
+def test_a_remark_of_two_lines_does_not_break_off_without_an_end_of_line(tmp_path, count, notes, head, row):
+    last = row.replace("dull", '"dull,\nand cold"')
+    path = logged(tmp_path, False, head, f"2022-10-14T10:00Z,{row}", f"2022-10-14T10:01Z,{last}")
+    assert count(path) == 2
+    assert not any(notes(path))

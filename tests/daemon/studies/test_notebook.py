@@ -50,6 +50,14 @@ def test_a_number_that_no_face_can_read_is_missing_in_a_frame_as_in_a_file():
         pd.testing.assert_frame_equal(heliocube.replay(readings.mask(bright, impossible), site=site), missing)
 
 
+def test_a_file_that_breaks_off_is_read_with_a_warning(tmp_path):
+    path = tmp_path / "faces.csv"
+    path.write_text("time,east,south,west,zenith\n2022-10-14T10:20Z,1,2,3,4\n2022-10-14T10:21Z,1,2,3")
+    with pytest.warns(UserWarning, match=f"{path}: the last line, 3, breaks off at cell 4 of 5 and is left out"):
+        readings = heliocube.read_faces(path)
+    assert len(readings) == 1
+
+
 def test_readings_that_are_no_numbers_are_refused():
     readings = heliocube.read_faces(heliocube.sample("mixed")).iloc[600:610]
     with pytest.raises(heliocube.UserError, match=r"must be numbers \[W/m2\], NaN where a face has none .*'cloudy'"):

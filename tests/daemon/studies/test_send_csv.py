@@ -3,6 +3,8 @@
 import asyncio
 import gzip
 import math
+import os
+import threading
 from datetime import datetime
 from random import Random
 
@@ -99,6 +101,27 @@ def test_a_file_goes_out_in_its_own_rhythm_stamped_with_the_present(tmp_path, na
     assert second.south.quality is Quality.MISSING
     assert math.isnan(second.south.irradiance_w_m2)
     assert [scan.sequence for _, scan in got] == [0, 1, 2]
+
+
+def test_what_is_missing_in_the_file_is_told_and_a_last_line_that_breaks_off_is_not_sent(tmp_path):
+    told = []
+    path = written(tmp_path, FILE + "2022-10-14T12:20:40+02:00,1,2,3")
+    got, _ = sent(path, warn=told.append)
+    assert len(got) == 3
+    assert told == [
+        f"{path}: the last line, 5, breaks off at cell 4 of 5 and is left out",
+        f"{path}: 2 of 12 readings are missing",
+    ]
+
+
+def test_a_pipe_is_read_as_a_file(tmp_path):
+    pipe = tmp_path / "cube.csv"
+    os.mkfifo(pipe)
+    writing = threading.Thread(target=pipe.write_text, args=(FILE,), daemon=True)
+    writing.start()
+    got, _ = sent(pipe)
+    writing.join()
+    assert len(got) == 3
 
 
 def test_speed_divides_the_intervals(tmp_path):
