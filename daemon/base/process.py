@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
 from typing import TYPE_CHECKING
 
-from daemon.base.clock import iso_utc
+from daemon.base.clock import Clock, iso_utc
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite
@@ -28,7 +28,7 @@ _ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
 TRACKER: ContextVar[str] = ContextVar("tracker", default="")
-"""Which of several trackers the present task works for: every line that it logs says so."""
+"""Which of several trackers, or of several services, the present task works for: every line that it logs says so."""
 
 
 def configure(stream: "SupportsWrite[str]", journal: bool, level: int = logging.INFO) -> None:
@@ -50,10 +50,19 @@ def configure(stream: "SupportsWrite[str]", journal: bool, level: int = logging.
     logging.captureWarnings(True)
 
 
-def name_trackers() -> None:
-    """Let each warning of a process without `configure` begin with the tracker that it is about, of several."""
-    if logging.lastResort is not None:
-        logging.lastResort.setFormatter(_NamingFormatter())
+@contextlib.contextmanager
+def simulated_time_in_log(clock: Clock) -> Iterator[None]:
+    """Let each warning of a process without `configure` begin with the clock's time and, of several, the tracker."""
+    handler = logging.lastResort
+    if handler is None:
+        yield
+        return
+    before = handler.formatter
+    handler.setFormatter(_SimulatedTimeFormatter(clock))
+    try:
+        yield
+    finally:
+        handler.setFormatter(before)
 
 
 def keep_start() -> None:
@@ -62,10 +71,14 @@ def keep_start() -> None:
     gc.freeze()
 
 
-class _NamingFormatter(logging.Formatter):
+class _SimulatedTimeFormatter(logging.Formatter):
+    def __init__(self, clock: Clock) -> None:
+        super().__init__()
+        self._clock = clock
+
     def format(self, record: logging.LogRecord) -> str:
         name = TRACKER.get()
-        return f"{name}: {super().format(record)}" if name else super().format(record)
+        return f"{iso_utc(self._clock.utc())[:19]}Z {f'{name}: ' if name else ''}{super().format(record)}"
 
 
 class LineFormatter(logging.Formatter):

@@ -14,7 +14,6 @@ import typer
 from rich.console import Console
 from typer.core import TyperGroup
 
-from daemon.base import process
 from daemon.base.clock import iso_utc
 from daemon.base.errors import ExitCode, InterruptedEarlyError, UserError
 from daemon.commands import alarms, dashboard, export, operate, probe, store, tools
@@ -248,7 +247,6 @@ def simulate(
     from daemon.studies.simulate import simulate as run_simulation
 
     console = Console(stderr=True)
-    process.name_trackers()
     with progress_bar(console) as progress:
         summary = run_simulation(settings, begin, days, out, table_format.value, progress, force=force)
     pages: Sequence[Path] = ()

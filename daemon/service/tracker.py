@@ -300,7 +300,8 @@ class Tracker:
 
     async def _named(self, work: Awaitable[None]) -> None:
         """Do work, in a task of its own, whose lines in the log bear the tracker's name where there are several."""
-        TRACKER.set(self.log_name)
+        if self.log_name:
+            TRACKER.set(self.log_name)
         await work
 
     async def _stop_motion(self) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from daemon.base.clock import LoopClock, iso_utc
 from daemon.base.errors import UserError
-from daemon.base.process import Notifier
+from daemon.base.process import Notifier, simulated_time_in_log
 from daemon.base.records import FACES, Bus, Decision, Event, FaceReading, Mode, ModeChange, Quality, Record, Scan
 from daemon.base.timeloop import VirtualTimeLoop, virtual_time
 from daemon.config.file import on_a_port_of_its_own
@@ -174,7 +174,7 @@ def _run(settings: Settings, rows: Sequence[RecordedScan], progress: Callable[[f
         log = _Log(service.trackers)
         bus.subscribe(log.note)
         # What Ctrl-C leaves is what was done: as good as far as it goes.
-        with contextlib.suppress(KeyboardInterrupt):
+        with contextlib.suppress(KeyboardInterrupt), simulated_time_in_log(clock):
             runner.run(_beside(service, _Feeder(service, truth, loop, clock, log).run(rows, progress)))
     return log
 

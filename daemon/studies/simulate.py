@@ -10,7 +10,7 @@ from typing import Literal
 
 from daemon.base.clock import LoopClock
 from daemon.base.errors import UserError
-from daemon.base.process import Notifier
+from daemon.base.process import Notifier, simulated_time_in_log
 from daemon.base.records import Bus, Decision, Mode, ModeChange, Move, Record, Scan
 from daemon.base.timeloop import virtual_time
 from daemon.config.file import on_a_port_of_its_own
@@ -135,7 +135,8 @@ def simulate(
             polling=SIMULATED,
         )
         try:
-            runner.run(_until_end(service, days * DAY_S, progress, full))
+            with simulated_time_in_log(clock):
+                runner.run(_until_end(service, days * DAY_S, progress, full))
         except KeyboardInterrupt:
             interrupted_utc_s = clock.utc()
     end_utc_s = end_utc_s if interrupted_utc_s is None else interrupted_utc_s

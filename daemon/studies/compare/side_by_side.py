@@ -10,7 +10,7 @@ import numpy as np
 
 from daemon.base.clock import Clock, LoopClock, iso_utc
 from daemon.base.errors import UserError
-from daemon.base.process import Notifier
+from daemon.base.process import TRACKER, Notifier, simulated_time_in_log
 from daemon.base.records import Bus, Record
 from daemon.base.timeloop import virtual_time
 from daemon.config.file import on_a_port_of_its_own, override
@@ -108,7 +108,8 @@ def side_by_side(
         clock = LoopClock(runner.get_loop().time, start_utc_s)
         pair = build(clock)
         poses = _Poses(pair, clock)
-        runner.run(_run_both(settings, trackers, pair, clock, poses, days * DAY_S, keep, progress))
+        with simulated_time_in_log(clock):
+            runner.run(_run_both(settings, trackers, pair, clock, poses, days * DAY_S, keep, progress))
     return _measure(settings, trackers, pair, poses)
 
 
@@ -176,10 +177,12 @@ async def _run_both(
     async def the_other() -> None:
         # The second tracker's port is open by now, and the cube can be told of it.
         assert chrono.receiver is not None  # noqa: S101 - narrowing; a tracker has one
+        TRACKER.set(trackers[0].name)
         cube = service(0, Role.BOTH, (chrono.receiver.address,))
         await cube.run(cube_stop, poses.follow(), count_down())
         chrono_stop.set()
 
+    TRACKER.set(trackers[1].name)
     chrono = service(1, Role.TRACKER)
     await chrono.run(chrono_stop, the_other())
 

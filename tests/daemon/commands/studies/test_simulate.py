@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import subprocess
 import sys
 
@@ -43,15 +44,41 @@ def test_so_many_trackers_have_names_of_their_own_and_one_line_stands_for_all_of
     assert [plane["tracker"] for plane in json.loads(told)["insolation"]] == ["t1", "t2"]
 
 
-def test_a_warning_of_one_tracker_of_several_names_it(tmp_path):
+def warnings_of(*asked):
     # A process of its own: pytest's handlers take what the log has to say.
+    command = [sys.executable, "-c", "from daemon.entry import main; main()", *asked]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    return done.stderr.splitlines()
+
+
+def test_a_warning_of_one_tracker_of_several_names_it_behind_its_time(tmp_path):
     file = tmp_path / "heliocube.toml"
     file.write_text('[motion]\nmoves_per_day = 1\n[[tracker]]\nname = "east"\n[[tracker]]\nname = "west"\n')
     asked = ["simulate", "--config", file, "--start", "2022-10-14T08:00Z", "--days", "0.1", "--out", tmp_path / "out"]
-    command = [sys.executable, "-c", "from daemon.entry import main; main()", *asked]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
-    told = [line for line in done.stderr.splitlines() if "the day's budget of motion" in line]
-    assert sorted(line.partition(": ")[0] for line in told) == ["east", "west"]
+    told = [line for line in warnings_of(*asked) if "the day's budget of motion" in line]
+    assert sorted(re.sub(r"^2022-10-14T(08|09|10):\d\d:\d\dZ ", "", line)[:9] for line in told) == [
+        "east: the",
+        "west: the",
+    ]
+
+
+def test_a_warning_of_one_of_two_that_are_compared_names_it_behind_its_time(tmp_path):
+    weather = tmp_path / "weather.csv"
+    days = [f"2022-10-13T{hour:02}:00Z,300,500,90,2" for hour in (6, 7, 8, 13, 14)]
+    weather.write_text("\n".join(["time,ghi,dni,dhi,wind_speed", *days, ""]))
+    asked = ["--start", "2022-10-13T07:30Z", "--days", "0.04", "--weather", weather, "--out", tmp_path / "out"]
+    told = [line for line in warnings_of("compare", "simulate", *asked) if line.endswith(" wind is silent")]
+    assert sorted(line[:14] + line[21:] for line in told) == [
+        f"2022-10-13T08:T-{name}: wind is silent" for name in ("Chrono", "Cube")
+    ]
+
+
+def test_a_warning_of_a_replay_begins_with_its_time(tmp_path):
+    faces = tmp_path / "faces.csv"
+    rows = [f"2022-10-13T{hour:02}:{minute:02}Z,100,400,100,300" for hour in (8, 12) for minute in range(5)]
+    faces.write_text("\n".join(["time,east,south,west,zenith", *rows, ""]))
+    told = warnings_of("replay", faces, "--site", "48.7,2.2,156", "--out", tmp_path / "out.csv")
+    assert [line[:14] for line in told if "no good scan" in line] == ["2022-10-13T08:"]
 
 
 def test_a_number_of_trackers_is_refused_where_the_file_names_them(heliocube, tmp_path):
