@@ -102,6 +102,8 @@ def check_table(path: Path) -> str:
     try:
         with gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb") as file:
             lines = [file.readline(_LONGEST_LINE) for _ in range(2)]
+    except gzip.BadGzipFile:
+        raise UserError(f"{path} is not packed with gzip, though its name ends in .gz: take the ending off") from None
     except (OSError, EOFError, zlib.error):
         return ","
     header = lines[0].removeprefix(codecs.BOM_UTF8)

@@ -86,6 +86,14 @@ def test_a_table_of_a_spreadsheet_that_is_no_csv_is_refused_with_how_to_save_it(
         read(path)
 
 
+@pytest.mark.parametrize("read", READERS)
+def test_a_table_that_has_been_unpacked_under_its_old_name_is_refused_with_what_to_do(tmp_path, read):
+    path = tmp_path / "table.CSV.GZ"
+    path.write_text("time,name,ghi\n2022-10-14T10:00Z,here,1\n")
+    with pytest.raises(UserError, match=rf"^{path} is not packed with gzip, though its name ends in \.gz: take the "):
+        read(path)
+
+
 @pytest.mark.parametrize("read", [measured_weather, read_reference, lambda path: read_tables([path])])
 @pytest.mark.parametrize("wrong", ["now", "today", "0001-01-01T00:00+05:00", "1066-10-14", "2300-01-01", "NaT"])
 def test_a_word_or_a_year_of_another_age_is_no_time(tmp_path, read, wrong):
