@@ -295,7 +295,10 @@ def _finished(figure: Figure, lowest: Axes, drawing: Drawing) -> Figure:
         lowest.set_xlabel(f"{_years(*(f'{datetime.fromtimestamp(at, UTC):%Y}' for at in ticks))}, UTC")
     else:
         here = local_time((span.start_utc_s + span.end_utc_s) / 2.0, drawing.zone)
-        local = f"; below it local time, {here:%Z}" if here.utcoffset() else ""
+        # On a day on which the clocks change there are two; the end is no longer part of the span.
+        edges = [local_time(at, drawing.zone) for at in (span.start_utc_s, span.end_utc_s - 1.0)]
+        names = ", then ".join(dict.fromkeys(f"{at:%Z}" for at in edges))
+        local = f"; below it local time, {names}" if any(at.utcoffset() for at in edges) else ""
         lowest.set_xlabel(f"{here:%d %B %Y}, UTC{local}".lstrip("0"))
     figure.align_ylabels()
     return stamped(figure, drawing.material.simulated)

@@ -135,6 +135,21 @@ def test_the_axis_of_time_says_what_stands_below_it(tmp_path, days, words):
 
 
 @pytest.mark.parametrize(
+    ("day", "zone", "words"),
+    [
+        ("2022-11-06", "America/New_York", "; below it local time, EDT, then EST"),
+        ("2022-10-30", "Europe/London", "; below it local time, BST, then GMT"),
+        ("2022-10-31", "Europe/London", ""),
+    ],
+)
+def test_on_the_day_on_which_the_clocks_change_both_local_times_are_named(day, zone, words):
+    start_s = datetime.fromisoformat(f"{day}T00:00Z").timestamp()
+    found = replace(material(), span=ReportSpan(start_s, start_s + 86400.0, "part"))
+    axes = PICTURES["wind"].draw(Drawing(found, light_of(found), motion_of(found), ZoneInfo(zone))).axes[-1]
+    assert axes.get_xlabel().partition(", UTC")[2] == words
+
+
+@pytest.mark.parametrize(
     ("first", "last", "years"),
     [
         ("2022-12-30T12:00", "2023-01-02T12:00", "2022 to 2023"),
