@@ -36,10 +36,12 @@ class Summary:
 
     Attributes
     ----------
-    scans, decisions, moves
-        How many.
+    scans
+        How many the one cube made.
+    decisions, moves
+        How many, of all trackers.
     travel_deg
-        Sum over both axes of what the tracker turned between starts and ends of its moves.
+        Sum over both axes of what all trackers turned between starts and ends of their moves.
     mode_s
         Seconds in each mode, of all trackers.
     warnings

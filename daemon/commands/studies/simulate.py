@@ -64,16 +64,18 @@ def report(summary: "Summary", settings: "Settings", out: Path) -> None:
     site = settings.site
     hours = ", ".join(f"{mode} {seconds / 3600:.1f} h" for mode, seconds in summary.mode_s.items() if seconds >= 180)
     laws = ", ".join(dict.fromkeys(own.law.driver for _, own in settings.trackers))
+    several = len(settings.trackers) > 1
+    together = f"of {len(settings.trackers)} trackers together " if several else ""
     lines = (
         (
             f"SIMULATED {site.name} ({site.latitude_deg:g}, {site.longitude_deg:g}), law {laws}, "
             f"weather {settings.simulation.weather}, seed {settings.simulation.seed}"
         ),
         (
-            f"{counted(summary.scans, 'scan')}, {counted(summary.decisions, 'decision')}, "
+            f"{counted(summary.scans, 'scan')}, {together}{counted(summary.decisions, 'decision')}, "
             f"{counted(summary.moves, 'move')}, {summary.travel_deg:.0f} degrees of travel"
         ),
-        f"modes: {hours}",
+        f"modes{', together' if several else ''}: {hours}",
         *_lines_of_planes(summary.insolation),
         *(["that is without the shade of neighbours"] if any(own.rows.east_m for _, own in settings.trackers) else []),
         f"tables in {out}",

@@ -35,6 +35,9 @@ def test_so_many_trackers_have_names_of_their_own_and_one_line_stands_for_all_of
     assert code == 0
     assert "on the modules of 11 trackers, from the least to the most:" in told
     assert told.count("kWh/m2 by") == 2
+    assert re.search(r"\n173 scans, of 11 trackers together \d+ decisions, \d+ moves, ", told)
+    # A hundredth of a day each: 0.24 h.
+    assert "\nmodes, together: starting 0.1 h, tracking 2.5 h\n" in told
     rows = csv.DictReader((out / "poses.csv").read_text().splitlines())
     assert {row["tracker"] for row in rows} == {f"t{place:02}" for place in range(1, 12)}
     code, told, _ = heliocube(
