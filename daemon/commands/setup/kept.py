@@ -38,6 +38,9 @@ def place_of_answers(file: Path) -> Path:
 def load_answers(place: Path) -> SetupAnswers:
     """Return what is kept, nothing where there is no such file; raises `UserError` for one that cannot be used."""
     try:
+        if place.exists() and not (place.is_file() or place.is_dir()):
+            # Whoever opens a pipe waits for a writer.
+            raise UserError(f"{place} is no ordinary file, but a device or a pipe: remove it, or begin with --anew")
         with place.open("rb") as file:
             return SetupAnswers.model_validate_json(file.read(_LONGEST_FILE))
     except (FileNotFoundError, NotADirectoryError):

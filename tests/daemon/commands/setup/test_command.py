@@ -222,3 +222,13 @@ def test_a_letter_in_another_encoding_than_the_terminal_s_is_no_answer_and_no_en
     assert (done.returncode, done.stderr) == (LEFT, b"")
     assert b"or a letter" in done.stdout
     assert load_answers(tmp_path / "rig.setup.json").answers["site.name"] == "Cafe"
+
+
+@pytest.mark.timeout(20)
+def test_a_pipe_under_the_name_of_the_answers_is_refused_and_is_no_hindrance_to_beginning_anew(setup, tmp_path):
+    answers = tmp_path / "rig.setup.json"
+    os.mkfifo(answers)
+    refused = str(setup(tmp_path / "rig.toml").exception)
+    assert refused == f"{answers} is no ordinary file, but a device or a pipe: remove it, or begin with --anew"
+    assert setup(tmp_path / "rig.toml", "real", options=("--anew",)).exit_code == LEFT
+    assert answers.is_file()
