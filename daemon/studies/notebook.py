@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Event
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -29,6 +29,7 @@ __all__ = ["UserError", "read_faces", "read_store", "replay", "simulate"]
 Tables = dict[str, pd.DataFrame]
 Place = Site | tuple[float, float, float]
 Date = str | datetime | np.datetime64
+Result = TypeVar("Result")
 
 
 def simulate(
@@ -71,6 +72,11 @@ def simulate(
         A choice cannot be used; one sentence says which and what would be.
     ValueError
         `days` is no length of time.
+
+    Warns
+    -----
+    UserWarning
+        Of weather that is missing or does not fit the site, and of a law that failed, so that another pointed.
     """
     if not (isinstance(days, int | float | np.integer | np.floating) and 0.0 < days < math.inf):
         raise ValueError(f"days must be a number above 0, not {days}")
@@ -81,7 +87,10 @@ def simulate(
     settings = settings_for(_path(config, "config"), weather=_text(weather), law=law, site=_place(site), seed=seed)
     with TemporaryDirectory(prefix="heliocube-") as folder:
         first, out = _instant(start, "start"), Path(folder)
-        _in_a_loop_of_its_own(lambda progress: run_simulation(settings, first, days, out, "parquet", progress))
+        summary = _in_a_loop_of_its_own(
+            lambda progress: run_simulation(settings, first, days, out, "parquet", progress)
+        )
+        _warn(*summary.warnings, *summary.failed_laws)
         return _tables(Path(folder))
 
 
@@ -140,7 +149,7 @@ def read_faces(path: Path | str) -> pd.DataFrame:
     """
     recording = read_csv(_named(path, "path"))
     if recording.broken:
-        warnings.warn(f"{path}: {recording.broken.note()}", stacklevel=2)
+        _warn(f"{path}: {recording.broken.note()}")
     rows = recording.rows
     # Seconds since 1970 in a float are good for a microsecond, and no more is written.
     times = pd.to_datetime([row.time_utc_s for row in rows], unit="s", utc=True).round("us")
@@ -171,25 +180,35 @@ def replay(
     ------
     UserError
         The rows are too few or too far apart or hold what is no number, or a choice cannot be used.
+
+    Warns
+    -----
+    UserWarning
+        Of a law that failed, so that another pointed.
     """
     settings = settings_for(_path(config, "config"), law=law, site=_place(site))
     with TemporaryDirectory(prefix="heliocube-") as folder:
         out = Path(folder) / "positions.csv"
         rows = _rows(faces)
-        _in_a_loop_of_its_own(lambda progress: run_replay(settings, rows, out, progress))
+        _warn(*_in_a_loop_of_its_own(lambda progress: run_replay(settings, rows, out, progress)).failed_laws)
         return pd.read_csv(out, index_col="time", parse_dates=["time"])
 
 
-def _in_a_loop_of_its_own(work: Callable[[Callable[[float], None]], object]) -> None:
-    """Do what runs an event loop and takes a function for its progress, which ends it when the notebook is interrupted.
+def _warn(*texts: str) -> None:
+    """Warn whoever has called the function that calls this."""
+    for text in texts:
+        warnings.warn(text, stacklevel=3)
+
+
+def _in_a_loop_of_its_own(work: Callable[[Callable[[float], None]], Result]) -> Result:
+    """Return the result of what runs an event loop and takes a function for its progress; an interrupt ends it by that.
 
     A thread may run one event loop at a time, and the kernel of a notebook runs one already.
     """
     try:
         asyncio.get_running_loop()
     except RuntimeError:
-        work(lambda _share: None)
-        return
+        return work(lambda _share: None)
     interrupted = Event()
 
     def advance(_share: float) -> None:
@@ -198,7 +217,7 @@ def _in_a_loop_of_its_own(work: Callable[[Callable[[float], None]], object]) -> 
 
     with ThreadPoolExecutor(1) as thread:
         try:
-            thread.submit(work, advance).result()
+            return thread.submit(work, advance).result()
         except BaseException:
             # An interrupt may have come before the submission was over, and the work goes on all the same.
             interrupted.set()

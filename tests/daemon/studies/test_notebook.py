@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 
 import heliocube
+from solar.laws.flat import FlatLaw
 
 pytestmark = pytest.mark.slow
 
@@ -56,6 +57,26 @@ def test_a_file_that_breaks_off_is_read_with_a_warning(tmp_path):
     with pytest.warns(UserWarning, match=f"{path}: the last line, 3, breaks off at cell 4 of 5 and is left out"):
         readings = heliocube.read_faces(path)
     assert len(readings) == 1
+
+
+def test_what_the_command_says_of_a_weather_file_is_a_warning():
+    with pytest.warns(UserWarning, match="mixed.csv does not fit a site at 35 N, 139 E") as told:
+        heliocube.simulate("2022-10-13T10:00Z", days=0.01, weather=heliocube.sample("mixed"), site=(35.0, 139.0, 0.0))
+    assert told[0].filename == __file__
+
+
+def test_a_law_that_failed_is_a_warning(monkeypatch):
+    def fails(_law, _now):
+        raise ZeroDivisionError("no such sky")
+
+    monkeypatch.setattr(FlatLaw, "aim", fails)
+    readings = heliocube.read_faces(heliocube.sample("mixed")).iloc[600:620]
+    for study in (
+        lambda: heliocube.simulate("2022-10-13T10:00Z", days=0.01, law="flat"),
+        lambda: heliocube.replay(readings, site=(48.7176, 2.209, 156.0), law="flat"),
+    ):
+        with pytest.warns(UserWarning, match="no such sky.* from 2022-10-13T"):
+            study()
 
 
 def test_readings_that_are_no_numbers_are_refused():
