@@ -79,7 +79,7 @@ def figure(text):
 def test_stow_is_the_biggest_button_of_a_phone_and_two_touches_away_and_moves_the_axes(site, open_page):
     page = open_page("now", browsers.PHONE, has_touch=True, is_mobile=True)
     page.sees(".hero h1", "Tracking")
-    stow = page.page.locator(".top > .stow")
+    stow = page.page.locator("#stow")
     boxes = {}
     for button in page.page.locator("button:visible, a:visible").all():
         box = button.bounding_box()
@@ -280,7 +280,7 @@ def test_all_is_reached_with_the_keyboard_alone(site, open_page):
         page.page.keyboard.press("Tab")
         reached.append(page.page.evaluate("document.activeElement.innerText || document.activeElement.ariaLabel"))
     assert reached[0] == "Skip to the content"
-    assert {"Now", "Day", "Fleet", "Control", "Log in", "Stow"} <= {text.strip() for text in reached}
+    assert {"Now", "Day", "Fleet", "Control", "Log in", "Stop", "Stow"} <= {text.strip() for text in reached}
     page.page.locator("#stow").focus()
     page.page.keyboard.press("Enter")
     dialog = page.page.get_by_role("dialog")

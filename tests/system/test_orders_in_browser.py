@@ -61,7 +61,8 @@ def test_what_is_meant_for_a_tracker_that_is_not_to_be_had_goes_to_no_other(cont
             assert chosen(page) == label
             assert page.text(".hero .whose") == label
             assert page.page.locator("#stow").get_attribute("aria-label") == f"Stow {label}"
-            playwright.expect(page.page.locator("#stow:enabled, .order:enabled, .goto :enabled")).to_have_count(2)
+            assert page.page.locator("#stop").get_attribute("aria-label") == f"Stop {label}"
+            playwright.expect(page.page.locator(".first :enabled, .order:enabled, .goto :enabled")).to_have_count(2)
         page.page.evaluate("key => sessionStorage.setItem('tracker', key)", site.api)
         page.page.reload()
         page.sees(".hero h1", "Tracking")
@@ -129,7 +130,7 @@ def test_alarms_push_no_stop_off_the_screen_of_a_phone(context, site):
     page.page.locator(".alarms").evaluate("alarms => alarms.style.minHeight = '2000px'")
     page.page.locator(".alarms").evaluate("alarms => alarms.append('three of them')")
     stop = page.page.locator(".order.stop").bounding_box()
-    assert stop["y"] + stop["height"] < browsers.PHONE["height"] - 75
+    assert stop["y"] + stop["height"] < page.page.locator(".first").bounding_box()["y"]
 
 
 def test_no_answer_to_an_order_lies_over_the_stop_of_a_phone(context, site, back_to_tracking):

@@ -13,6 +13,8 @@ import { now } from "./views/now.js";
 
 const byId = (id) => document.getElementById(id);
 const VIEWS = { now, day, fleet, control };
+// Orders that are within reach in every view.
+const FIRST = { stop: "Stop", stow: "Stow" };
 const THEMES = ["auto", "light", "dark"];
 
 const live = new Live(() => requestUpdate());
@@ -65,8 +67,12 @@ function head({ trackers, entry, service, state, now: time, old }) {
   setText(byId("clock"), state ? `${localTime(time)} local · ${utcTime(time)} UTC${utcDay(time) === utcDay(Date.now()) ? "" : ` · ${utcDay(time)}`}` : "");
   setText(byId("who"), orders.session.by ?? "Log in");
   setAttr(byId("who"), "aria-label", orders.session.by ? `Logged in as ${orders.session.by}: log out` : "Log in");
-  byId("stow").disabled = !entry.tracker;
-  setAttr(byId("stow"), "aria-label", `Stow ${entry.label}`);
+  for (const [name, word] of Object.entries(FIRST)) {
+    byId(name).disabled = !entry.tracker;
+    setAttr(byId(name), "aria-label", `${word} ${entry.label}`);
+    // Beside all trackers, too, they are for one.
+    setText(byId(name).querySelector("small"), choices.length < 2 ? "" : entry.label);
+  }
   const banner = byId("banner");
   banner.hidden = live.connected !== false;
   if (live.connected === false) setText(banner, `No connection to the dashboard since ${localTime(live.lostAt)}. What is shown is old. It is tried again by itself.`);
@@ -118,6 +124,7 @@ function showTheme() {
 
 byId("theme").addEventListener("click", theme);
 byId("who").addEventListener("click", () => (orders.session.by ? orders.logout() : orders.login(null)));
+byId("stop").addEventListener("click", () => orders.give("stop", context().entry));
 byId("stow").addEventListener("click", () => orders.ask("stow", context().entry));
 byId("tracker").addEventListener("change", (event) => {
   pick(event.target.value);

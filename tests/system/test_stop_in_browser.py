@@ -1,0 +1,119 @@
+"""Stop in a real browser: in reach in every view, covered by nothing, and done at once."""
+
+import pytest
+
+from tests.system.processes import wait_until
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+from tests.system import browser as browsers  # noqa: E402 - it needs playwright
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(browsers.CHROMIUM is None, reason="chromium is not installed: no browser for the dashboard"),
+]
+
+VIEWS = {"now": ".equipment td", "day": ".day .log li", "fleet": ".fleet td", "control": ".order"}
+ANSWER = "mode hold: stopped by ana"
+SMALL = {"width": 360, "height": 740}
+# Whoever presses a button near its edge means it, too.
+IN_REACH = """button => {
+  const { left, right, top, bottom } = button.getBoundingClientRect();
+  const places = [[left + 9, top + 9], [right - 9, top + 9], [left + 9, bottom - 9], [right - 9, bottom - 9]];
+  return places.every(([x, y]) => button.contains(document.elementFromPoint(x, y)));
+}"""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    with browsers.simulated_site(tmp_path_factory.mktemp("site")) as found:
+        yield found
+
+
+@pytest.fixture
+def auto(site):
+    """End what was ordered; it is ended with the test, too."""
+
+    def end():
+        wait_until(lambda: site.order("auto").get("accepted"), 60, site.service.log)
+        site.until_mode("tracking")
+
+    yield end
+    end()
+
+
+@pytest.fixture
+def context(browser):
+    with browser.new_context(viewport=SMALL) as found:
+        yield found
+
+
+def logged_in(context, site):
+    page = browsers.Page(context, site.url)
+    page.sees(".hero h1", "Tracking")
+    page.page.locator("#who").click()
+    page.log_in()
+    return page
+
+
+def pressed(page, name):
+    """Press where a person sees the button."""
+    box = page.page.get_by_role("button", name=name, exact=True).bounding_box()
+    page.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+
+
+ENDS_ABOVE_ORDERS = """() => {
+  const place = (selector) => document.querySelector(selector).getBoundingClientRect();
+  scrollTo(0, 1e6);
+  return place("main").bottom <= place(".first").top + 1;
+}"""
+
+
+@pytest.mark.parametrize("viewport", [SMALL, browsers.TABLET, browsers.DESKTOP], ids=["phone", "tablet", "desktop"])
+def test_every_view_has_a_stop_that_is_covered_by_nothing_and_acts_at_once(context, site, auto, viewport):
+    page = logged_in(context, site)
+    page.page.set_viewport_size(viewport)
+    for view, shown in VIEWS.items():
+        page.show(view)
+        page.page.wait_for_selector(shown)
+        # The way to the end of the view, too.
+        for place in (0, 1e6):
+            page.page.evaluate("place => scrollTo(0, place)", place)
+            assert page.page.locator("#stop").evaluate(IN_REACH), view
+            assert page.page.locator("#stow").evaluate(IN_REACH), view
+        pressed(page, "Stop tracker, SIRTA")
+        page.sees(".outcome", ANSWER)
+        assert site.state()["wishes"]["stop"]["by"] == "ana"
+        assert page.page.locator("#stop").evaluate(IN_REACH), "its own answer does not lie over it"
+        auto()
+    assert page.complaints == []
+
+
+def test_on_a_phone_the_orders_hide_neither_the_end_of_a_view_nor_its_tabs(context, site):
+    page = browsers.Page(context, site.url)
+    for view, shown in VIEWS.items():
+        page.show(view)
+        page.page.wait_for_selector(shown)
+        # Again and again: what comes meanwhile makes the view longer.
+        page.page.wait_for_function(ENDS_ABOVE_ORDERS)
+        assert page.page.locator(".tabs a").evaluate_all(f"tabs => tabs.every({IN_REACH})")
+
+
+def test_of_several_trackers_the_orders_name_theirs_in_every_view(browser, tmp_path):
+    with browsers.fleet_site(tmp_path) as site, browser.new_context(viewport=SMALL) as context:
+        page = browsers.Page(context, site.url)
+        page.sees("#tracker", "t7")
+        page.page.locator("#tracker").select_option(label="t7, SIRTA")
+        page.show("fleet")
+        page.sees(".fleet td", "tracking")
+        assert page.text("#stop").split() == ["Stop", "t7,", "SIRTA"]
+        pressed(page, "Stop t7, SIRTA")
+        page.log_in()
+        page.sees(".outcome", ANSWER)
+        stopped = [name for name, tracker in site.state()["trackers"].items() if tracker["wishes"]["stop"]]
+        assert stopped == ["t7"]
+        for width in (320, 721, 1001, 1153, 1280):
+            page.page.set_viewport_size({"width": width, "height": 740})
+            assert page.page.evaluate("document.documentElement.scrollWidth") == width
+            assert page.page.locator("#tracker").bounding_box()["width"] > 85, "the name of a tracker can be read"
+        assert page.complaints == []
