@@ -4,6 +4,7 @@ import asyncio
 import json
 import re
 from collections.abc import AsyncIterator, Collection, Mapping
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -74,7 +75,8 @@ class Dashboard:
                 Route("/login", self._login, methods=["POST"]),
                 Route("/logout", self._logout, methods=["POST"]),
                 Route("/command", self._command, methods=["POST"]),
-                Route("/stow-all", self._stow_all, methods=["POST"]),
+                Route("/stow-all", partial(self._for_all, "stow"), methods=["POST"]),
+                Route("/stop-all", partial(self._for_all, "stop"), methods=["POST"]),
                 Route("/healthz", self._health),
                 Mount("/static", StaticFiles(directory=STATIC)),
             ],
@@ -184,18 +186,20 @@ class Dashboard:
         _said(content)
         return Response(content, status_code=status, media_type="application/json")
 
-    async def _stow_all(self, request: Request) -> Response:
+    async def _for_all(self, name: str, request: Request) -> Response:
         given = await _body(request)
         session = self._require(request)
-        self._refuse_old("stow", given)
-        # What a cube's process refuses would pass for a tracker that does not stow.
+        self._refuse_old(name, given)
+        # What a cube's process refuses would pass for a tracker that does not stow or stop.
         services = [service for service in self._fleet.services.values() if not service.is_cube]
-        found = await asyncio.gather(*(self._stow(session, service, given) for service in services))
+        found = await asyncio.gather(*(self._one_of_all(session, service, name, given) for service in services))
         return JSONResponse({"results": found})
 
-    async def _stow(self, session: Session, service: Upstream, given: Mapping[str, Any]) -> dict[str, Any]:
+    async def _one_of_all(
+        self, session: Session, service: Upstream, name: str, given: Mapping[str, Any]
+    ) -> dict[str, Any]:
         try:
-            status, content = await self._order(session, service, "stow", given)
+            status, content = await self._order(session, service, name, given)
             text = _said(content)
         except HTTPException as error:
             status, text = error.status_code, error.detail

@@ -112,6 +112,12 @@ def test_of_several_trackers_the_orders_name_theirs_in_every_view(browser, tmp_p
         page.sees(".outcome", ANSWER)
         stopped = [name for name, tracker in site.state()["trackers"].items() if tracker["wishes"]["stop"]]
         assert stopped == ["t7"]
+        pressed(page, "Stop all")
+        page.sees(".outcome", "Stop was taken by the service.")
+        page.sees(".results", "all 10 trackers: t0: ")
+        page.sees(".hero .why", "10 stopped")
+        assert all(tracker["wishes"]["stop"] for tracker in site.state()["trackers"].values())
+        assert page.text(".hero .moving") == "", "no count of those that stow"
         for width in (320, 721, 1001, 1153, 1280):
             page.page.set_viewport_size({"width": width, "height": 740})
             assert page.page.evaluate("document.documentElement.scrollWidth") == width

@@ -159,6 +159,22 @@ def test_stow_for_all_says_of_each_service_what_came_of_it():
     in_house(scenario)
 
 
+def test_stop_for_all_reaches_every_service_however_late_and_needs_a_login():
+    async def scenario(house):
+        assert (await house.browser.post("/stop-all", json={})).status_code == 401
+        await house.login()
+        await house.login(OTHER)
+        house.services[NAMES[1]].refusal = "not in reach"
+        found = (await house.browser.post("/stop-all", json={"given_s": 0.0})).json()["results"]
+        assert [(each["accepted"], each["text"]) for each in found] == [
+            (True, "/api/stop done"),
+            (False, "not in reach"),
+        ]
+        assert [service.asked for service in house.services.values()] == [[("/api/stop", {"by": "ana"})]] * 2
+
+    in_house(scenario)
+
+
 def test_stow_for_all_is_not_asked_of_the_process_of_a_cube_alone_while_it_is_known_to_be_one():
     async def scenario(house):
         cube = house.services[NAMES[1]]

@@ -1,7 +1,7 @@
 // Who is logged in here, and the operator's commands: every one says what it will do and is answered by the tracker.
 
 import { h, icon } from "./dom.js";
-import { inLocal } from "./format.js";
+import { inLocal, sentence } from "./format.js";
 
 const WORDS = {
   stow: { title: "Stow", about: "The tracker goes to its stow position and stays there until Auto." },
@@ -160,24 +160,26 @@ export class Orders {
     return why === null ? false : this.give(name, entry, why ? { why } : {});
   }
 
-  // Stows every tracker of every service; resolves to what came of it at each, or null.
-  async stowAll() {
+  // Stows or stops every tracker of every service; resolves to what came of it at each, or null.
+  async giveAll(name) {
     if (!this.session.by && !(await this.login(null))) return null;
-    const why = await this.confirm("stow", "all trackers");
-    return why === null ? null : this.stowEach(why ? { why } : {});
+    // As of one: a stop asks nothing.
+    const why = name === "stop" ? "" : await this.confirm(name, "all trackers");
+    return why === null ? null : this.giveEach(name, why ? { why } : {});
   }
 
-  async stowEach(body) {
+  async giveEach(name, body) {
+    const word = sentence(name);
     try {
-      const { results } = await this.awaited("Stow: sent to all", () => call("/stow-all", { ...body, given_s: this.time() }));
+      const { results } = await this.awaited(`${word}: sent to all`, () => call(`/${name}-all`, { ...body, given_s: this.time() }));
       const refused = results.filter(({ accepted }) => !accepted).length;
-      this.say(refused ? `Stow was NOT taken by ${refused} of ${results.length} services: see the list` : `Stow was taken by ${results.length === 1 ? "the service" : `all ${results.length} services`}.`, refused ? "bad" : "ok");
+      this.say(refused ? `${word} was NOT taken by ${refused} of ${results.length} services: see the list` : `${word} was taken by ${results.length === 1 ? "the service" : `all ${results.length} services`}.`, refused ? "bad" : "ok");
       const locked = results.find(({ status }) => status === 401);
-      if (locked && (await this.renewed({ status: 401, message: locked.text }, locked.service))) return this.stowEach(body);
+      if (locked && (await this.renewed({ status: 401, message: locked.text }, locked.service))) return this.giveEach(name, body);
       return results;
     } catch (error) {
-      if (await this.renewed(error, null)) return this.stowEach(body);
-      this.say(`Stow: ${outcomeOf(error)}`, "bad");
+      if (await this.renewed(error, null)) return this.giveEach(name, body);
+      this.say(`${word}: ${outcomeOf(error)}`, "bad");
       return null;
     }
   }

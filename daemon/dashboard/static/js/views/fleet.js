@@ -1,4 +1,4 @@
-// All trackers at once: who is where, who is not where the others are, and stow for all.
+// All trackers at once: who is where, who is not where the others are, and stop and stow for all.
 
 import { card, fill, h, icon, setAttr, setText } from "../dom.js";
 import { deg, duration, inLocal, num, sentence, signedDeg } from "../format.js";
@@ -11,6 +11,7 @@ const HEADS = ["Tracker", "Mode", "A actual / set", "B actual / set", "Off its s
 // As independent monitors count a tracker as not available.
 const FAR_DEG = 5;
 const DOWN = ", cube down";
+const ABOUT = { stop: "every tracker, at once; only Auto ends it", stow: "every tracker of every service" };
 
 export function fleet(orders) {
   const title = h("h1", null);
@@ -18,19 +19,20 @@ export function fleet(orders) {
   const progress = h("span", { role: "status" });
   // It changes every second: nobody wants to have it read out.
   const since = h("span");
-  const all = h("button", { type: "button", class: "order stow", onclick: stowAll }, icon("stow"), h("span", null, h("strong", null, "Stow all"), h("small", null, "every tracker of every service")));
+  const all = ["stop", "stow"].map((name) => h("button", { type: "button", class: `order ${name}`, onclick: () => giveAll(name) }, icon(name), h("span", null, h("strong", null, `${sentence(name)} all`), h("small", null, ABOUT[name]))));
   const body = h("tbody");
   const table = h("table", { class: "fleet" }, h("thead", null, h("tr", null, HEADS.map((text) => h("th", { scope: "col" }, text)))), body);
   const results = h("ul", { class: "results" });
   const node = h("div", { class: "whole" },
-    h("section", { class: "hero", "aria-label": "State of the fleet" }, title, tally, h("p", { class: "moving" }, progress, since)), all, results,
+    h("section", { class: "hero", "aria-label": "State of the fleet" }, title, tally, h("p", { class: "moving" }, progress, since)),
+    h("section", { class: "orders", "aria-label": "Orders to all" }, all), results,
     card("Trackers", { class: "wide" }, h("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Trackers, one a row" }, table)));
   let ordered = null;
 
-  async function stowAll() {
-    const found = await orders.stowAll();
+  async function giveAll(name) {
+    const found = await orders.giveAll(name);
     if (!found) return;
-    ordered = performance.now();
+    ordered = name === "stow" ? performance.now() : null;
     results.replaceChildren(...found.map(({ service, accepted, text }) => h("li", { class: accepted ? null : "problem" }, `${service}: ${accepted ? "" : "NOT DONE: "}${inLocal(text, Date.now())}`)));
   }
 
@@ -55,7 +57,7 @@ export function fleet(orders) {
     const underWay = ordered !== null && ordered !== Infinity;
     setText(progress, underWay ? `${stowed} of ${own.length} stand stowed${gone ? `, ${silent}` : ""}` : ordered && done ? `All ${own.length} stand stowed.` : "");
     setText(since, underWay ? `, ${duration((performance.now() - ordered) / 1000)} after the order` : "");
-    all.disabled = own.length === 0;
+    for (const button of all) button.disabled = own.length === 0;
     fill(body, rows.map(({ key, label }) => [key, label]), () => rows.map(({ key, label }) => h("tr", null, h("th", { scope: "row" }, h("a", { href: "#now", "data-key": key }, label)), HEADS.slice(1).map((name) => h("td", { "data-name": name })))));
     rows.forEach((each, index) => show(body.children[index], each));
   }
