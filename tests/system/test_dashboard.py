@@ -153,7 +153,7 @@ def test_on_the_bench_stow_moves_the_axes_and_what_fails_is_said_and_comes_back_
 
 def test_a_day_is_drawn_from_the_store_with_modes_moves_and_events(site, open_page):
     page = open_page("day")
-    page.sees(".day .log", "Starting → tracking: the cube's readings are good")
+    page.sees(".day .log", "Starting -> tracking: the cube's readings are good")
     page.sees(".day .summary", "Tracking ")
     pictures = page.page.locator(".plot .canvas")
     said = [picture.get_attribute("aria-label") for picture in pictures.all()]
@@ -205,7 +205,7 @@ def test_what_a_day_has_already_is_not_asked_for_again(open_page):
 
     page.page.route("**/read/history/scans?*", scans)
     page.show("day")
-    page.sees(".day .log", "Starting → tracking")
+    page.sees(".day .log", "Starting -> tracking")
     page.page.evaluate("const now = performance.now.bind(performance); performance.now = () => now() + 60000")
     with page.page.expect_response("**/read/history/scans?*", timeout=browsers.WITHIN_MS):
         pass

@@ -4,7 +4,9 @@ import pytest
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
-from daemon.base.records import Event  # noqa: E402 - as below
+from daemon.base.clock import iso_utc  # noqa: E402 - as below
+from daemon.base.records import Event, Mode, ModeChange, Move, MoveOutcome  # noqa: E402 - as below
+from daemon.service.recent import Recent  # noqa: E402 - as below
 from tests.system import browser as browsers  # noqa: E402 - it needs playwright
 from tests.system.made_page import TRACKER, MadeSite  # noqa: E402 - as above
 from tests.system.test_day_in_browser import scan  # noqa: E402 - as above
@@ -63,3 +65,36 @@ def test_one_of_a_kind_is_told_as_one(browser, tmp_path):
         }""")
     assert "1 scan accepted, 0 lost" in said
     assert "1 record written, 0 wait" in said
+
+
+def test_what_happened_has_the_same_words_and_time_in_the_view_of_now_and_of_its_day(browser, tmp_path):
+    ends = {"target_a_deg": -0.8, "target_b_deg": 81.1, "from_a_deg": 0.0, "from_b_deg": 90.0, "end_b_deg": 81.06}
+    moves = [
+        Move(NOON - 60.0, 0.0, 6.4, end_a_deg=-0.8, outcome=MoveOutcome.ARRIVED, why="south", tracker=TRACKER, **ends),
+        Move(NOON - 50.0, 0.0, 1.6, end_a_deg=-0.04, outcome=MoveOutcome.STALLED, why="b", tracker=TRACKER, **ends),
+        Move(NOON - 40.0, 0.0, 0.2, end_a_deg=12.0, outcome=MoveOutcome.ARRIVED, why="c", tracker=TRACKER, **ends),
+    ]
+    before, after = Mode.STARTING, Mode.TRACKING
+    change = ModeChange(NOON - 61.0, 0.0, before=before, after=after, why="good", tracker=TRACKER)
+    records = [change, *moves, Event(NOON - 30.0, 0.0, "made", "an event", TRACKER)]
+    site, recent = MadeSite(tmp_path), Recent()
+    site.keep(*records)
+    for record in records:
+        recent.note(record)
+    told = [{"time": iso_utc(news.time_utc_s), "text": news.text} for news in recent.news]
+    with browser.new_context(viewport=browsers.DESKTOP, timezone_id="UTC") as context:
+        page = site.open(context, NOON)
+        page.sees(".day .log", "Made: an event")
+        now = page.page.evaluate(
+            """async (news) => {
+              const { log } = await import("/static/js/views/cards.js");
+              const card = log();
+              card.update({ state: { news, trackers: {} }, tracker: null, now: Date.parse(news[0].time) });
+              return [...card.node.querySelectorAll("li")].map((line) => line.lastChild.textContent);
+            }""",
+            told,
+        )
+        lines = page.page.locator(".day .log li")
+        assert lines.locator("> span").all_inner_texts() == now
+        times = lines.locator("time").evaluate_all("all => all.map((time) => time.dateTime)")
+        assert times == [each["time"] for each in reversed(told)]

@@ -297,9 +297,9 @@ export function day() {
   function list(most = held.most ?? FEW_LINES) {
     held.most = most;
     const rows = [
-      ...held.modes.map(({ time, before, after, why }) => ({ time, text: `${before} → ${after}: ${why}` })),
+      ...held.modes.map(({ time, before, after, why }) => ({ time, text: `${before} -> ${after}: ${why}` })),
       ...held.events.map(({ time, subject, text }) => ({ time, text: `${subject}: ${text}` })),
-      ...held.moves.map((move) => ({ time: move.time, text: `moved to A ${num(move.end_a_deg, 1)}, B ${num(move.end_b_deg, 1)}° in ${duration(move.duration_s)}${move.outcome === "arrived" ? "" : ` (${move.outcome})`}: ${move.why}` })),
+      ...held.moves.map(ended),
     ].sort((one, other) => other.time.localeCompare(one.time));
     setText(more, `Show all ${rows.length}`);
     more.hidden = rows.length <= most;
@@ -346,6 +346,14 @@ export function day() {
   }
 
   return { node, update, redraw: () => held && draw(), close };
+}
+
+// A move as the service tells it among its news, at its end: what happened once is to read as one thing in all views.
+function ended({ time, duration_s, end_a_deg, end_b_deg, outcome, why }) {
+  const [a, b] = [end_a_deg, end_b_deg].map((angle) => num(angle, 1).replace("−", "-"));
+  const place = `A ${a.startsWith("-") ? "" : "+"}${a}, B ${b} deg`;
+  const how = outcome === "arrived" ? "" : ` (${outcome})`;
+  return { time: new Date(Date.parse(time) + 1000 * duration_s).toISOString(), text: `moved to ${place} in ${num(duration_s)} s${how}: ${why}` };
 }
 
 // The kinds of which there are more than a reply has.
