@@ -12,6 +12,9 @@ pytestmark = [
     pytest.mark.skipif(browsers.CHROMIUM is None, reason="chromium is not installed: no browser for the dashboard"),
 ]
 
+FIRM = "\xa0"
+"""Where no line ends: between a number and its unit."""
+
 MIDNIGHT = 1663718400.0
 """2022-09-21T00:00Z."""
 
@@ -36,7 +39,7 @@ def test_a_local_time_has_the_local_date(browser, tmp_path):
           return [times.map((time) => at(time, now)), listed];
         }""")
     assert said == [
-        ["2022-09-20 23:00 local (13:00 UTC)", "09:50 local (23:50 UTC)"],
+        [f"2022-09-20 23:00{FIRM}local (13:00{FIRM}UTC)", f"09:50{FIRM}local (23:50{FIRM}UTC)"],
         ["09:50 23:50 UTC", "2022-09-20 23:00 13:00 UTC"],
     ]
 
@@ -56,8 +59,8 @@ def test_what_lasts_over_midnight_gets_its_date_then(context, tmp_path):
       });
     }""")
     for before, after in zip(*said, strict=True):
-        assert "since 23:10 local" in before
-        assert "since 2022-09-21 23:10 local" in after
+        assert f"since 23:10{FIRM}local" in before
+        assert f"since 2022-09-21 23:10{FIRM}local" in after
 
 
 def test_a_stop_from_the_day_before_is_told_since_then_after_a_restart_too(context, tmp_path):
@@ -72,7 +75,7 @@ def test_a_stop_from_the_day_before_is_told_since_then_after_a_restart_too(conte
       return card.node.querySelector(".since").textContent;
     }""")
     assert said.startswith("since 2022-09-20 ")
-    assert said.endswith(", for 12 h 0 min")
+    assert said.endswith(f", for 12{FIRM}h 0{FIRM}min")
 
 
 def test_a_stow_is_let_go_in_so_long_or_nobody_knows_when(context, tmp_path):
@@ -87,7 +90,11 @@ def test_a_stow_is_let_go_in_so_long_or_nobody_knows_when(context, tmp_path):
         return [...card.node.querySelectorAll("dd")].at(-1).textContent;
       });
     }""")
-    assert said == ["wind has calmed; let go in 1:00 min if it stays calm", "no reading for 300 s", "not asked for"]
+    assert said == [
+        f"wind has calmed; let go in 1:00{FIRM}min if it stays calm",
+        "no reading for 300 s",
+        "not asked for",
+    ]
 
 
 def test_times_in_the_sentences_of_a_service_are_told_as_the_page_tells_its_own(browser, tmp_path):
@@ -113,6 +120,7 @@ def test_times_in_the_sentences_of_a_service_are_told_as_the_page_tells_its_own(
           const shown = texts(head.node, ".why, .told > p:not(.hint), .wish p");
           return [...shown, ...texts(news.node, "li > span"), ...texts(outcome, "p")];
         }""")
+    said = [text.replace(FIRM, " ") for text in said]
     begun = "topped by ben since 10:18 local (08:18 UTC): at 9999-99-99 09:00 UTC I am back"
     assert said == [
         f"S{begun}",
@@ -121,3 +129,39 @@ def test_times_in_the_sentences_of_a_service_are_told_as_the_page_tells_its_own(
         f"Control: s{begun}",
         f"Auto: released: s{begun}",
     ]
+
+
+def test_no_line_ends_between_a_number_and_its_unit(context, tmp_path):
+    page = MadeSite(tmp_path).open(context, MIDNIGHT)
+    broken = page.page.evaluate("""async () => {
+      const { hero } = await import("/static/js/views/hero.js");
+      const { wind } = await import("/static/js/views/cards.js");
+      const [head, gusts] = [hero(null), wind()];
+      document.querySelector("#view").replaceChildren(head.node, gusts.node);
+      const since = "2022-09-21T08:00:00Z";
+      const limits = { stow_from_m_s: 15, release_below_m_s: 10 };
+      const speeds = { speed_m_s: 3, ...limits, age_s: 1, why: "calm", release_in_s: 90 };
+      const units = { wishes: {}, tracker: { name: "roof" }, wind: [{ name: "roof", ...speeds }] };
+      const tracker = { mode: { name: "hold", since, why: "x" }, ...units };
+      const whole = /\\d\\s(s|min|h|d|m\\/s|local|UTC)(?![a-z])/g;
+      const found = new Set();
+      for (const lasted_s of [1.9, 73, 240, 43200, 200000]) {
+        const now = Date.parse(since) + 1000 * lasted_s;
+        const context = { state: { alarms: [] }, entry: { key: "made" }, tracker, now };
+        for (const card of [head, gusts]) card.update({ ...context, extra: lasted_s });
+        for (let width = 296; width < 420; width += 3) {
+          document.querySelector("#view").style.width = `${width}px`;
+          const texts = document.createTreeWalker(document.querySelector("#view"), NodeFilter.SHOW_TEXT);
+          while (texts.nextNode()) {
+            for (const { 0: words, index } of texts.currentNode.data.matchAll(whole)) {
+              const range = document.createRange();
+              range.setStart(texts.currentNode, index);
+              range.setEnd(texts.currentNode, index + words.length);
+              if (range.getClientRects().length > 1) found.add(words);
+            }
+          }
+        }
+      }
+      return [...found];
+    }""")
+    assert broken == []

@@ -2,13 +2,16 @@
 
 export const UNKNOWN = "–";
 
+// A space at which no line ends: a number stays with its unit.
+const FIRM = "\u00a0";
+
 const known = (value) => typeof value === "number" && Number.isFinite(value);
 
 export function num(value, digits = 0, unit = "") {
   if (!known(value)) return UNKNOWN;
   const text = value.toFixed(digits);
   const clean = Number(text) === 0 ? text.replace("-", "") : text.replace("-", "−");
-  return unit ? `${clean} ${unit}` : clean;
+  return unit ? `${clean}${FIRM}${unit}` : clean;
 }
 
 // How many there are of something whose plural has an s.
@@ -32,19 +35,20 @@ export function signed(value, digits, unit) {
 export function duration(seconds) {
   if (!known(seconds)) return UNKNOWN;
   const s = Math.max(0, seconds);
-  if (s < 9.95) return `${s.toFixed(1)} s`;
-  if (s < 99.5) return `${Math.round(s)} s`;
+  const of = (value, unit) => `${value}${FIRM}${unit}`;
+  if (s < 9.95) return of(s.toFixed(1), "s");
+  if (s < 99.5) return of(Math.round(s), "s");
   const minutes = Math.round(s / 60);
-  if (minutes < 60) return `${minutes} min`;
-  if (minutes < 48 * 60) return `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
-  return `${Math.floor(minutes / 1440)} d ${Math.floor((minutes % 1440) / 60)} h`;
+  if (minutes < 60) return of(minutes, "min");
+  if (minutes < 48 * 60) return `${of(Math.floor(minutes / 60), "h")} ${of(minutes % 60, "min")}`;
+  return `${of(Math.floor(minutes / 1440), "d")} ${of(Math.floor((minutes % 1440) / 60), "h")}`;
 }
 
 // A countdown has to be exact where it is short.
 export function countdown(seconds) {
   if (!known(seconds)) return UNKNOWN;
   const s = Math.max(0, Math.round(seconds));
-  return `${Math.floor(s / 60)}:${String(s % 60).padStart(2, "0")} min`;
+  return `${Math.floor(s / 60)}:${String(s % 60).padStart(2, "0")}${FIRM}min`;
 }
 
 const two = (value) => String(value).padStart(2, "0");
@@ -73,7 +77,7 @@ export function at(iso, now) {
   if (!iso) return UNKNOWN;
   const ms = Date.parse(iso);
   const day = now !== undefined && localDay(ms) !== localDay(now) ? `${localDay(ms)} ` : "";
-  return `${day}${localTime(ms, false)} local (${utcTime(ms, false)} UTC)`;
+  return `${day}${localTime(ms, false)}${FIRM}local (${utcTime(ms, false)}${FIRM}UTC)`;
 }
 
 // The times of UTC that a service has written into a sentence, told as `at` tells others.
