@@ -200,7 +200,8 @@ def test_stow_for_all_asks_for_the_token_again_when_the_session_is_gone(context,
     context.clear_cookies()
     page.page.get_by_role("button", name="Stow all").click()
     page.page.get_by_role("button", name="Stow now").click()
-    page.sees("dialog", "Log in first.")
+    page.sees("dialog", "Your login has ended")
+    page.sees("dialog", "Stow for all was NOT given.")
     page.log_in()
     page.sees(".outcome", "Stow was taken by the service.")
     assert site.state()["wishes"]["stow"]["by"] == "ana"

@@ -123,3 +123,43 @@ def test_of_several_trackers_the_orders_name_theirs_in_every_view(browser, tmp_p
             assert page.page.evaluate("document.documentElement.scrollWidth") == width
             assert page.page.locator("#tracker").bounding_box()["width"] > 85, "the name of a tracker can be read"
         assert page.complaints == []
+
+
+ENDED = "Your login has ended: after 30 days without use, by a restart of the dashboard, or by a logout in another tab."
+
+
+def test_a_stop_after_the_login_has_ended_is_said_not_to_be_given_until_somebody_logs_in(context, site, auto):
+    page = logged_in(context, site)
+    context.clear_cookies()
+    pressed(page, "Stop tracker, SIRTA")
+    page.sees("dialog", f"{ENDED} Stop for tracker, SIRTA was NOT given. It is given once you have logged in.")
+    assert page.text(".outcome p") == "Stop for tracker, SIRTA was NOT given: log in first."
+    assert page.page.locator(".outcome").get_attribute("data-kind") == "bad"
+    page.page.keyboard.press("Escape")
+    page.sees(".outcome", "Stop for tracker, SIRTA: NOT given. Log in first.")
+    page.sees("#who", "Log in")
+    assert site.state()["wishes"]["stop"] is None
+    pressed(page, "Stop tracker, SIRTA")
+    page.sees("dialog", "Stop for tracker, SIRTA needs the service's token. It is given once you have logged in.")
+    page.page.keyboard.press("Escape")
+    page.sees(".outcome", "Stop for tracker, SIRTA was NOT given: it needs the token of the service at ")
+    assert site.state()["wishes"]["stop"] is None
+    pressed(page, "Stop tracker, SIRTA")
+    page.log_in()
+    page.sees(".outcome", ANSWER)
+    assert site.state()["wishes"]["stop"]["by"] == "ana"
+    assert page.complaints == []
+
+
+def test_a_stow_after_the_login_has_ended_is_given_to_whoever_logs_in(context, site, auto):
+    page = logged_in(context, site)
+    context.clear_cookies()
+    pressed(page, "Stow tracker, SIRTA")
+    page.page.get_by_role("button", name="Stow now").click()
+    page.sees("dialog", f"{ENDED} Stow for tracker, SIRTA was NOT given. It is given once you have logged in.")
+    assert page.text(".outcome p") == "Stow for tracker, SIRTA was NOT given: log in first."
+    assert site.state()["wishes"]["stow"] is None
+    page.log_in()
+    page.sees(".hero h1", "Stow")
+    assert site.state()["wishes"]["stow"]["by"] == "ana"
+    assert page.complaints == []

@@ -13,6 +13,8 @@ const WORDS = {
   relearn: { title: "Relearn", about: "The law forgets what it has learned of this site: albedo and gains." },
 };
 
+const ONCE_IN = "It is given once you have logged in.";
+
 // A double-click takes less.
 const MEANT_MS = 500;
 // A service answers within 6 s, and the dashboard gives it up after 30 s at most.
@@ -140,10 +142,18 @@ export class Orders {
     });
   }
 
+  // Asks for the token of a tracker's service; resolves to whether it may have orders now, and says where it may not.
+  async admitted(name, entry, about) {
+    const service = entry.service.name;
+    if (await this.login(service, about)) return true;
+    this.say(`${name} for ${entry.label} was NOT given: it needs the token of the service at ${service}.`, "bad");
+    return false;
+  }
+
   // Gives an order to one tracker and says what came of it.
   async give(name, entry, more = {}) {
     const service = entry.service.name;
-    if (!this.may(service) && !(await this.login(service))) return false;
+    if (!this.may(service) && !(await this.admitted(name, entry, `${sentence(name)} for ${entry.label} needs the service's token. ${ONCE_IN}`))) return false;
     const body = { service, name, ...more };
     if (entry.name) body.tracker = entry.name;
     return this.carryOut(name, entry.label, () => call("/command", { ...body, given_s: this.time() }), service);
@@ -155,7 +165,7 @@ export class Orders {
   }
 
   async ask(name, entry) {
-    if (!this.may(entry.service.name) && !(await this.login(entry.service.name))) return false;
+    if (!this.may(entry.service.name) && !(await this.admitted(name, entry))) return false;
     const why = await this.confirm(name, entry.label);
     return why === null ? false : this.give(name, entry, why ? { why } : {});
   }
@@ -178,8 +188,8 @@ export class Orders {
       if (locked && (await this.renewed({ status: 401, message: locked.text }, locked.service))) return this.giveEach(name, body);
       return results;
     } catch (error) {
-      if (await this.renewed(error, null)) return this.giveEach(name, body);
-      this.say(`${word}: ${outcomeOf(error)}`, "bad");
+      if (await this.renewed(error, null, `${word} for all`)) return this.giveEach(name, body);
+      this.say(`${word} for all: ${outcomeOf(error)}`, "bad");
       return null;
     }
   }
@@ -192,18 +202,22 @@ export class Orders {
       this.say(seen === "warn" ? `${name} for ${whom}: no effect seen yet, look at the tracker: ${text}` : `${name} for ${whom}: ${text}`, seen);
       return true;
     } catch (error) {
-      if (await this.renewed(error, service)) return this.carryOut(name, whom, action, service);
+      if (await this.renewed(error, service, `${name} for ${whom}`)) return this.carryOut(name, whom, action, service);
       this.say(`${name} for ${whom}: ${outcomeOf(error)}`, "bad");
       return false;
     }
   }
 
-  // Whether an order was refused for want of a session or of the service's token, and there is one now.
-  async renewed(error, service) {
+  // Whether an order was refused for want of a session or of the service's token, and there is one now. What: the
+  // order, where it stands there as sent.
+  async renewed(error, service, what = null) {
     if (error.status !== 401) return false;
+    if (what) this.say(`${what} was NOT given: log in first.`, "bad");
+    const before = this.session.by;
     const { by, services } = await call("/session").catch(() => this.session);
     this.set({ by, services: services.filter((each) => each !== service) });
-    return this.login(service, sentenceOf(error));
+    const why = before !== null && by === null ? "Your login has ended: after 30 days without use, by a restart of the dashboard, or by a logout in another tab." : sentenceOf(error);
+    return this.login(service, what ? `${why} ${sentence(what)} was NOT given. ${ONCE_IN}` : why);
   }
 
   // Says what is under way, and after a while that its answer is late.
@@ -233,7 +247,7 @@ export class Orders {
   }
 }
 
-const outcomeOf = (error) => `${sentenceOf(error)}${error.status ? "" : " The order may not have arrived: look at the tracker."}`;
+const outcomeOf = (error) => `${error.status === 401 ? "NOT given. " : ""}${sentenceOf(error)}${error.status ? "" : " The order may not have arrived: look at the tracker."}`;
 
 function sentenceOf(error) {
   const text = error.message;
