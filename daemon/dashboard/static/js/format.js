@@ -80,12 +80,25 @@ export function at(iso, now) {
   return `${day}${localTime(ms, false)}${FIRM}local (${utcTime(ms, false)}${FIRM}UTC)`;
 }
 
-// The times of UTC that a service has written into a sentence, told as `at` tells others.
-export function inLocal(text, now) {
-  return text.replace(/(\d{4}-\d\d-\d\d) (\d\d:\d\d(?::\d\d)?) UTC/g, (written, day, time) => {
+// The orders by their buttons.
+export const BUTTONS = {
+  stow: "Stow", stop: "Stop", hold: "Hold", auto: "Auto", snow: "Snow", maintenance: "Maintenance", home: "Reference run", clear: "Clear faults", relearn: "Relearn the site",
+};
+
+// The button that does the same as a command of the terminal; null where the page has none.
+export function buttonOf(command) {
+  const [, name, rest] = /^heliocube (alarms ack|\w+)(.*)$/.exec(command) ?? [];
+  if (name === "alarms ack") return "Acknowledge";
+  return Object.hasOwn(BUTTONS, name) && /^( --tracker \S+)?$/.test(rest) ? BUTTONS[name] : null;
+}
+
+// A sentence of a service as the page tells it: times of UTC as `at` tells others, commands by the page's own buttons.
+export function onPage(text, now) {
+  const local = text.replace(/(\d{4}-\d\d-\d\d) (\d\d:\d\d(?::\d\d)?) UTC/g, (written, day, time) => {
     const iso = `${day}T${time}Z`;
     return Number.isNaN(Date.parse(iso)) ? written : at(iso, now);
   });
+  return local.replace(/'(heliocube [^']*)'/g, (written, command) => buttonOf(command) ?? written);
 }
 
 export const sentence = (text) => (text ? text[0].toUpperCase() + text.slice(1) : "");

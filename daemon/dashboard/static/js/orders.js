@@ -1,7 +1,7 @@
 // Who is logged in here, and the operator's commands: every one says what it will do and is answered by the tracker.
 
 import { h, icon } from "./dom.js";
-import { inLocal, sentence } from "./format.js";
+import { onPage, sentence } from "./format.js";
 
 const WORDS = {
   stow: { title: "Stow", about: "The tracker goes to its stow position and stays there until Auto." },
@@ -233,7 +233,7 @@ export class Orders {
 
   say(text, kind) {
     this.outcome.replaceChildren(
-      h("p", null, inLocal(text[0].toUpperCase() + text.slice(1), Date.now())),
+      h("p", null, onPage(text[0].toUpperCase() + text.slice(1), Date.now())),
       h("button", { type: "button", class: "plain", "aria-label": "Dismiss this message", onclick: () => this.say0() }, "×"),
     );
     this.outcome.dataset.kind = kind;

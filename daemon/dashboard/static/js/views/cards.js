@@ -1,7 +1,7 @@
 // The smaller cards of the view of now: what comes next, wind, light, equipment, and what happened lately.
 
 import { card, fill, h, s, setAttr, setClass, setText } from "../dom.js";
-import { at, countdown, counted, deg, duration, inLocal, localDay, localTime, num, sentence, signed, signedDeg, utcTime } from "../format.js";
+import { at, countdown, counted, deg, duration, localDay, localTime, num, onPage, sentence, signed, signedDeg, utcTime } from "../format.js";
 
 function facts(names) {
   const values = {};
@@ -186,7 +186,7 @@ export function log() {
     const own = (state?.news ?? []).filter(({ text }) => !name || [name, undefined].includes(whose(text)));
     const newest = own.slice(-12).reverse();
     const today = state ? localDay(now) : "";
-    fill(body, [newest, today], () => newest.length ? newest.map(({ time, text }) => h("li", null, h("time", { datetime: time }, `${localDay(Date.parse(time)) === today ? "" : `${localDay(Date.parse(time))} `}${localTime(Date.parse(time), false)}`, h("span", null, ` ${utcTime(Date.parse(time), false)} UTC`)), h("span", null, inLocal(whose(text) ? text : sentence(text), now)))) : h("li", null, h("span", null, "Nothing yet.")));
+    fill(body, [newest, today], () => newest.length ? newest.map(({ time, text }) => h("li", null, h("time", { datetime: time }, `${localDay(Date.parse(time)) === today ? "" : `${localDay(Date.parse(time))} `}${localTime(Date.parse(time), false)}`, h("span", null, ` ${utcTime(Date.parse(time), false)} UTC`)), h("span", null, onPage(whose(text) ? text : sentence(text), now)))) : h("li", null, h("span", null, "Nothing yet.")));
   }
 
   return { node, update };

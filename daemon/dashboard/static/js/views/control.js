@@ -1,13 +1,10 @@
 // The operator's commands to one tracker, with what its telemetry shows of them.
 
 import { card, fill, h, icon, setClass, setText } from "../dom.js";
-import { deg, duration, num, signedDeg } from "../format.js";
+import { BUTTONS, deg, duration, num, signedDeg } from "../format.js";
 import { hero } from "./hero.js";
 
 const ASKED = ["stow", "auto", "snow", "maintenance", "home", "clear", "relearn"];
-const TITLES = {
-  stow: "Stow", stop: "Stop", hold: "Hold", auto: "Auto", snow: "Snow", maintenance: "Maintenance", home: "Reference run", clear: "Clear faults", relearn: "Relearn the site",
-};
 const ABOUT = {
   stop: "stops at once; only Auto ends it",
   hold: "stays where it is",
@@ -24,7 +21,7 @@ export function control(orders) {
   let entry = null;
   const state = hero(orders);
   const order = (name) => () => entry && (ASKED.includes(name) ? orders.ask(name, entry) : orders.give(name, entry));
-  const button = (name) => h("button", { type: "button", class: `order ${name}`, onclick: order(name) }, icon(name), h("span", null, h("strong", null, TITLES[name]), h("small", null, ABOUT[name])));
+  const button = (name) => h("button", { type: "button", class: `order ${name}`, onclick: order(name) }, icon(name), h("span", null, h("strong", null, BUTTONS[name]), h("small", null, ABOUT[name])));
   const input = (name) => h("input", { name, type: "number", step: "any", required: true, inputmode: "text" });
   const a = input("a_deg");
   const b = input("b_deg");

@@ -1,7 +1,7 @@
 // Today, and any day that the store has: light, angles against the sun's path, modes, moves and events.
 
 import { fill, h, setAttr, setText } from "../dom.js";
-import { counted, deg, duration, inLocal, localTime, num, sentence, utcTime } from "../format.js";
+import { counted, deg, duration, localTime, num, onPage, sentence, utcTime } from "../format.js";
 import { direction } from "../geometry.js";
 import { dateOf, DAY_MS, giveUp, lines, numbers, solarDay, startOf, storedDays, withPauses } from "../history.js";
 import { KIND, TITLE } from "./hero.js";
@@ -303,7 +303,7 @@ export function day() {
     ].sort((one, other) => other.time.localeCompare(one.time));
     setText(more, `Show all ${rows.length}`);
     more.hidden = rows.length <= most;
-    happened.replaceChildren(...rows.slice(0, most).map(({ time, text }) => h("li", null, h("time", { datetime: time }, localTime(Date.parse(time)), h("span", null, ` ${utcTime(Date.parse(time), false)} UTC`)), h("span", null, inLocal(sentence(text), Date.parse(time))))));
+    happened.replaceChildren(...rows.slice(0, most).map(({ time, text }) => h("li", null, h("time", { datetime: time }, localTime(Date.parse(time)), h("span", null, ` ${utcTime(Date.parse(time), false)} UTC`)), h("span", null, onPage(sentence(text), Date.parse(time))))));
   }
 
   function show(part) {

@@ -1,7 +1,7 @@
 // All trackers at once: who is where, who is not where the others are, and stop and stow for all.
 
 import { card, fill, h, icon, setAttr, setText } from "../dom.js";
-import { deg, duration, inLocal, num, sentence, signedDeg } from "../format.js";
+import { deg, duration, num, onPage, sentence, signedDeg } from "../format.js";
 import { normal, separationDeg } from "../geometry.js";
 import { elapsed, isOld, serviceNow } from "../live.js";
 import { target } from "./dome.js";
@@ -33,7 +33,7 @@ export function fleet(orders) {
     const found = await orders.giveAll(name);
     if (!found) return;
     ordered = name === "stow" ? performance.now() : null;
-    results.replaceChildren(...found.map(({ service, accepted, text }) => h("li", { class: accepted ? null : "problem" }, `${service}: ${accepted ? "" : "NOT DONE: "}${inLocal(text, Date.now())}`)));
+    results.replaceChildren(...found.map(({ service, accepted, text }) => h("li", { class: accepted ? null : "problem" }, `${service}: ${accepted ? "" : "NOT DONE: "}${onPage(text, Date.now())}`)));
   }
 
   function update({ trackers, live }) {
@@ -87,7 +87,7 @@ function row({ key, label, service, tracker }, connected) {
   const off = pose && direction ? separationDeg(normal(pose.a_deg, pose.b_deg, latitude), direction) : null;
   const alarms = (state?.alarms ?? []).filter((alarm) => alarm.tracker === null || !tracker || alarm.tracker === tracker.tracker.name);
   const cube = tracker && !old ? cubeOf(state) : "";
-  return { key, label, state, up: service.up, tracker, old, mode, kind, cube, pose, wanted, off, alarms, extra, why: tracker && inLocal(tracker.mode.why, serviceNow(service)), group: tracker ? `${state.site.name}/${tracker.law.name}` : null, stale: old || !pose || pose.stale };
+  return { key, label, state, up: service.up, tracker, old, mode, kind, cube, pose, wanted, off, alarms, extra, why: tracker && onPage(tracker.mode.why, serviceNow(service)), group: tracker ? `${state.site.name}/${tracker.law.name}` : null, stale: old || !pose || pose.stale };
 }
 
 // Set points are held against the median of the same site and law, where there are three or more.

@@ -1,7 +1,7 @@
 // The state in one line, the alarms, and who holds what.
 
 import { fill, h, icon, setAttr, setText } from "../dom.js";
-import { at, duration, inLocal, localDay, sentence } from "../format.js";
+import { at, buttonOf, duration, localDay, onPage, sentence } from "../format.js";
 
 // Severity of each mode, for colour; the words say the same.
 export const KIND = {
@@ -35,7 +35,7 @@ export function hero(orders) {
     fill(glyph, shown, () => icon(shown));
     setText(whose, entry.label);
     setText(title, headline(service, state, tracker, old));
-    setText(why, sentence(inLocal(explain(service, state, tracker, old), now)));
+    setText(why, sentence(onPage(explain(service, state, tracker, old), now)));
     // The mode begins anew at each restart and after each fault; what a person asked for does not.
     const begun = tracker?.wishes[tracker.mode.asked]?.since ?? tracker?.mode.since;
     setText(since, tracker ? `since ${at(begun, now)}, for ${duration((now - Date.parse(begun)) / 1000)}` : "");
@@ -64,8 +64,11 @@ function explain(service, state, tracker, old) {
   return tracker ? tracker.mode.why : state.cube_down_why ?? "a process of the cube alone: it has no tracker";
 }
 
-// Words between backticks are what is typed.
-const typed = (text) => text.split("`").map((part, index) => (index % 2 ? h("code", null, part) : part));
+// Words between backticks are what is typed, where there is no button for it.
+function typed(text) {
+  const shown = (command) => (buttonOf(command) ? h("strong", null, buttonOf(command)) : h("code", null, command));
+  return text.split("`").map((part, index) => (index % 2 ? shown(part) : part));
+}
 
 function alarmState(alarm, now) {
   const since = `since ${at(alarm.since, now)}`;
@@ -79,7 +82,7 @@ function alarmList(alarms, tracker, now, acknowledge) {
     ...muted,
     ...alarms.map((alarm) =>
       h("article", { class: "alarm", "data-state": alarm.state, "data-severity": alarm.severity }, icon("fault"),
-        h("div", { class: "told" }, h("h2", null, `${alarm.name}: ${alarm.severity}${alarm.state === "raised" ? "" : `, ${alarm.state}`}`), h("p", null, sentence(inLocal(alarm.text, now))),
+        h("div", { class: "told" }, h("h2", null, `${alarm.name}: ${alarm.severity}${alarm.state === "raised" ? "" : `, ${alarm.state}`}`), h("p", null, sentence(onPage(alarm.text, now))),
           alarm.remedy ? h("p", null, h("strong", null, "What to do: "), typed(alarm.remedy)) : null, h("p", { class: "hint" }, alarmState(alarm, now))),
         alarm.acknowledged_at ? null : h("button", { type: "button", class: "plain", "aria-label": `Acknowledge ${alarm.name}`, onclick: () => acknowledge(alarm) }, "Acknowledge"))),
   ];
@@ -88,5 +91,5 @@ function alarmList(alarms, tracker, now, acknowledge) {
 function wishList(wishes, now) {
   return Object.entries(wishes).filter(([, wish]) => wish).map(([name, wish]) =>
     h("article", { class: "wish" }, icon(name === "buttons" ? "hold" : name),
-      h("p", null, h("strong", null, WISH[name] ?? name), wish.by ? ` by ${wish.by}` : "", wish.since ? ` since ${at(wish.since, now)}` : "", `: ${inLocal(wish.why, now)}. `, h("em", null, "Ends with Auto."))));
+      h("p", null, h("strong", null, WISH[name] ?? name), wish.by ? ` by ${wish.by}` : "", wish.since ? ` since ${at(wish.since, now)}` : "", `: ${onPage(wish.why, now)}. `, h("em", null, "Ends with Auto."))));
 }

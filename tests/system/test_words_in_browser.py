@@ -1,0 +1,61 @@
+"""What the page says in a real browser: of what it has a button for, it names the button and no command."""
+
+import pytest
+
+from daemon.base.alarms.kinds import KINDS, as_typed
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+from tests.system import browser as browsers  # noqa: E402 - it needs playwright
+from tests.system.made_page import MadeSite  # noqa: E402 - as above
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(browsers.CHROMIUM is None, reason="chromium is not installed: no browser for the dashboard"),
+]
+
+MIDNIGHT = 1663718400.0
+"""2022-09-21T00:00Z."""
+SHOWN = """async ([remedies, why]) => {
+  const { hero } = await import("/static/js/views/hero.js");
+  const { log } = await import("/static/js/views/cards.js");
+  const { Orders } = await import("/static/js/orders.js");
+  const since = "2022-09-20T23:00:00Z";
+  const alarm = { name: "x", severity: "warning", state: "raised", text: why, since, tracker: "t7" };
+  const tracker = { mode: { name: "hold", since, why }, wishes: {}, tracker: { name: "t7" } };
+  const state = { alarms: remedies.map((remedy) => ({ ...alarm, remedy })), trackers: {} };
+  state.news = [{ time: since, text: why }];
+  const context = { state, entry: { key: "made" }, tracker, now: Date.parse(since) };
+  const [head, news, outcome] = [hero(null), log(), document.createElement("div")];
+  for (const card of [head, news]) card.update(context);
+  new Orders(outcome, () => {}, () => 0).say(why, "bad");
+  const texts = (node, which) => [...node.querySelectorAll(which)].map((each) => each.textContent);
+  const told = [...texts(head.node, ".why"), ...texts(news.node, "li > span"), ...texts(outcome, "p")];
+  return { remedies: texts(head.node, ".told p:nth-of-type(2)"), told };
+}"""
+
+
+def shown(browser, folder, remedies, why="x"):
+    with browser.new_context() as context:
+        return MadeSite(folder).open(context, MIDNIGHT).page.evaluate(SHOWN, [remedies, why])
+
+
+@pytest.mark.parametrize("tracker", [None, "t7"])
+def test_what_to_do_names_the_buttons_of_the_page(browser, tmp_path, tracker):
+    kinds = ("unexplained-motion", "positioner-fault", "release-changed")
+    said = shown(browser, tmp_path, [as_typed(KINDS[kind].remedy, tracker) for kind in kinds])
+    moved, *others = said["remedies"]
+    assert moved == (
+        "What to do: somebody may be at the axes: find out who or what moved them. If the angles of status agree with"
+        " the arms: Clear faults; if they do not: Hold, then Clear faults, then Reference run"
+    )
+    assert others == [
+        "What to do: find the cause at the mechanics, then Clear faults, or Reference run if the reference was lost",
+        "What to do: run heliocube self-check, look at the tracker, then Auto",
+    ]
+
+
+def test_a_sentence_of_the_service_names_the_buttons_of_the_page(browser, tmp_path):
+    why = "a button is pressed: held until 'heliocube auto'; 'heliocube alarms ack x --tracker t7', 'heliocube status'"
+    said = shown(browser, tmp_path, [], why)
+    assert said["told"] == ["A button is pressed: held until Auto; Acknowledge, 'heliocube status'"] * 3
