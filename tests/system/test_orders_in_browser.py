@@ -299,21 +299,35 @@ def test_an_order_says_when_it_was_given_by_the_clock_of_the_dashboard(context, 
     assert page.complaints == []
 
 
-def test_what_was_pressed_while_the_page_stood_still_is_not_done_when_it_goes_on(context, site):
-    page = logged_in(context, site)
-    asked = []
-    page.page.on("request", lambda request: asked.append(request.url) if request.method == "POST" else None)
+def press_late(context, page, button):
+    """Press a button a minute before the page comes to know of it."""
     # A page knows no press from before its own beginning.
     page.page.evaluate("new Promise((go) => setTimeout(go, 11000 - performance.now()))")
-    button = page.page.locator(".order.hold")
     button.scroll_into_view_if_needed()
     box = button.bounding_box()
     place = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2, "button": "left", "clickCount": 1}
     late = context.new_cdp_session(page.page)
     for kind in ("mousePressed", "mouseReleased"):
         late.send("Input.dispatchMouseEvent", {"type": kind, "timestamp": time.time() - 60.0, **place})
+
+
+def test_what_was_pressed_while_the_page_stood_still_is_not_done_when_it_goes_on(context, site):
+    page = logged_in(context, site)
+    asked = []
+    page.page.on("request", lambda request: asked.append(request.url) if request.method == "POST" else None)
+    press_late(context, page, page.page.locator(".order.hold"))
     page.sees(".outcome", "s: what was pressed meanwhile is not done.")
     assert asked == []
+    assert page.complaints == []
+
+
+@pytest.mark.parametrize("button", ["#stop", ".order.stop"])
+def test_a_stop_that_was_pressed_while_the_page_stood_still_is_done_when_it_goes_on(
+    context, site, back_to_tracking, button
+):
+    page = logged_in(context, site)
+    press_late(context, page, page.page.locator(button))
+    page.sees(".outcome", "mode hold: stopped by ana")
     assert page.complaints == []
 
 

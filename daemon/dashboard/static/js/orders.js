@@ -21,11 +21,12 @@ const MEANT_MS = 500;
 const LATE_MS = 10000;
 const GONE_MS = 40000;
 
-// Lets nothing be pressed that the page, or the whole machine, has taken long to hand on: nobody expects it any more.
+// Lets nothing be pressed that the page, or the whole machine, has taken long to hand on, but for a stop: nobody expects
+// it any more.
 export function dropLatePresses(say) {
   const drop = (event) => {
     const late = performance.now() - event.timeStamp;
-    if (late < LATE_MS) return;
+    if (late < LATE_MS || event.target.closest?.("button.stop")) return;
     event.preventDefault();
     event.stopImmediatePropagation();
     say(`The page stood still for ${Math.round(late / 1000)} s: what was pressed meanwhile is not done.`, "warn");
