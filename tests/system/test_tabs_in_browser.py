@@ -59,6 +59,19 @@ def test_seven_tabs_of_one_browser_are_all_live_over_one_stream(context, site):
     wait_until(lambda: listeners(site) in (1, 2), 60, "one stream for seven tabs")
 
 
+def test_who_has_logged_in_or_out_in_one_tab_has_in_the_others(context, site):
+    first, other = browsers.Page(context, site.url, "control"), browsers.Page(context, site.url)
+    first.sees(".hero h1", "Tracking")
+    other.page.locator("#who").click()
+    other.log_in()
+    first.sees("#who", "ana")
+    first.page.locator("#stop").click()
+    first.sees(".outcome", "mode hold: stopped by ana")
+    other.page.locator("#who").click()
+    first.sees("#who", "Log in")
+    assert first.complaints == other.complaints == []
+
+
 def test_what_was_shown_before_a_machine_slept_is_old_when_it_wakes(context, site):
     page = browsers.Page(context, site.url)
     page.sees(".hero h1", "Tracking")

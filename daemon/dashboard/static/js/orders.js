@@ -59,6 +59,9 @@ export class Orders {
     this.time = time;
     const unknown = { by: null, services: [] };
     this.session = unknown;
+    // All tabs of a browser have one login: who has logged in gives a stop in any of them.
+    this.tabs = new BroadcastChannel("session");
+    this.tabs.addEventListener("message", ({ data }) => this.set(data));
     // An answer that comes after somebody has logged in is older than that.
     call("/session").then((session) => this.session === unknown && this.set(session), () => {});
   }
@@ -68,13 +71,19 @@ export class Orders {
     this.changed();
   }
 
+  // Of a session that was begun, changed or ended here.
+  change(session) {
+    this.set(session);
+    this.tabs.postMessage(session);
+  }
+
   may(service) {
     return this.session.services.includes(service);
   }
 
   async logout() {
     try {
-      this.set(await call("/logout", {}));
+      this.change(await call("/logout", {}));
       this.say("Logged out.", "ok");
     } catch (error) {
       this.say(`Not logged out: ${sentenceOf(error)}`, "bad");
@@ -99,7 +108,7 @@ export class Orders {
         event.preventDefault();
         problem.textContent = "";
         try {
-          this.set(await call("/login", { by: by.value, token: token.value }));
+          this.change(await call("/login", { by: by.value, token: token.value }));
           localStorage.setItem("by", by.value);
           dialog.close();
         } catch (error) {
@@ -216,7 +225,7 @@ export class Orders {
     if (what) this.say(`${what} was NOT given: log in first.`, "bad");
     const before = this.session.by;
     const { by, services } = await call("/session").catch(() => this.session);
-    this.set({ by, services: services.filter((each) => each !== service) });
+    this.change({ by, services: services.filter((each) => each !== service) });
     const why = before !== null && by === null ? "Your login has ended: after 30 days without use, by a restart of the dashboard, or by a logout in another tab." : sentenceOf(error);
     return this.login(service, what ? `${why} ${sentence(what)} was NOT given. ${ONCE_IN}` : why);
   }
