@@ -21,7 +21,7 @@ from starlette.staticfiles import StaticFiles
 from daemon.base.addresses import Places
 from daemon.base.clock import Clock
 from daemon.dashboard.guard import PageGuard
-from daemon.dashboard.sessions import Session, Sessions
+from daemon.dashboard.sessions import LONGEST_IDLE_S, Session, Sessions
 from daemon.dashboard.upstream import Fleet, Upstream
 
 STATIC = Path(__file__).with_name("static")
@@ -127,7 +127,13 @@ class Dashboard:
         return Response(content, reply.status_code, headers=kept)
 
     async def _session(self, request: Request) -> Response:
-        return JSONResponse(_session_json(self._sessions.find(_session_name(request))))
+        name = _session_name(request)
+        session = self._sessions.find(name)
+        response = JSONResponse(_session_json(session))
+        if session is not None and name is not None:
+            # Its days begin anew here, as in the sessions.
+            _keep(request, response, name)
+        return response
 
     async def _login(self, request: Request) -> Response:
         given = await _body(request)
@@ -153,9 +159,7 @@ class Dashboard:
         name = self._sessions.open(by, silent | (known.tokens if known else {}) | tokens)
         self._sessions.close(before)
         response = JSONResponse(_session_json(self._sessions.find(name)))
-        secure = request.url.scheme == "https"
-        cookie = _cookie(request)
-        response.set_cookie(cookie, name, max_age=30 * 86400, httponly=True, samesite="strict", secure=secure)
+        _keep(request, response, name)
         return response
 
     async def _accepts(self, service: Upstream, token: str) -> bool | None:
@@ -256,6 +260,13 @@ def _cookie(request: Request) -> str:
     """Return a name that no dashboard at another port has: a browser sends a host's cookies to all of its ports."""
     port = request.headers.get("host", "").rpartition(":")[2]
     return f"heliocube-{port}" if port.isdecimal() else "heliocube"
+
+
+def _keep(request: Request, response: Response, name: str) -> None:
+    """Have the browser keep the name of a session for as long as the session is kept without use."""
+    secure = request.url.scheme == "https"
+    age_s = int(LONGEST_IDLE_S)
+    response.set_cookie(_cookie(request), name, max_age=age_s, httponly=True, samesite="strict", secure=secure)
 
 
 def _session_name(request: Request) -> str | None:

@@ -4,7 +4,9 @@ import secrets
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-_LONGEST_IDLE_S = 30 * 86400.0
+LONGEST_IDLE_S = 30 * 86400.0
+"""How long a session is kept without use [s]."""
+
 _MOST = 100
 _TRIES = 5
 _TRIES_WITHIN_S = 60.0
@@ -55,7 +57,7 @@ class Sessions:
         """Return the session of a name, if there is one that has not been idle for too long."""
         session = self._sessions.get(name or "")
         now_s = self._monotonic()
-        if session is None or now_s - session.used_s > _LONGEST_IDLE_S:
+        if session is None or now_s - session.used_s > LONGEST_IDLE_S:
             return None
         session.used_s = now_s
         return session

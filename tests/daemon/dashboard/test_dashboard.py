@@ -232,6 +232,17 @@ def test_no_token_can_be_tried_while_no_service_answers():
     in_house(scenario)
 
 
+def test_a_page_that_is_opened_begins_the_days_of_its_cookie_anew():
+    async def scenario(house):
+        assert "set-cookie" not in (await house.browser.get("/session")).headers
+        given = (await house.login()).headers["set-cookie"]
+        assert "Max-Age=2592000" in given
+        assert (await house.browser.get("/session")).headers["set-cookie"] == given
+        assert (await house.order()).status_code == 200
+
+    in_house(scenario)
+
+
 def test_logging_out_ends_the_session_for_whoever_has_the_cookie():
     async def scenario(house):
         await house.login()
