@@ -119,6 +119,22 @@ def test_a_tab_behind_another_one_has_the_state_in_its_title(context, site):
     assert behind.text(".hero h1") == "Tracking"
 
 
+def test_the_loss_of_the_dashboard_is_told_by_the_clock_of_the_service(context, tmp_path):
+    # The clock of whoever looks is two months late, and the simulated day is years ago.
+    context.add_init_script("const now = Date.now.bind(Date); Date.now = () => now() - 5e9")
+    with browsers.simulated_site(tmp_path) as site:
+        page = browsers.Page(context, site.url)
+        page.sees(".hero h1", "Tracking")
+        clock = page.text("#clock").split()[0]
+        site.dashboard.stop()
+        page.sees("#banner", "No connection to the dashboard since ")
+        told = page.text("#banner").split("since ")[1].split(".")[0]
+    since, shown = (
+        sum(int(part) * 60**power for power, part in enumerate(reversed(time.split(":")))) for time in (told, clock)
+    )
+    assert 0 <= since - shown < 120
+
+
 def test_the_symbols_stay_when_the_dashboard_is_gone(context, tmp_path):
     dashboard, url = browsers.run_dashboard(tmp_path, f"127.0.0.1:{free_port()}")
     page = browsers.Page(context, url)

@@ -25,6 +25,7 @@ let chosen = sessionStorage.getItem("tracker") ?? localStorage.getItem("tracker"
 if (chosen !== null) sessionStorage.setItem("tracker", chosen);
 let view = null;
 let waiting = false;
+let lost = { at: null, since: "" };
 
 function requestUpdate() {
   if (waiting) return;
@@ -75,10 +76,17 @@ function head({ trackers, entry, service, state, now: time, old }) {
   }
   const banner = byId("banner");
   banner.hidden = live.connected !== false;
-  if (live.connected === false) setText(banner, `No connection to the dashboard since ${localTime(live.lostAt)}. What is shown is old. It is tried again by itself.`);
+  if (live.connected === false) setText(banner, `No connection to the dashboard since ${lostSince(state, time)}. What is shown is old. It is tried again by itself.`);
   setAttr(document.body, "data-old", old ? "" : null);
   // Before the first state nothing is known, and nothing is wrong.
   setAttr(document.body, "data-waiting", !state && service.up !== false ? "" : null);
+}
+
+// Told by the service's clock, as all other times are: that of whoever looks may be wrong. Once for each loss, so that
+// nothing is read out again because a second was rounded the other way.
+function lostSince(state, time) {
+  if (lost.at !== live.lostAt) lost = { at: live.lostAt, since: localTime(state ? time - (Date.now() - live.lostAt) * (state.speed ?? 1) : live.lostAt) };
+  return lost.since;
 }
 
 // A tab behind others shows nothing else, and stands there for hours.
