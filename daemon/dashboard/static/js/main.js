@@ -18,7 +18,7 @@ const FIRST = { stop: "Stop", stow: "Stow" };
 const THEMES = ["auto", "light", "dark"];
 
 const live = new Live(() => requestUpdate());
-const orders = new Orders(byId("outcome"), () => requestUpdate(), () => live.dashboardTime);
+const orders = new Orders(byId("outcome"), () => requestUpdate(), () => live.dashboardTime, () => context().now);
 dropLatePresses((...said) => orders.say(...said));
 // Each tab has its own; a new one begins with the last of any.
 let chosen = sessionStorage.getItem("tracker") ?? localStorage.getItem("tracker");

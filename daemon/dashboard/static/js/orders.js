@@ -52,11 +52,13 @@ async function call(path, body) {
 }
 
 export class Orders {
-  // time: returns the dashboard's, which each order bears: it refuses what was under way for long.
-  constructor(outcome, changed, time) {
+  // time: returns the dashboard's, which each order bears: it refuses what was under way for long. now: returns that of
+  // the service, by which its sentences are told.
+  constructor(outcome, changed, time, now = Date.now) {
     this.outcome = outcome;
     this.changed = changed;
     this.time = time;
+    this.now = now;
     const unknown = { by: null, services: [] };
     this.session = unknown;
     // All tabs of a browser have one login: who has logged in gives a stop in any of them.
@@ -243,7 +245,7 @@ export class Orders {
 
   say(text, kind) {
     this.outcome.replaceChildren(
-      h("p", null, onPage(text[0].toUpperCase() + text.slice(1), Date.now())),
+      h("p", null, onPage(text[0].toUpperCase() + text.slice(1), this.now())),
       h("button", { type: "button", class: "plain", "aria-label": "Dismiss this message", onclick: () => this.say0() }, "×"),
     );
     this.outcome.dataset.kind = kind;

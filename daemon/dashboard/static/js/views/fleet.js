@@ -28,15 +28,17 @@ export function fleet(orders) {
     h("section", { class: "orders", "aria-label": "Orders to all" }, all), results,
     card("Trackers", { class: "wide" }, h("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Trackers, one a row" }, table)));
   let ordered = null;
+  let known = new Map();
 
   async function giveAll(name) {
     const found = await orders.giveAll(name);
     if (!found) return;
     ordered = name === "stow" ? performance.now() : null;
-    results.replaceChildren(...found.map(({ service, accepted, text }) => h("li", { class: accepted ? null : "problem" }, `${service}: ${accepted ? "" : "NOT DONE: "}${onPage(text, Date.now())}`)));
+    results.replaceChildren(...found.map(({ service, accepted, text }) => h("li", { class: accepted ? null : "problem" }, `${service}: ${accepted ? "" : "NOT DONE: "}${onPage(text, serviceNow(known.get(service) ?? {}))}`)));
   }
 
   function update({ trackers, live }) {
+    known = live.services;
     const rows = trackers.map((entry) => row(entry, live.connected));
     compare(rows);
     const own = rows.filter(({ tracker }) => tracker);
