@@ -177,6 +177,8 @@ def test_with_letters_twice_as_large_nothing_leaves_the_screen_of_a_phone(browse
             page.show(view)
             page.page.wait_for_selector(shown)
             assert page.page.evaluate("document.documentElement.scrollWidth") == 320, view
+        page.page.locator("#who").click()
+        assert page.page.get_by_role("dialog").evaluate("dialog => dialog.scrollWidth - dialog.clientWidth") == 0
         assert page.complaints == []
     finally:
         large.close()

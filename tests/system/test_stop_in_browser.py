@@ -125,6 +125,8 @@ def test_of_several_trackers_the_orders_name_theirs_in_every_view(browser, tmp_p
             page.page.set_viewport_size({"width": width, "height": 740})
             assert page.page.evaluate("document.documentElement.scrollWidth") == width
             assert page.page.locator("#tracker").bounding_box()["width"] > 85, "the name of a tracker can be read"
+            whole = page.page.locator(".top button:visible, .top a:not(.skip):visible, #tracker")
+            assert whole.evaluate_all(f"all => all.every({IN_REACH})"), f"one lies over the other at {width}"
         assert page.complaints == []
 
 
