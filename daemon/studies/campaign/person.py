@@ -15,6 +15,8 @@ STANDS_DEG = 0.003
 WORKS = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT)
 _WHY = "the campaign"
 _LONGEST_SENTENCE = 500
+# A stop is sent first and kept then: a process that dies in between has forgotten it.
+_KEPT_WITHIN_S = 0.01
 
 
 def known(door: Door) -> list[str]:
@@ -51,9 +53,13 @@ class Person:
         maintained_before = self._watch.maintained
         self._begins(name)
         given, plant, watch = self._given, self._plant, self._watch
-        generation = plant.service
+        generation, asked_s = plant.service, self._now_s
         try:
             answer = await self._door.give(plant.service, name, value, _WHY)
+        except asyncio.CancelledError:
+            if self._now_s - asked_s < _KEPT_WITHIN_S:
+                self._dies(name, was_stopped=stopped_before, was_maintained=maintained_before)
+            raise
         except CommandError as error:
             if name == "maintenance" and not maintained_before and "could not be sent" not in str(error):
                 watch.maintenance_ends()
@@ -83,6 +89,12 @@ class Person:
         elif name in ("clear", "home"):
             # From here on a person answers for the count.
             self._watch.reference.excused = True
+
+    def _dies(self, name: str, *, was_stopped: bool, was_maintained: bool) -> None:
+        if name == "stop" and not was_stopped:
+            self._watch.stop_is_released()
+        elif name == "maintenance" and not was_maintained:
+            self._watch.maintenance_ends()
 
     async def _give_wrong(self, value: tuple[float, ...]) -> None:
         plant, watch = self._plant, self._watch
