@@ -56,6 +56,7 @@ def discovery(
     if not enabled:
         return [Message(topic, b"", 1, retain=True)]
     orders = _commands(topics, dated=dated)
+    orders["reply"] = _reply(topics)
     known = _CUBE | _TRACKER | orders
     offered = known if tracker else _CUBE | {key: orders[key] for key in _ORDERS_OF_A_CUBE}
     if not commands:
@@ -116,12 +117,20 @@ def _bad_faces() -> dict[str, Any]:
 
 def _pose(axis: str) -> dict[str, Any]:
     pose = "value_json.tracker.pose"
-    return _sensor(f"Angle {axis.upper()}", f"{pose}.{axis}_deg if {pose} and not {pose}.stale else none", "°")
+    # Home Assistant would show -0.0.
+    return _sensor(f"Angle {axis.upper()}", f"{pose}.{axis}_deg + 0 if {pose} and not {pose}.stale else none", "°")
 
 
 def _motor(axis: str) -> dict[str, Any]:
     value = f"value_json.tracker.motor_current_a.{axis}"
     return _sensor(f"Motor current {axis.upper()}", value, "A", "current", **_DIAGNOSTIC)
+
+
+def _reply(topics: Topics) -> dict[str, Any]:
+    """Return the sensor that tells what came of the last command: nothing else in Home Assistant shows a refusal."""
+    text = "(value_json.command ~ (': ' if value_json.accepted else ' refused: ') ~ value_json.text)[:255]"
+    topic = {"state_topic": topics.reply, "json_attributes_topic": topics.reply}
+    return _sensor("Last reply", text, None, None, **topic, force_update=True)
 
 
 def _commands(topics: Topics, *, dated: bool) -> dict[str, dict[str, Any]]:
@@ -143,22 +152,23 @@ def _commands(topics: Topics, *, dated: bool) -> dict[str, dict[str, Any]]:
         f"press_{name}": {
             "platform": "button",
             "name": label,
+            "icon": f"mdi:{icon}",
             "command_topic": topics.command(name),
             "payload_press": _PRESS,
             **({"command_template": _DATED.format(_PRESS.strip("{}"))} if dated else {}),
         }
-        for name, label in {
-            "stow": "Stow",
-            "stop": "Stop",
-            "hold": "Hold",
-            "auto": "Track",
-            "acknowledge": "Acknowledge alarms",
-        }.items()
+        for name, label, icon in (
+            ("stow", "Stow", "weather-windy"),
+            ("stop", "Stop", "stop"),
+            ("hold", "Hold", "pause"),
+            ("auto", "Track", "weather-sunny"),
+            ("acknowledge", "Acknowledge alarms", "bell-check"),
+        )
     }
     return {"command": select, **buttons}
 
 
-_ORDERS_OF_A_CUBE = ("press_acknowledge",)
+_ORDERS_OF_A_CUBE = ("press_acknowledge", "reply")
 _DIAGNOSTIC = {"entity_category": "diagnostic"}
 _CUBE = {
     **{f"irradiance_{name}": _face(name) for name in FACES},

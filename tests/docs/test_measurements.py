@@ -58,6 +58,7 @@ NOT_RUN = {
     ),
     "endurance": "a day takes many seconds",
     "firmware_agreement": "tests/firmware does the same with some sequences",
+    "home_assistant": "asks for another Python, and installs Home Assistant",
     "make_samples": "tests/daemon/studies/samples makes them again",
     "theory_octave": "asks for Octave",
 }

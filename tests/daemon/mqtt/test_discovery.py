@@ -93,7 +93,7 @@ def test_without_commands_or_without_a_tracker_their_entities_are_removed_and_no
     without = document(commands=False)["components"]
     assert set(without) == set(all_of_them)
     gone = {key for key, component in without.items() if set(component) == {"platform"}}
-    assert gone == {key for key, component in all_of_them.items() if component["platform"] in ("select", "button")}
+    assert gone == {key for key, found in all_of_them.items() if found["platform"] in ("select", "button")} | {"reply"}
     cube = document(tracker=False)["components"]
     assert set(cube["mode"]) == {"platform"}
     assert set(cube["command"]) == set(cube["press_stop"]) == {"platform"}
@@ -129,9 +129,12 @@ def test_every_template_finds_its_value_in_the_state_and_every_button_is_a_comma
                 first = await lab.until("heliocube/tracker/state")
                 components = found["components"]
                 for component in components.values():
+                    # What has a topic of its own is not read from the state.
+                    if "state_topic" in component:
+                        continue
                     for path in re.findall(r"value_json((?:\.\w+)+)", component.get("value_template", "")):
                         _follow(tracking, path)
-                values = {key: _rendered(component, tracking) for key, component in components.items()}
+                values = {key: _rendered(found, tracking) for key, found in components.items() if key != "reply"}
                 assert values["mode"] == "tracking"
                 assert values["command"] == "auto"
                 assert values["connected"] == "ON"
@@ -157,8 +160,13 @@ def test_every_template_finds_its_value_in_the_state_and_every_button_is_a_comma
                 assert _rendered(components["irradiance_east"], tracking) is not None
                 button = components["press_stow"]
                 await lab.say(button["command_topic"], button["payload_press"])
-                assert (await lab.until("heliocube/tracker/reply"))["accepted"] is True
+                assert (await lab.until(components["reply"]["state_topic"]))["accepted"] is True
                 await rig.until_mode(Mode.STOW, 100)
+                await lab.say(components["press_hold"]["command_topic"], "{}")
+                refused = await lab.until("heliocube/tracker/reply", lambda reply: not reply["accepted"])
+                assert _rendered(components["reply"], refused).startswith("hold refused: no hold while the tracker is")
+                assert _rendered(components["reply"], {**refused, "accepted": True}).startswith("hold: no hold")
+                assert len(_rendered(components["reply"], {**refused, "text": "a" * 300})) == 255
 
     scaled(scenario)
 
@@ -208,6 +216,11 @@ def test_the_command_is_what_a_person_asked_for_also_while_a_fault_stands_in_its
     wishes = {name: {"why": "x"} if name == wish else None for name in Wishes.model_fields}
     state = {"mode": {"name": mode}, "wishes": wishes}
     assert _rendered(document()["components"]["command"], state) == shown
+
+
+def test_an_angle_of_nothing_has_no_sign():
+    state = {"tracker": {"pose": {"a_deg": -0.0, "b_deg": 90.0, "stale": False}}}
+    assert str(_rendered(document()["components"]["angle_a"], state)) == "0.0"
 
 
 @pytest.mark.parametrize(
