@@ -1,0 +1,55 @@
+"""Ten trackers on a phone: with large letters, lying on its side, and by the keyboard of whoever cannot point."""
+
+import pytest
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+from tests.system import browser as browsers  # noqa: E402 - it needs playwright
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(browsers.CHROMIUM is None, reason="chromium is not installed: no browser for the dashboard"),
+]
+
+# Whoever presses a button near its edge means it, too.
+IN_REACH = """button => {
+  const { left, right, top, bottom } = button.getBoundingClientRect();
+  const places = [[left + 9, top + 9], [right - 9, top + 9], [left + 9, bottom - 9], [right - 9, bottom - 9]];
+  return places.every(([x, y]) => button.contains(document.elementFromPoint(x, y)));
+}"""
+IS_CUT = "button => button.scrollWidth > button.clientWidth || button.scrollHeight > button.clientHeight"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    with browsers.fleet_site(tmp_path_factory.mktemp("site")) as found:
+        yield found
+
+
+def shown(context, site, view):
+    page = browsers.Page(context, site.url, view)
+    page.sees(".hero h1", "10 trackers" if view == "fleet" else "Tracking")
+    return page
+
+
+def test_with_letters_twice_as_large_no_button_is_cut_and_no_answer_lies_over_the_stop(browser, site):
+    large = browsers.launch(browser.browser_type, "--blink-settings=defaultFontSize=32")
+    try:
+        page = shown(large.new_context(viewport={"width": 320, "height": 568}), site, "now")
+        assert not page.page.locator("#who").evaluate(IS_CUT)
+        page.page.locator("#who").click()
+        page.log_in()
+        for name in ("stow", "maintenance", "home"):
+            page.show("control")
+            page.page.locator(f".order.{name}").click()
+            assert not page.page.locator("dialog .go").evaluate(IS_CUT), name
+            page.page.keyboard.press("Escape")
+        page.page.locator("#stop").click()
+        page.sees(".outcome", "mode hold: stopped by ana since ")
+        for button in page.page.locator(".first button, .tabs a").all():
+            assert button.evaluate(IN_REACH), "the answer lies over it"
+        page.page.get_by_role("button", name="Dismiss this message").click()
+        assert page.complaints == []
+    finally:
+        large.close()
+        site.order("auto", tracker="t0")
