@@ -53,3 +53,23 @@ def test_with_letters_twice_as_large_no_button_is_cut_and_no_answer_lies_over_th
     finally:
         large.close()
         site.order("auto", tracker="t0")
+
+
+# What a person at the keyboard is at, as the eye finds it: where no bar lies over its middle.
+IS_COVERED = """() => {
+  const at = document.activeElement, { left, right, top, bottom } = at.getBoundingClientRect();
+  const found = document.elementFromPoint((left + right) / 2, (top + bottom) / 2);
+  return at !== document.body && !at.contains(found) && !found?.contains(at) && (at.innerText || at.name || at.id);
+}"""
+
+
+@pytest.mark.parametrize("viewport", [(320, 568), (640, 360)], ids=["upright", "as a desktop at 200 %"])
+def test_whoever_goes_through_a_view_by_the_keyboard_finds_no_bar_over_the_place(browser, site, viewport):
+    with browser.new_context(viewport=dict(zip(("width", "height"), viewport, strict=True))) as context:
+        page = shown(context, site, "control")
+        covered = []
+        for key in ["Tab"] * 24 + ["Shift+Tab"] * 24:
+            page.page.keyboard.press(key)
+            covered.append(page.page.evaluate(IS_COVERED))
+        assert not any(covered), covered
+        assert page.complaints == []
