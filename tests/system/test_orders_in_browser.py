@@ -129,27 +129,14 @@ def test_neither_a_double_click_nor_a_held_key_answers_the_question_that_it_open
     assert page.complaints == []
 
 
-def test_alarms_push_no_stop_off_the_screen_of_a_phone(context, site):
+def test_alarms_push_no_order_off_the_screen_of_a_phone(context, site):
     page = browsers.Page(context, site.url, "control")
     page.page.set_viewport_size(browsers.PHONE)
     page.sees(".hero h1", "Tracking")
     page.page.locator(".alarms").evaluate("alarms => alarms.style.minHeight = '2000px'")
     page.page.locator(".alarms").evaluate("alarms => alarms.append('three of them')")
-    stop = page.page.locator(".order.stop").bounding_box()
-    assert stop["y"] + stop["height"] < page.page.locator(".first").bounding_box()["y"]
-
-
-def test_no_answer_to_an_order_lies_over_the_stop_of_a_phone(context, site, back_to_tracking):
-    page = browsers.Page(context, site.url, "control")
-    page.page.set_viewport_size({"width": 360, "height": 740})
-    page.sees(".hero h1", "Tracking")
-    page.page.locator(".order.stop").click()
-    page.log_in()
-    page.sees(".hero h1", "Stopped by a person")
-    page.sees(".outcome", "mode hold: stopped by ana")
-    stop = page.page.locator(".order.stop").bounding_box()
-    answer = page.page.locator(".outcome").bounding_box()
-    assert answer["y"] + answer["height"] <= stop["y"] or answer["y"] >= stop["y"] + stop["height"]
+    auto = page.page.locator(".order.auto").bounding_box()
+    assert auto["y"] + auto["height"] < page.page.locator(".first").bounding_box()["y"]
 
 
 def test_a_reference_run_is_told_by_the_name_of_its_order(context, site, back_to_tracking):
@@ -176,7 +163,7 @@ def test_with_letters_twice_as_large_nothing_leaves_the_screen_of_a_phone(browse
         page = browsers.Page(large.new_context(viewport={"width": 320, "height": 640}), site.url)
         for view, shown in [
             ("now", ".equipment td"),
-            ("control", ".order"),
+            ("control", ".order.auto"),
             ("fleet", ".fleet td"),
             ("day", ".day select"),
         ]:

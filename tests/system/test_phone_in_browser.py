@@ -39,10 +39,10 @@ def test_with_letters_twice_as_large_no_button_is_cut_and_no_answer_lies_over_th
         assert not page.page.locator("#who").evaluate(IS_CUT)
         page.page.locator("#who").click()
         page.log_in()
-        for name in ("stow", "maintenance", "home"):
+        for button in ("#stow", ".order.maintenance", ".order.home"):
             page.show("control")
-            page.page.locator(f".order.{name}").click()
-            assert not page.page.locator("dialog .go").evaluate(IS_CUT), name
+            page.page.locator(button).click()
+            assert not page.page.locator("dialog .go").evaluate(IS_CUT), button
             page.page.keyboard.press("Escape")
         page.page.locator("#stop").click()
         page.sees(".outcome", "mode hold: stopped by ana since ")
@@ -73,3 +73,11 @@ def test_whoever_goes_through_a_view_by_the_keyboard_finds_no_bar_over_the_place
             covered.append(page.page.evaluate(IS_COVERED))
         assert not any(covered), covered
         assert page.complaints == []
+
+
+def test_on_a_phone_control_has_each_order_once(browser, site):
+    with browser.new_context(viewport=browsers.PHONE) as context:
+        page = shown(context, site, "control")
+        words = [text.split("\n")[0] for text in page.page.locator("button:visible").all_inner_texts()]
+        assert {"Stop", "Stow", "Hold", "Auto", "Maintenance"} <= set(words)
+        assert len(set(words)) == len(words), words

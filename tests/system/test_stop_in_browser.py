@@ -15,7 +15,7 @@ pytestmark = [
     pytest.mark.skipif(browsers.CHROMIUM is None, reason="chromium is not installed: no browser for the dashboard"),
 ]
 
-VIEWS = {"now": ".equipment td", "day": ".day .log li", "fleet": ".fleet td", "control": ".order"}
+VIEWS = {"now": ".equipment td", "day": ".day .log li", "fleet": ".fleet td", "control": ".order.auto"}
 # Without the day, which is the service's, though not that of whoever looks.
 ANSWER = re.compile(r"mode hold: stopped by ana since \d\d:\d\d.local")
 SMALL = {"width": 360, "height": 740}
