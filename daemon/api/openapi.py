@@ -24,12 +24,12 @@ from daemon.api.models import (
     StatePage,
     SunPage,
 )
-from daemon.service.command_bodies import AcknowledgeBody, CommandBody, GotoBody, ModeBody, body_of
+from daemon.service.command_bodies import AcknowledgeBody, AutoBody, CommandBody, GotoBody, ModeBody, body_of
 from daemon.service.operator_commands import LONGEST_BODY, NAMES
 from daemon.store.history import KINDS_OF_LINES, KINDS_OF_NUMBERS
 
 _REF = "#/components/schemas/{model}"
-_CHECKED: tuple[type[BaseModel], ...] = (AcknowledgeBody, CommandBody, GotoBody, ModeBody)
+_CHECKED: tuple[type[BaseModel], ...] = (AcknowledgeBody, AutoBody, CommandBody, GotoBody, ModeBody)
 _ANSWERS: tuple[type[BaseModel], ...] = (
     AuthorisedPage,
     CommandPage,

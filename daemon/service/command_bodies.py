@@ -86,6 +86,16 @@ class GotoBody(CommandBody):
     b_deg: Degrees = Field(description="Where to: axis B, in degrees.")
 
 
+class AutoBody(CommandBody):
+    """What comes with auto."""
+
+    shown: dict[str, str | None] | None = Field(
+        None,
+        description="The `since` of each of the `wishes` of the state that whoever asks was shown, by name: if anything"
+        " else is asked for by then, nothing is ended.",
+    )
+
+
 class ModeBody(CommandBody):
     """What comes with mode."""
 
@@ -104,6 +114,8 @@ def body_of(name: str) -> type[CommandBody]:
         return GotoBody
     if name == "acknowledge":
         return AcknowledgeBody
+    if name == "auto":
+        return AutoBody
     return ModeBody if name == "mode" else CommandBody
 
 
@@ -143,6 +155,8 @@ def check(name: str, found: dict[str, Any], more: tuple[str, ...] = ()) -> Comma
     for key in (*lines, "alarm"):
         if key in wrong:
             raise ValueError(f'"{key}" must be one line of text with at most {_LONGEST_LINE} letters')
+    if "shown" in wrong:
+        raise ValueError('"shown" must have the time of each wish, such as {"stop": "2026-06-21T10:00:00.000Z"}')
     if model is ModeBody:
         stop = "; a stop is the command stop" if "stop" in str(own.get("mode")).lower() else ""
         raise ValueError(f"the mode must be one of {', '.join(MODES)}{stop}")

@@ -201,13 +201,12 @@ class Operator:
         control.tick()
         return await self._on_the_way(a_deg, b_deg, before)
 
-    async def auto(self, why: str, by: str = "", given_utc_s: float = math.inf) -> Answer:
-        """End all that persons asked for, if before this was given: stop, maintenance, stow, snow, hold and goto."""
+    async def auto(self, why: str, by: str = "", later: Callable[[Wishes], str | None] = lambda _: None) -> Answer:
+        """End all that persons asked for: stop, maintenance, stow, snow, hold and goto; nothing if one came later."""
         control = self._control
         before = control.wishes
-        later = before.later_than(given_utc_s)
-        if later is not None:
-            raise CommandError(f"it was given before what it would end, so give it again; the tracker is {later}")
+        if (kept := later(before)) is not None:
+            raise CommandError(f"it was given before what it would end, so give it again; the tracker is {kept}")
         control.auto()
         self._note("auto", why, by)
         control.tick()

@@ -15,9 +15,10 @@ from daemon.base.alarms.alarms import Alarms
 from daemon.base.process import TRACKER
 from daemon.base.recurrence import RateLimit
 from daemon.service.acknowledge import acknowledge
-from daemon.service.command_bodies import NO_REASON, AcknowledgeBody, GotoBody, ModeBody, check
+from daemon.service.command_bodies import NO_REASON, AcknowledgeBody, AutoBody, GotoBody, ModeBody, check
 from daemon.service.operator import Answer, CommandError, Operator, Seen
 from daemon.service.tracker import Tracker
+from daemon.tracker.wishes import Wishes
 
 NAMES = (
     "stow",
@@ -80,6 +81,8 @@ class Command:
         Of a goto; NaN of others.
     alarm
         Which is acknowledged, or None for all.
+    shown
+        Since when each wish stood that whoever says auto was shown; None where that is not said.
     """
 
     name: str
@@ -93,6 +96,7 @@ class Command:
     a_deg: float = math.nan
     b_deg: float = math.nan
     alarm: str | None = None
+    shown: dict[str, str | None] | None = None
 
     def meant_for(self, trackers: Sequence[str]) -> "Command":
         """Return the command for the tracker that a query names, if any; `CommandError` if another is named besides.
@@ -112,10 +116,15 @@ class Command:
         """Return what one tracker did; raises `CommandError` where the command is refused."""
         if self.wanted == "goto":
             return await operator.goto(self.a_deg, self.b_deg, self.why, self.by)
-        if self.wanted == "auto" and self.time_utc_s is not None:
-            return await operator.auto(self.why, self.by, self.time_utc_s)
+        if self.wanted == "auto":
+            return await operator.auto(self.why, self.by, self._later)
         answer: Answer = await getattr(operator, self.wanted)(self.why, self.by)
         return answer
+
+    def _later(self, wishes: Wishes) -> str | None:
+        """Return in words what came after this was given, or after what whoever gave it was shown; or None."""
+        later = None if self.time_utc_s is None else wishes.later_than(self.time_utc_s)
+        return later or (None if self.shown is None else wishes.not_in(self.shown))
 
 
 class Operators:
@@ -297,6 +306,7 @@ def parse(name: str, content: bytes, way: str) -> Command:
         a_deg=place[0],
         b_deg=place[1],
         alarm=(body.alarm or None) if isinstance(body, AcknowledgeBody) else None,
+        shown=body.shown if isinstance(body, AutoBody) else None,
     )
 
 

@@ -262,8 +262,7 @@ def _asked(mode: Mode, wishes: Wishes) -> str | None:
 def _wish(wish: Wish | None) -> dict[str, Any] | None:
     if wish is None:
         return None
-    since = None if wish.since_utc_s is None else iso_utc(wish.since_utc_s)
-    return {"why": wish.why, "by": wish.by, "since": since}
+    return {"why": wish.why, "by": wish.by, "since": wish.since}
 
 
 def _scan(seen: Snapshot) -> dict[str, Any] | None:

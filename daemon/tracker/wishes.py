@@ -4,7 +4,7 @@ A service that is killed in a storm or under repair and comes back must not go t
 """
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat
@@ -51,6 +51,11 @@ class Wish(BaseModel):
     by: str = ""
     since_utc_s: float | None = Field(default=None, allow_inf_nan=False, ge=LEAST_SHOWN_UTC_S, le=MOST_SHOWN_UTC_S)
     goto_deg: tuple[FiniteFloat, FiniteFloat] | None = Field(default=None, strict=False)
+
+    @property
+    def since(self) -> str | None:
+        """When, as the state shows it; None where that is not known."""
+        return None if self.since_utc_s is None else iso_utc(self.since_utc_s)
 
     @property
     def whence(self) -> str:
@@ -106,6 +111,17 @@ class Wishes(BaseModel):
         for name in type(self).model_fields:
             wish: Wish | None = getattr(self, name)
             if wish is not None and wish.since_utc_s is not None and wish.since_utc_s > utc_s + _WHOLE_SECONDS_S:
+                return self.describe(name)
+        return None
+
+    def not_in(self, shown: Mapping[str, str | None]) -> str | None:
+        """Return in words what stands and was not shown, or since another time, or None.
+
+        By equality: a clock that was set back would hide for hours what is asked for now, or forbid to end it.
+        """
+        for name in type(self).model_fields:
+            wish: Wish | None = getattr(self, name)
+            if wish is not None and (name not in shown or shown[name] != wish.since):
                 return self.describe(name)
         return None
 

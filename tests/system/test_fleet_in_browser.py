@@ -30,3 +30,48 @@ def test_on_a_phone_no_mode_is_broken_within_its_word(browser, tmp_path, width):
         assert page.page.locator(".fleet td").first.evaluate(LINES) == 1
         assert page.page.evaluate("document.documentElement.scrollWidth") == width
         assert page.complaints == []
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    with browsers.fleet_site(tmp_path_factory.mktemp("site")) as found:
+        yield found
+
+
+def stopped_by(site):
+    return {
+        name: tracker["wishes"]["stop"]["by"]
+        for name, tracker in site.state()["trackers"].items()
+        if tracker["wishes"]["stop"]
+    }
+
+
+@pytest.mark.parametrize("viewport", [browsers.PHONE, browsers.DESKTOP], ids=["phone", "desktop"])
+def test_what_stop_all_has_stopped_is_released_one_by_one_and_never_what_was_not_shown(browser, site, viewport):
+    with browser.new_context(viewport=viewport) as context:
+        page = browsers.Page(context, site.url, "fleet")
+        page.sees(".hero h1", "10 trackers")
+        autos = page.page.locator(".fleet .release button:visible")
+        page.page.get_by_role("button", name="Stop all").click()
+        page.log_in()
+        page.sees(".hero .why", "10 stopped")
+        playwright.expect(autos).to_have_count(10)
+        page.page.get_by_role("button", name="Auto t7, SIRTA").click()
+        page.sees("dialog .wish", "Stopped by ana since ")
+        # Somebody else stops it while the question is read.
+        site.order("stop", tracker="t7", by="ben", why="a hand")
+        page.page.get_by_role("button", name="Auto now").click()
+        page.sees(".outcome", "It was given before what it would end, so give it again; the tracker is stopped by ben")
+        assert stopped_by(site) == {**{f"t{number}": "ana" for number in range(10)}, "t7": "ben"}
+        page.page.wait_for_function("document.querySelectorAll('.fleet td')[7 * 9].title.startsWith('stopped by ben')")
+        page.page.get_by_role("button", name="Auto t7, SIRTA").click()
+        page.sees("dialog .wish", "Stopped by ben since ")
+        page.sees("dialog .wish", ": a hand.")
+        page.page.get_by_role("button", name="Auto now").click()
+        page.sees(".hero .why", "9 stopped, 1 tracking")
+        assert "t7" not in stopped_by(site)
+        playwright.expect(autos).to_have_count(9)
+        assert page.page.evaluate("document.documentElement.scrollWidth") == viewport["width"]
+        assert page.complaints == []
+    for name in stopped_by(site):
+        site.order("auto", tracker=name)

@@ -1,6 +1,7 @@
 """Commands over the interface: what they do, to which tracker, and which token and body they need."""
 
 import asyncio
+import json
 import socket
 
 import pytest
@@ -181,5 +182,32 @@ def test_a_body_without_end_is_not_read_to_its_end(serve):
         assert b"413" in await replying
         assert sent < 200 << 20
         writer.close()
+
+    serve(scenario)
+
+
+def test_an_auto_ends_nothing_that_whoever_gave_it_was_not_shown(serve):
+    async def scenario(rig, call):
+        await tracking(rig)
+        await call.post("stow", b'{"by": "ana"}')
+        shown = {name: wish["since"] for name, wish in (await call.get("/api/state")).json["wishes"].items() if wish}
+        auto = json.dumps({"by": "ana", "shown": shown}).encode()
+        await asyncio.sleep(0.01)
+        await call.post("stop", b'{"by": "ben", "why": "a hand"}')
+        refused = await call.post("auto", auto)
+        assert refused.status == 409
+        assert refused.json["error"].startswith("it was given before what it would end, so give it again; ")
+        assert "stopped by ben since" in refused.json["error"]
+        assert rig.control.wishes.stop is not None
+        # Whatever has happened to the clock since.
+        stop = (await call.get("/api/state")).json["wishes"]["stop"]["since"]
+        both = await call.post("auto", json.dumps({"shown": shown | {"stop": stop}}).encode())
+        assert both.status == 200
+        assert rig.mode is Mode.TRACKING
+        wrong = await call.post("auto", b'{"shown": {"stop": 1}}')
+        assert wrong.status == 400
+        assert wrong.json["error"].startswith('"shown" must have the time of each wish')
+        await call.post("stop", b"")
+        assert (await call.post("auto", b"")).status == 200, "whoever does not say what was shown"
 
     serve(scenario)

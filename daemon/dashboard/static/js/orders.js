@@ -2,6 +2,7 @@
 
 import { h, icon } from "./dom.js";
 import { onPage, sentence } from "./format.js";
+import { wishList } from "./views/hero.js";
 
 const WORDS = {
   stow: { title: "Stow", about: "The tracker goes to its stow position and stays there until Auto." },
@@ -132,8 +133,8 @@ export class Orders {
     return dialog;
   }
 
-  // Asks whether it is meant; resolves to the reason to note, or null.
-  confirm(name, whom) {
+  // Asks whether it is meant, with what it would end; resolves to the reason to note, or null.
+  confirm(name, whom, ends = []) {
     return new Promise((resolve) => {
       let answer = null;
       const why = h("input", { name: "why", maxlength: 200, autocomplete: "off" });
@@ -141,7 +142,7 @@ export class Orders {
       // one that is disabled, the button can have the focus from the start.
       const yes = h("button", { type: "submit", class: `go ${name}`, "aria-disabled": "true" }, icon(name), `${WORDS[name].title} now`);
       const no = h("button", { type: "button", class: "plain wide", onclick: () => dialog.close() }, "Cancel");
-      const form = h("form", { method: "dialog" }, h("h2", null, `${WORDS[name].title}: ${whom}`), h("p", null, WORDS[name].about), yes,
+      const form = h("form", { method: "dialog" }, h("h2", null, `${WORDS[name].title}: ${whom}`), h("p", null, WORDS[name].about), ends, yes,
         h("label", null, "Reason, for the records (may stay empty)", why), no);
       const dialog = this.open(form, () => resolve(answer));
       form.addEventListener("submit", (event) => {
@@ -178,8 +179,11 @@ export class Orders {
 
   async ask(name, entry) {
     if (!this.may(entry.service.name) && !(await this.admitted(name, entry))) return false;
-    const why = await this.confirm(name, entry.label);
-    return why === null ? false : this.give(name, entry, why ? { why } : {});
+    // The service ends nothing that came later than this question: nobody releases a stop that was not seen.
+    const wishes = name === "auto" ? Object.entries(entry.tracker.wishes).filter(([, wish]) => wish) : [];
+    const shown = name === "auto" ? { shown: Object.fromEntries(wishes.map(([wish, { since }]) => [wish, since])) } : {};
+    const why = await this.confirm(name, entry.label, wishList(Object.fromEntries(wishes), this.now()));
+    return why === null ? false : this.give(name, entry, { ...shown, ...(why ? { why } : {}) });
   }
 
   // Stows or stops every tracker of every service; resolves to what came of it at each, or null.

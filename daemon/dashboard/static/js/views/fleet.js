@@ -7,7 +7,7 @@ import { elapsed, isOld, serviceNow } from "../live.js";
 import { target } from "./dome.js";
 import { inAWord, KIND, TITLE } from "./hero.js";
 
-const HEADS = ["Tracker", "Mode", "A actual / set", "B actual / set", "Off its set point", "Set point off the median", "Wind", "Age", "Alarms"];
+const HEADS = ["Tracker", "Mode", "A actual / set", "B actual / set", "Off its set point", "Set point off the median", "Wind", "Age", "Alarms", "Order"];
 // As independent monitors count a tracker as not available.
 const FAR_DEG = 5;
 const DOWN = ", cube down";
@@ -29,6 +29,9 @@ export function fleet(orders) {
     card("Trackers", { class: "wide" }, h("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Trackers, one a row" }, table)));
   let ordered = null;
   let known = new Map();
+  let entries = new Map();
+  // One by one, as somebody may be at any of them.
+  const release = (key, label) => h("td", { class: "release" }, h("button", { type: "button", class: "plain", "aria-label": `Auto ${label}`, onclick: () => orders.ask("auto", entries.get(key)) }, "Auto"));
 
   async function giveAll(name) {
     const found = await orders.giveAll(name);
@@ -39,6 +42,7 @@ export function fleet(orders) {
 
   function update({ trackers, live }) {
     known = live.services;
+    entries = new Map(trackers.map((entry) => [entry.key, entry]));
     const rows = trackers.map((entry) => row(entry, live.connected));
     compare(rows);
     const own = rows.filter(({ tracker }) => tracker);
@@ -60,7 +64,7 @@ export function fleet(orders) {
     setText(progress, underWay ? `${stowed} of ${own.length} stand stowed${gone ? `, ${silent}` : ""}` : ordered && done ? `All ${own.length} stand stowed.` : "");
     setText(since, underWay ? `, ${duration((performance.now() - ordered) / 1000)} after the order` : "");
     for (const button of all) button.disabled = own.length === 0;
-    fill(body, rows.map(({ key, label }) => [key, label]), () => rows.map(({ key, label }) => h("tr", null, h("th", { scope: "row" }, h("a", { href: "#now", "data-key": key }, label)), HEADS.slice(1).map((name) => h("td", { "data-name": name })))));
+    fill(body, rows.map(({ key, label }) => [key, label]), () => rows.map(({ key, label }) => h("tr", null, h("th", { scope: "row" }, h("a", { href: "#now", "data-key": key }, label)), HEADS.slice(1, -1).map((name) => h("td", { "data-name": name })), release(key, label))));
     rows.forEach((each, index) => show(body.children[index], each));
   }
 
@@ -112,7 +116,8 @@ function median(values) {
 const worse = (value, moving) => (value === null || value === undefined ? null : value >= FAR_DEG && !moving ? "bad" : value >= 1 && !moving ? "warn" : "ok");
 
 function show(line, each) {
-  const [, mode, a, b, off, astray, wind, age, alarms] = line.children;
+  const [, mode, a, b, off, astray, wind, age, alarms, release] = line.children;
+  release.firstChild.hidden = !Object.values(each.tracker?.wishes ?? {}).some(Boolean);
   const moving = each.tracker?.tracker.moving;
   setAttr(line, "data-kind", each.kind);
   setText(mode, `${TITLE[each.mode] ? each.mode : sentence(each.mode)}${each.cube}`);

@@ -88,7 +88,7 @@ function alarmList(alarms, tracker, now, acknowledge) {
   ];
 }
 
-function wishList(wishes, now) {
+export function wishList(wishes, now) {
   return Object.entries(wishes).filter(([, wish]) => wish).map(([name, wish]) =>
     h("article", { class: "wish" }, icon(name === "buttons" ? "hold" : name),
       h("p", null, h("strong", null, WISH[name] ?? name), wish.by ? ` by ${wish.by}` : "", wish.since ? ` since ${at(wish.since, now)}` : "", `: ${onPage(wish.why, now)}. `, h("em", null, "Ends with Auto."))));
