@@ -55,6 +55,7 @@ def test_what_stop_all_has_stopped_is_released_one_by_one_and_never_what_was_not
         page.page.get_by_role("button", name="Stop all").click()
         page.log_in()
         page.sees(".hero .why", "10 stopped")
+        assert page.text(".fleet td") == "stopped", "as 'tracking' and 'hold' stand there"
         playwright.expect(autos).to_have_count(10)
         page.page.get_by_role("button", name="Auto t7, SIRTA").click()
         page.sees("dialog .wish", "Stopped by ana since ")

@@ -5,7 +5,7 @@ import { deg, duration, num, onPage, sentence, signedDeg } from "../format.js";
 import { normal, separationDeg } from "../geometry.js";
 import { elapsed, isOld, serviceNow } from "../live.js";
 import { target } from "./dome.js";
-import { inAWord, KIND, TITLE } from "./hero.js";
+import { inAWord, KIND } from "./hero.js";
 
 const HEADS = ["Tracker", "Mode", "A actual / set", "B actual / set", "Off its set point", "Set point off the median", "Wind", "Age", "Alarms", "Order"];
 // As independent monitors count a tracker as not available.
@@ -120,7 +120,7 @@ function show(line, each) {
   release.firstChild.hidden = !Object.values(each.tracker?.wishes ?? {}).some(Boolean);
   const moving = each.tracker?.tracker.moving;
   setAttr(line, "data-kind", each.kind);
-  setText(mode, `${TITLE[each.mode] ? each.mode : sentence(each.mode)}${each.cube}`);
+  setText(mode, `${each.mode}${each.cube}`);
   setAttr(mode, "title", each.why ?? null);
   setText(a, each.tracker ? `${signedDeg(each.pose?.a_deg)} / ${signedDeg(each.wanted?.a_deg)}` : "–");
   setText(b, each.tracker ? `${deg(each.pose?.b_deg)} / ${deg(each.wanted?.b_deg)}` : "–");
