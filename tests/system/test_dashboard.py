@@ -140,6 +140,7 @@ def test_on_the_bench_stow_moves_the_axes_and_what_fails_is_said_and_comes_back_
         page.sees(".hero h1", "Fault")
         page.sees(".card[aria-label=Equipment] tbody", "down")
         page.sees(".card[aria-label=Tracker].stale .age", "STALE")
+        page.sees(".card .moving", "Not known whether the axes move")
         assert page.page.locator(".hero").get_attribute("data-kind") == "bad"
 
         site.kill()

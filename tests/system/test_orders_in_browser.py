@@ -155,6 +155,9 @@ def test_nobody_is_told_that_the_axes_stand_while_the_service_is_gone(context, t
         site.kill()
         page.sees(".hero h1", "No connection")
         assert page.text(".control .card .big") == "Not known"
+        page.show("now")
+        page.sees(".hero h1", "No connection")
+        assert page.text(".card .moving") == "Not known whether the axes move"
 
 
 def test_with_letters_twice_as_large_nothing_leaves_the_screen_of_a_phone(browser, site):

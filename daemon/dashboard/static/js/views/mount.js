@@ -75,10 +75,12 @@ export function mount() {
     setClass(node, "stale", Boolean(stale));
     a.update(pose?.a_deg, wanted?.a_deg, unit?.limits.a_min_deg, unit?.limits.a_max_deg);
     b.update(pose?.b_deg, wanted?.b_deg, unit?.limits.b_min_deg, unit?.limits.b_max_deg);
-    setText(status, !unit ? "" : unit.homing ? "Reference run: both axes move" : unit.moving ? `Moving to A ${signedDeg(wanted?.a_deg)}, B ${deg(wanted?.b_deg)}: ${unit.target.why}` : "Standing still");
-    setClass(status, "on", Boolean(unit?.moving || unit?.homing));
+    // A move goes on without its host: of axes that nobody hears from nothing is known.
+    const known = unit && !old && unit.connected !== false;
+    setText(status, !unit ? "" : !known ? "Not known whether the axes move" : unit.homing ? "Reference run: both axes move" : unit.moving ? `Moving to A ${signedDeg(wanted?.a_deg)}, B ${deg(wanted?.b_deg)}: ${unit.target.why}` : "Standing still");
+    setClass(status, "on", Boolean(known && (unit.moving || unit.homing)));
     setText(age, pose ? `${stale ? "STALE: " : ""}telemetry ${duration(pose.age_s + extra)} old` : "no telemetry");
-    setAttr(picture, "aria-label", pose ? `The tracker stands at A ${signedDeg(pose.a_deg)}, B ${deg(pose.b_deg)}` : "Where the tracker stands is not known");
+    setAttr(picture, "aria-label", pose ? `The tracker ${stale ? "was last seen" : "stands"} at A ${signedDeg(pose.a_deg)}, B ${deg(pose.b_deg)}` : "Where the tracker stands is not known");
   }
 
   return { node, update };
