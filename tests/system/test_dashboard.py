@@ -387,6 +387,7 @@ def test_without_a_service_every_view_says_so(browser, tmp_path):
             for view, selector, words in (
                 ("day", ".day", "No stored day to show"),
                 ("fleet", ".hero h1", "The service does not answer"),
+                ("fleet", ".fleet [data-name=Alarms]", "–"),
                 ("control", ".control", "Not known"),
             ):
                 page.show(view)

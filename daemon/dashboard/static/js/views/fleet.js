@@ -132,6 +132,6 @@ function show(line, each) {
   setText(wind, gusts.length ? gusts.map(({ speed_m_s, why }) => `${num(speed_m_s, 1, "m/s")}${why ? ", stows" : ""}`).join("; ") : "–");
   setText(age, each.pose ? `${each.stale ? "STALE " : ""}${duration(each.pose.age_s + each.extra)}` : each.state?.scan && !each.tracker ? duration(each.state.scan.age_s + each.extra) : "–");
   setAttr(age, "data-off", each.stale && each.tracker ? "bad" : null);
-  setText(alarms, each.alarms.length ? each.alarms.map(({ name }) => name).join(", ") : "none");
+  setText(alarms, each.alarms.length ? each.alarms.map(({ name }) => name).join(", ") : each.state && !each.old ? "none" : "–");
   setAttr(alarms, "data-off", each.alarms.length ? "bad" : null);
 }
