@@ -14,7 +14,12 @@ from tests.support import DOCS
 from tests.system import browser as browsers
 
 SIZES = {"phone": browsers.PHONE, "tablet": browsers.TABLET, "desktop": browsers.DESKTOP}
-VIEWS = {"now": ".card[aria-label=Sky]", "day": ".day[data-ready]", "fleet": ".fleet tbody tr", "control": ".order.auto"}
+VIEWS = {
+    "now": ".card[aria-label=Sky]",
+    "day": ".day[data-ready]",
+    "fleet": ".fleet tbody tr",
+    "control": ".order.auto",
+}
 FAST = browsers.SIMULATED.replace("speed = 1.0", "speed = 60.0").replace("11:50", "06:30").replace("= 10.0", "= 48.7")
 SHOWN = {"now-desktop-light", "now-phone-dark", "control-phone-light", "fleet-desktop-light", "day-desktop-light"}
 

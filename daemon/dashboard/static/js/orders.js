@@ -1,6 +1,6 @@
 // Who is logged in here, and the operator's commands: every one says what it will do and is answered by the tracker.
 
-import { h, icon } from "./dom.js";
+import { h, icon, setText } from "./dom.js";
 import { onPage, sentence } from "./format.js";
 import { wishList } from "./views/hero.js";
 
@@ -57,6 +57,8 @@ export class Orders {
   // the service, by which its sentences are told.
   constructor(outcome, changed, time, now = Date.now) {
     this.outcome = outcome;
+    // By order: what is said of it, and whether it is under way.
+    this.lines = new Map();
     this.changed = changed;
     this.time = time;
     this.now = now;
@@ -194,41 +196,41 @@ export class Orders {
     return why === null ? null : this.giveEach(name, why ? { why } : {});
   }
 
-  async giveEach(name, body) {
+  async giveEach(name, body, order = {}) {
     const word = sentence(name);
     try {
-      const { results } = await this.awaited(`${word}: sent to all`, () => call(`/${name}-all`, { ...body, given_s: this.time() }));
+      const { results } = await this.awaited(order, `${word}: sent to all`, () => call(`/${name}-all`, { ...body, given_s: this.time() }));
       const refused = results.filter(({ accepted }) => !accepted).length;
-      this.say(refused ? `${word} was NOT taken by ${refused} of ${results.length} services: see the list` : `${word} was taken by ${results.length === 1 ? "the service" : `all ${results.length} services`}.`, refused ? "bad" : "ok");
+      this.say(refused ? `${word} was NOT taken by ${refused} of ${results.length} services: see the list` : `${word} was taken by ${results.length === 1 ? "the service" : `all ${results.length} services`}.`, refused ? "bad" : "ok", order);
       const locked = results.find(({ status }) => status === 401);
-      if (locked && (await this.renewed({ status: 401, message: locked.text }, locked.service))) return this.giveEach(name, body);
+      if (locked && (await this.renewed({ status: 401, message: locked.text }, locked.service))) return this.giveEach(name, body, order);
       return results;
     } catch (error) {
-      if (await this.renewed(error, null, `${word} for all`)) return this.giveEach(name, body);
-      this.say(`${word} for all: ${outcomeOf(error)}`, "bad");
+      if (await this.renewed(error, null, `${word} for all`, order)) return this.giveEach(name, body, order);
+      this.say(`${word} for all: ${outcomeOf(error)}`, "bad", order);
       return null;
     }
   }
 
-  async carryOut(name, whom, action, service) {
+  async carryOut(name, whom, action, service, order = {}) {
     try {
-      const found = await this.awaited(`${name}: sent to ${whom}`, action);
+      const found = await this.awaited(order, `${name}: sent to ${whom}`, action);
       const text = found.text ?? "";
       const seen = { done: "ok", "under-way": "ok", "not-seen": "warn" }[found.state] ?? "ok";
-      this.say(seen === "warn" ? `${name} for ${whom}: no effect seen yet, look at the tracker: ${text}` : `${name} for ${whom}: ${text}`, seen);
+      this.say(seen === "warn" ? `${name} for ${whom}: no effect seen yet, look at the tracker: ${text}` : `${name} for ${whom}: ${text}`, seen, order);
       return true;
     } catch (error) {
-      if (await this.renewed(error, service, `${name} for ${whom}`)) return this.carryOut(name, whom, action, service);
-      this.say(`${name} for ${whom}: ${outcomeOf(error)}`, "bad");
+      if (await this.renewed(error, service, `${name} for ${whom}`, order)) return this.carryOut(name, whom, action, service, order);
+      this.say(`${name} for ${whom}: ${outcomeOf(error)}`, "bad", order);
       return false;
     }
   }
 
   // Whether an order was refused for want of a session or of the service's token, and there is one now. What: the
   // order, where it stands there as sent.
-  async renewed(error, service, what = null) {
+  async renewed(error, service, what = null, order = {}) {
     if (error.status !== 401) return false;
-    if (what) this.say(`${what} was NOT given: log in first.`, "bad");
+    if (what) this.say(`${what} was NOT given: log in first.`, "bad", order);
     const before = this.session.by;
     const { by, services } = await call("/session").catch(() => this.session);
     this.change({ by, services: services.filter((each) => each !== service) });
@@ -237,9 +239,9 @@ export class Orders {
   }
 
   // Says what is under way, and after a while that its answer is late.
-  async awaited(what, action) {
-    this.say(`${what} ...`, "wait");
-    const late = setTimeout(() => this.say(`${what}, and no answer yet: look at the tracker.`, "warn"), LATE_MS);
+  async awaited(order, what, action) {
+    this.say(`${what} ...`, "wait", order, true);
+    const late = setTimeout(() => this.say(`${what}, and no answer yet: look at the tracker.`, "warn", order, true), LATE_MS);
     try {
       return await action();
     } finally {
@@ -247,17 +249,28 @@ export class Orders {
     }
   }
 
-  say(text, kind) {
-    this.outcome.replaceChildren(
-      h("p", null, onPage(text[0].toUpperCase() + text.slice(1), this.now())),
-      h("button", { type: "button", class: "plain", "aria-label": "Dismiss this message", onclick: () => this.say0() }, "×"),
-    );
-    this.outcome.dataset.kind = kind;
+  // A new order takes the place of those that are answered. One that is under way keeps its own: its answer, which may
+  // be a refusal, neither goes by unseen nor hides that of a later stop.
+  say(text, kind, order = {}, underWay = false) {
+    if (!this.lines.has(order)) for (const [other, line] of this.lines) if (!line.underWay) this.drop(other);
+    const { node } = this.lines.get(order) ?? { node: h("p", null) };
+    this.lines.set(order, { node, kind, underWay });
+    setText(node, onPage(text[0].toUpperCase() + text.slice(1), this.now()));
+    if (!this.outcome.firstChild) this.outcome.append(h("div", null), h("button", { type: "button", class: "plain", "aria-label": "Dismiss this message", onclick: () => this.say0() }, "×"));
+    if (!node.isConnected) this.outcome.firstChild.append(node);
+    const worst = ["bad", "warn", "wait", "ok"].find((each) => [...this.lines.values()].some((line) => line.kind === each));
+    this.outcome.dataset.kind = worst;
     clearTimeout(this.timer);
-    if (kind === "ok") this.timer = setTimeout(() => this.say0(), 20000);
+    if (worst === "ok") this.timer = setTimeout(() => this.say0(), 20000);
+  }
+
+  drop(order) {
+    this.lines.get(order).node.remove();
+    this.lines.delete(order);
   }
 
   say0() {
+    this.lines.clear();
     this.outcome.replaceChildren();
     delete this.outcome.dataset.kind;
   }

@@ -1,0 +1,51 @@
+"""What the page says of several orders, of which one waits for its answer, and of a page that is to be opened anew."""
+
+import pytest
+
+from tests.system.processes import wait_until
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+from tests.system import browser as browsers  # noqa: E402 - it needs playwright
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(browsers.CHROMIUM is None, reason="chromium is not installed: no browser for the dashboard"),
+]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    with browsers.simulated_site(tmp_path_factory.mktemp("site")) as found:
+        yield found
+
+
+@pytest.fixture
+def page(browser, site):
+    with browser.new_context(viewport=browsers.PHONE) as context:
+        found = browsers.Page(context, site.url, "control")
+        found.sees(".hero h1", "Tracking")
+        found.page.locator("#who").click()
+        found.log_in()
+        yield found
+        assert found.complaints == []
+    wait_until(lambda: site.order("auto").get("accepted"), 60, site.service.log)
+    site.until_mode("tracking")
+
+
+def test_the_late_answer_to_an_order_hides_no_answer_to_a_later_one(page):
+    held = []
+    page.page.route("**/command", lambda route: held.append(route), times=1)
+    page.page.locator(".order.hold").click()
+    page.sees(".outcome", "Hold: sent to tracker, SIRTA ...")
+    page.page.locator("#stop").click()
+    page.sees(".outcome", "mode hold: stopped by ana")
+    assert "Hold: sent to tracker, SIRTA ..." in page.text(".outcome"), "it is under way still"
+    held[0].continue_()
+    page.sees(".outcome", "Hold for tracker, SIRTA: No hold: the tracker is stopped by ana")
+    assert "mode hold: stopped by ana" in page.text(".outcome")
+    assert page.page.locator(".outcome").get_attribute("data-kind") == "bad"
+    page.page.locator("#stop").click()
+    page.sees(".outcome", "Stop for tracker, SIRTA: standing at ")
+    assert page.page.locator(".outcome p").count() == 1, "what is answered makes room"
+    assert page.page.locator(".outcome").get_attribute("data-kind") == "ok"
