@@ -76,3 +76,22 @@ def test_what_stop_all_has_stopped_is_released_one_by_one_and_never_what_was_not
         assert page.complaints == []
     for name in stopped_by(site):
         site.order("auto", tracker=name)
+
+
+def test_what_came_of_an_order_to_all_is_found_again_after_another_view(browser, site):
+    with browser.new_context(viewport=browsers.DESKTOP) as context:
+        page = browsers.Page(context, site.url, "fleet")
+        page.sees(".hero h1", "10 trackers")
+        refusal = {"service": site.api, "accepted": False, "status": 409, "text": "not by all 10 trackers: t3: a fault"}
+        page.page.route("**/stow-all", lambda route: route.fulfill(json={"results": [refusal]}))
+        page.page.get_by_role("button", name="Stow all").click()
+        page.log_in()
+        page.page.get_by_role("button", name="Stow now").click()
+        page.sees(".outcome", "Stow was NOT taken by 1 of 1 services: see the list")
+        page.show("now")
+        page.sees(".hero h1", "Tracking")
+        page.show("fleet")
+        page.sees(".results", "NOT DONE: not by all 10 trackers: t3: a fault")
+        page.sees(".results", "Stow all, ")
+        page.sees(".hero .moving", "0 of 10 stand stowed, ")
+        assert page.complaints == []

@@ -1,7 +1,7 @@
 // All trackers at once: who is where, who is not where the others are, and stop and stow for all.
 
 import { card, fill, h, icon, setAttr, setText } from "../dom.js";
-import { deg, duration, num, onPage, sentence, signedDeg } from "../format.js";
+import { at, deg, duration, num, onPage, sentence, signedDeg } from "../format.js";
 import { normal, separationDeg } from "../geometry.js";
 import { elapsed, isOld, serviceNow } from "../live.js";
 import { target } from "./dome.js";
@@ -13,6 +13,10 @@ const FAR_DEG = 5;
 const DOWN = ", cube down";
 const ABOUT = { stop: "every tracker, at once; only Auto ends it", stow: "every tracker of every service" };
 
+// What came of the last order to all, and when a stow was given: whoever leaves the view finds it again.
+const results = h("ul", { class: "results" });
+let ordered = null;
+
 export function fleet(orders) {
   const title = h("h1", null);
   const tally = h("p", { class: "why" });
@@ -22,12 +26,10 @@ export function fleet(orders) {
   const all = ["stop", "stow"].map((name) => h("button", { type: "button", class: `order ${name}`, onclick: () => giveAll(name) }, icon(name), h("span", null, h("strong", null, `${sentence(name)} all`), h("small", null, ABOUT[name]))));
   const body = h("tbody");
   const table = h("table", { class: "fleet" }, h("thead", null, h("tr", null, HEADS.map((text) => h("th", { scope: "col" }, text)))), body);
-  const results = h("ul", { class: "results" });
   const node = h("div", { class: "whole" },
     h("section", { class: "hero", "aria-label": "State of the fleet" }, title, tally, h("p", { class: "moving" }, progress, since)),
     h("section", { class: "orders", "aria-label": "Orders to all" }, all), results,
     card("Trackers", { class: "wide" }, h("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Trackers, one a row" }, table)));
-  let ordered = null;
   let known = new Map();
   let entries = new Map();
   // One by one, as somebody may be at any of them.
@@ -36,8 +38,10 @@ export function fleet(orders) {
   async function giveAll(name) {
     const found = await orders.giveAll(name);
     if (!found) return;
+    const time = orders.now();
     ordered = name === "stow" ? performance.now() : null;
-    results.replaceChildren(...found.map(({ service, accepted, text }) => h("li", { class: accepted ? null : "problem" }, `${service}: ${accepted ? "" : "NOT DONE: "}${onPage(text, serviceNow(known.get(service) ?? {}))}`)));
+    const given = h("li", { class: "hint" }, `${sentence(name)} all, ${at(Number.isFinite(time) ? new Date(time).toISOString() : null)}`);
+    results.replaceChildren(given, ...found.map(({ service, accepted, text }) => h("li", { class: accepted ? null : "problem" }, `${service}: ${accepted ? "" : "NOT DONE: "}${onPage(text, serviceNow(known.get(service) ?? {}))}`)));
   }
 
   function update({ trackers, live }) {
