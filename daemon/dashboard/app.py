@@ -1,6 +1,7 @@
 """The routes of the dashboard: the page, one stream of all services, and the operator's commands."""
 
 import asyncio
+import hashlib
 import json
 import re
 from collections.abc import AsyncIterator, Collection, Mapping
@@ -66,6 +67,8 @@ class Dashboard:
         self._sessions = Sessions(clock.monotonic)
         self._places = Places(_MOST_LISTENERS)
         self._closing = asyncio.Event()
+        hello = {"version": version("heliocube"), "page": _digest(STATIC), "services": list(fleet.services)}
+        self._hello = f"event: hello\ndata: {json.dumps(hello)}\n\n"
         self.app = Starlette(
             routes=[
                 Route("/", self._page),
@@ -104,8 +107,7 @@ class Dashboard:
         return StreamingResponse(self._stream(host), media_type="text/event-stream", headers=headers)
 
     async def _stream(self, host: str) -> AsyncIterator[str]:
-        hello = {"version": version("heliocube"), "services": list(self._fleet.services)}
-        yield f"event: hello\ndata: {json.dumps(hello)}\n\n"
+        yield self._hello
         with self._places.taken_by(host), self._fleet.listening() as listener:
             while not self._closing.is_set():
                 messages = await listener.next()
@@ -254,6 +256,12 @@ class Dashboard:
         if session is None:
             raise HTTPException(401, "log in first")
         return session
+
+
+def _digest(folder: Path) -> str:
+    """Return what tells the files of a folder from others: a release may keep its name when they change."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:16]
 
 
 def _cookie(request: Request) -> str:

@@ -29,7 +29,8 @@ window.EventSource = class extends EventTarget {
   }
   tell() {
     const state = { ...STATE, time: new Date().toISOString() };
-    const said = { hello: { version: "test", services: ["made"] }, message: { service: "made", up: true, state } };
+    const hello = { version: "test", page: window.page ?? "first", services: ["made"] };
+    const said = { hello, message: { service: "made", up: true, state } };
     for (const [kind, data] of Object.entries(said)) {
       this.dispatchEvent(new MessageEvent(kind, { data: JSON.stringify(data) }));
     }

@@ -7,6 +7,7 @@ from tests.system.processes import wait_until
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
 from tests.system import browser as browsers  # noqa: E402 - it needs playwright
+from tests.system.made_page import MadeSite  # noqa: E402 - as above
 
 pytestmark = [
     pytest.mark.system,
@@ -49,3 +50,18 @@ def test_the_late_answer_to_an_order_hides_no_answer_to_a_later_one(page):
     page.sees(".outcome", "Stop for tracker, SIRTA: standing at ")
     assert page.page.locator(".outcome p").count() == 1, "what is answered makes room"
     assert page.page.locator(".outcome").get_attribute("data-kind") == "ok"
+
+
+def test_a_new_page_of_the_dashboard_takes_no_question_away_that_is_being_answered(browser, tmp_path):
+    with browser.new_context(viewport=browsers.PHONE) as context:
+        page = MadeSite(tmp_path).open(context, 1663761600.0)
+        page.sees("#stop", "Stop")
+        page.page.locator("#stow").click()
+        page.page.get_by_label("Token").fill("half of it")
+        page.page.evaluate("window.page = 'another'")
+        page.page.wait_for_timeout(3000)
+        assert page.page.get_by_label("Token").input_value() == "half of it"
+        with page.page.expect_event("load"):
+            page.page.get_by_role("button", name="Cancel").click()
+        page.sees("#stop", "Stop")
+        assert page.complaints == []

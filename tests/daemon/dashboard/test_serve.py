@@ -1,8 +1,10 @@
 """The dashboard's port: what does not get on is closed, and keeps nobody out."""
 
 import asyncio
+import json
 import os
 import re
+import shutil
 import signal
 import socket
 import threading
@@ -271,3 +273,23 @@ def test_however_many_browsers_ask_at_once_it_needs_no_more_threads_than_its_uni
     asyncio.run(scenario())
     # The process itself, the one that waits for its parent's end, and those that look up names.
     assert most <= allowed - 6
+
+
+async def page_told():
+    """Return what the stream's first words say of the page."""
+    async with served() as address:
+        reader, writer = await asyncio.open_connection(*address)
+        writer.write(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        await reader.readuntil(b"event: hello")
+        await reader.readuntil(b"data: ")
+        writer.close()
+        return json.loads(await reader.readline())["page"]
+
+
+def test_an_open_page_hears_that_its_files_are_others_though_the_release_has_the_same_name(tmp_path, monkeypatch):
+    before = asyncio.run(page_told())
+    assert asyncio.run(page_told()) == before
+    shutil.copytree(STATIC, tmp_path / "static")
+    (tmp_path / "static" / "js" / "live.js").write_text("// another\n")
+    monkeypatch.setattr("daemon.dashboard.app.STATIC", tmp_path / "static")
+    assert asyncio.run(page_told()) != before

@@ -3,10 +3,12 @@
 import { Stream } from "./stream.js";
 
 export class Live {
-  constructor(changed) {
+  // renewed: called when the dashboard has other files than this page.
+  constructor(changed, renewed) {
     this.changed = changed;
+    this.renewed = renewed;
     this.services = new Map();
-    this.version = null;
+    this.page = null;
     this.connected = null;
     this.lostAt = null;
     this.ahead = NaN;
@@ -36,8 +38,8 @@ export class Live {
     } else this.connected = true;
     if (kind === "beat") this.ahead = data - performance.now() / 1000;
     if (kind === "hello") {
-      if (this.version !== null && this.version !== data.version) location.reload();
-      this.version = data.version;
+      if (this.page !== null && this.page !== data.page) this.renewed();
+      this.page = data.page;
       for (const name of this.services.keys()) if (!data.services.includes(name)) this.services.delete(name);
       for (const name of data.services) if (!this.services.has(name)) this.services.set(name, { name, up: null, why: null, state: null });
     }
@@ -86,7 +88,7 @@ export class Live {
     const [address, name = null] = key.split("/");
     const service = { name: address, up: null, ...this.services.get(address) };
     let why = service.why;
-    if (this.version !== null && !this.services.has(address)) why = "is no longer one of this dashboard's: choose another tracker";
+    if (this.page !== null && !this.services.has(address)) why = "is no longer one of this dashboard's: choose another tracker";
     else if (service.state) why = `has no tracker ${name} any more: choose another`;
     if (why !== service.why) Object.assign(service, { up: false, why, state: null });
     return { key, service, name, tracker: null, label: name ? `${name}, ${address}` : address };

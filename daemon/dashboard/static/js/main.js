@@ -17,7 +17,8 @@ const VIEWS = { now, day, fleet, control };
 const FIRST = { stop: "Stop", stow: "Stow" };
 const THEMES = ["auto", "light", "dark"];
 
-const live = new Live(() => requestUpdate());
+let renewed = false;
+const live = new Live(() => requestUpdate(), () => { renewed = true; });
 const orders = new Orders(byId("outcome"), () => requestUpdate(), () => live.dashboardTime, () => context().now);
 dropLatePresses((...said) => orders.say(...said));
 // Each tab has its own; a new one begins with the last of any.
@@ -51,6 +52,8 @@ function context() {
 }
 
 function update() {
+  // Of an order that is under way the answer would be lost, and of a question what is typed.
+  if (renewed && !orders.busy) location.reload();
   const found = context();
   document.title = title(found);
   if (document.visibilityState === "hidden") return;

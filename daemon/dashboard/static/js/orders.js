@@ -82,6 +82,10 @@ export class Orders {
     this.tabs.postMessage(session);
   }
 
+  get busy() {
+    return document.querySelector("dialog") !== null || [...this.lines.values()].some(({ underWay }) => underWay);
+  }
+
   may(service) {
     return this.session.services.includes(service);
   }
