@@ -81,3 +81,16 @@ def test_on_a_phone_control_has_each_order_once(browser, site):
         words = [text.split("\n")[0] for text in page.page.locator("button:visible").all_inner_texts()]
         assert {"Stop", "Stow", "Hold", "Auto", "Maintenance"} <= set(words)
         assert len(set(words)) == len(words), words
+
+
+def test_where_the_system_sets_the_colours_buttons_and_the_chosen_view_are_seen_by_their_lines(browser, site):
+    with browser.new_context(viewport=browsers.PHONE, forced_colors="active") as context:
+        page = shown(context, site, "control")
+        for button in page.page.locator("button:visible").all():
+            assert button.evaluate("node => getComputedStyle(node).borderTopStyle") != "none", button.inner_text()
+        lines = "tabs => tabs.map((tab) => getComputedStyle(tab).borderTopWidth)"
+        now, _, _, control = page.page.locator(".tabs a").evaluate_all(lines)
+        assert float(control.removesuffix("px")) > float(now.removesuffix("px"))
+        page.page.locator("#stow").click()
+        yes = page.page.locator("dialog button[type=submit]")
+        assert yes.evaluate("node => getComputedStyle(node).borderTopStyle") != "none"
