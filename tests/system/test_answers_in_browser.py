@@ -65,3 +65,23 @@ def test_a_new_page_of_the_dashboard_takes_no_question_away_that_is_being_answer
             page.page.get_by_role("button", name="Cancel").click()
         page.sees("#stop", "Stop")
         assert page.complaints == []
+
+
+def test_a_login_on_a_slow_line_is_sent_once_and_says_that_it_is_under_way(browser, site):
+    with browser.new_context(viewport=browsers.PHONE) as context:
+        page = browsers.Page(context, site.url)
+        page.sees(".hero h1", "Tracking")
+        held = []
+        page.page.route("**/login", lambda route: held.append(route))
+        page.page.locator("#who").click()
+        dialog = page.page.get_by_role("dialog")
+        dialog.get_by_label("Your name").fill("ana")
+        dialog.get_by_label("Token").fill(browsers.TOKEN)
+        for _ in range(3):
+            dialog.get_by_role("button", name="Log in").click()
+        dialog.get_by_label("Token").press("Enter")
+        page.sees("dialog [role=alert]", "The token is being tried ...")
+        assert len(held) == 1, "five wrong ones in a minute keep everybody out"
+        held[0].continue_()
+        page.sees("#who", "ana")
+        assert page.complaints == []

@@ -102,6 +102,7 @@ export class Orders {
   // Asks for the token once; resolves to whether the service has taken it, or any one where none is meant.
   login(service, about = "Orders need the service's token. Looking does not.") {
     return new Promise((resolve) => {
+      let tried = false;
       const problem = h("p", { class: "problem", role: "alert" });
       const by = h("input", { name: "by", autocomplete: "username", required: true, maxlength: 60, value: localStorage.getItem("by") ?? "" });
       const token = h("input", { name: "token", type: "password", autocomplete: "current-password", required: true, maxlength: 600 });
@@ -115,13 +116,20 @@ export class Orders {
       const dialog = this.open(form, () => resolve(service ? this.may(service) : this.session.by !== null));
       form.addEventListener("submit", async (event) => {
         event.preventDefault();
-        problem.textContent = "";
+        // Five wrong ones in a minute keep everybody out: of one that is tried on a slow line no second is sent.
+        if (tried) return;
+        tried = true;
+        problem.className = "hint";
+        problem.textContent = "The token is being tried ...";
         try {
           this.change(await call("/login", { by: by.value, token: token.value }));
           localStorage.setItem("by", by.value);
           dialog.close();
         } catch (error) {
+          problem.className = "problem";
           problem.textContent = sentenceOf(error);
+        } finally {
+          tried = false;
         }
       });
       (by.value ? token : by).focus();
