@@ -18,8 +18,10 @@ _TOKEN = "t" * 43
 _DONE_BY_MQTT_S = 30.0
 
 
-def _said(name, value, why):
+def _said(service, name, value, why, place):
     said = {"why": why}
+    if place is not None:
+        said["tracker"] = service.trackers[place].name
     if name == "goto":
         said |= dict(zip(("a_deg", "b_deg"), value, strict=True))
     return said
@@ -31,8 +33,8 @@ class Http:
     def has(self, name):
         return hasattr(Operator, name)
 
-    async def give(self, service, name, value, why):
-        body = json.dumps(_said(name, value, why)).encode()
+    async def give(self, service, name, value, why, place=0):
+        body = json.dumps(_said(service, name, value, why, place)).encode()
         status, found = await self._post(service, name, body)
         if status >= 500:
             raise AssertionError(f"{name} is answered with {status}: {found}")
@@ -65,10 +67,10 @@ class Mqtt:
     def has(self, name):
         return name in NAMES
 
-    async def give(self, service, name, value, why):
+    async def give(self, service, name, value, why, place=0):
         replies = asyncio.Queue()
         commands = Commands(Operators(service.trackers, 1.0), replies.put_nowait, MqttSettings(), service.clock)
-        payload = json.dumps(_said(name, value, why)).encode()
+        payload = json.dumps(_said(service, name, value, why, place)).encode()
         commands.take(name, Incoming(f"x/command/{name}", payload, retained=False))
         async with asyncio.timeout(_DONE_BY_MQTT_S):
             reply = SimpleNamespace(**await replies.get())

@@ -18,7 +18,8 @@ FAILED_ONCE = sorted((Path(__file__).parent / "failed_once").glob("*.json"))
 
 def shown(schedule, outcome):
     broken = "\n".join(map(str, outcome.violations))
-    again = f"heliocube campaign --from {schedule.seed} --seeds 1 --hours {schedule.hours} --show"
+    again = f"heliocube campaign --from {schedule.seed} --seeds 1 --hours {schedule.hours}"
+    again += f" --trackers {schedule.trackers} --show"
     return f"{broken}\n{schedule.text()}\nagain: {again}"
 
 
@@ -31,6 +32,12 @@ def test_the_seeds_draw_every_fault_and_every_command():
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_promise_is_broken(seed):
     schedule = draw(seed, HOURS)
+    outcome = run_schedule(schedule)
+    assert not outcome.violations, shown(schedule, outcome)
+
+
+def test_no_promise_is_broken_by_several_trackers():
+    schedule = draw(2263, HOURS, trackers=3)
     outcome = run_schedule(schedule)
     assert not outcome.violations, shown(schedule, outcome)
 

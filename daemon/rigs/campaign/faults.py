@@ -9,12 +9,13 @@ from functools import partial
 from daemon.base.records import FaceReading, Quality, Scan
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.bridge.sender import pack
-from daemon.rigs.campaign.plant import Plant, nothing
+from daemon.rigs.campaign.plant import PLUGGED, Plant, PlantTracker, nothing
 from daemon.rigs.campaign.rig import CALM_M_S, KEY
 from sim_drivers.pozsol.core import FAULTS as UNIT_FAULTS
 
 Value = tuple[float, ...]
-Call = Callable[[Plant, Value], Awaitable[None] | None]
+Call = Callable[[PlantTracker, Value], Awaitable[None] | None]
+_PlantCall = Callable[[Plant, Value], Awaitable[None] | None]
 
 FORGED_W_M2 = 1234.5
 """What every face of a forged scan says."""
@@ -29,13 +30,15 @@ class PlantFault:
     Attributes
     ----------
     begin, end
-        Called with the plant and the event's value; `end` is None for what is over at once.
+        Called with a tracker and the event's value; `end` is None for what is over at once.
     moves
         The unit may begin to move by itself.
     by_hand
         A person moves it.
     uncounts
         The unit may lose counts without a word.
+    of_all
+        It is not a tracker's own: whichever it is called with, it happens to all.
     """
 
     begin: Call
@@ -43,39 +46,48 @@ class PlantFault:
     moves: bool = False
     by_hand: bool = False
     uncounts: bool = False
+    of_all: bool = False
+
+
+def _shared(begin: _PlantCall, end: _PlantCall | None = None) -> PlantFault:
+    return PlantFault(_by_plant(begin), None if end is None else _by_plant(end), of_all=True)
+
+
+def _by_plant(call: _PlantCall) -> Call:
+    return lambda mount, value: call(mount.plant, value)
 
 
 def _injected(name: str, *, lasting: bool, moves: bool = False, by_hand: bool = False) -> PlantFault:
     if name not in UNIT_FAULTS:
         raise ValueError(f"the simulated positioner has no fault {name!r}")
 
-    def begin(plant: Plant, _value: Value) -> None:
-        plant.unit.inject(name, plant.clock.monotonic())
+    def begin(mount: PlantTracker, _value: Value) -> None:
+        mount.unit.inject(name, mount.clock.monotonic())
 
-    def end(plant: Plant, _value: Value) -> None:
-        plant.unit.repair(name, plant.clock.monotonic())
+    def end(mount: PlantTracker, _value: Value) -> None:
+        mount.unit.repair(name, mount.clock.monotonic())
 
     uncounts = name == "undervoltage" or name.endswith(("hall_loss", "slip", "pulse_loss"))
     return PlantFault(begin, end if lasting else None, moves=moves, by_hand=by_hand, uncounts=uncounts)
 
 
 def _unplugged(device: str) -> PlantFault:
-    return PlantFault(
+    return _shared(
         lambda plant, _value: plant.plug(device, up=False),
         lambda plant, _value: plant.plug(device, up=True),
     )
 
 
-async def _restart_unit(plant: Plant, _value: Value, *, keep_position: bool) -> None:
+async def _restart_unit(mount: PlantTracker, _value: Value, *, keep_position: bool) -> None:
     """Switch it off and on: the unit's USB is gone for a second."""
-    plant.plug("positioner", up=False)
-    plant.unit.power_cycle(plant.clock.monotonic(), keep_position=keep_position)
+    mount.plug(up=False)
+    mount.unit.power_cycle(mount.clock.monotonic(), keep_position=keep_position)
     await asyncio.sleep(1.0)
-    plant.plug("positioner", up=True)
+    mount.plug(up=True)
 
 
-def _silence(plant: Plant, _value: Value, *, silent: bool) -> None:
-    plant.silence(silent=silent)
+def _silence(mount: PlantTracker, _value: Value, *, silent: bool) -> None:
+    mount.silence(silent=silent)
 
 
 def _wind(plant: Plant, value: Value) -> None:
@@ -218,7 +230,8 @@ def _suspend(plant: Plant, value: Value) -> None:
     loop = asyncio.get_running_loop()
     assert isinstance(loop, VirtualTimeLoop)  # noqa: S101 - narrowing; no plant has another
     loop.skip(value[0])
-    plant.witness.link_changes()
+    for mount in plant.mounts:
+        mount.witness.link_changes()
 
 
 async def _kill(plant: Plant, _value: Value) -> None:
@@ -239,7 +252,10 @@ PROCESS = ("kill", "kill_torn", "end")
 """Those that need a process, and bring another one."""
 
 FAULTS: dict[str, PlantFault] = {
-    **{f"unplug_{device}": _unplugged(device) for device in ("positioner", "multiplexer", "voltmeter")},
+    "unplug_positioner": PlantFault(
+        lambda mount, _value: mount.plug(up=False), lambda mount, _value: mount.plug(up=True)
+    ),
+    **{f"unplug_{device}": _unplugged(device) for device in PLUGGED},
     "deaf": _injected("deaf", lasting=True),
     "positioner_silent": PlantFault(partial(_silence, silent=True), partial(_silence, silent=False)),
     "undervoltage": _injected("undervoltage", lasting=True),
@@ -254,40 +270,40 @@ FAULTS: dict[str, PlantFault] = {
     **{f"{axis}_{kind}": _injected(f"{axis}_{kind}", lasting=False) for axis in "ab" for kind in _AXIS_AT_ONCE},
     "reset_position_kept": PlantFault(partial(_restart_unit, keep_position=True)),
     "reset_position_lost": PlantFault(partial(_restart_unit, keep_position=False)),
-    "wind": PlantFault(_wind, _calm),
-    "wind_silent": PlantFault(_silence_wind, _calm),
-    "clock_step": PlantFault(_step_clock, _set_clock_right),
-    "face_stuck": PlantFault(
+    "wind": _shared(_wind, _calm),
+    "wind_silent": _shared(_silence_wind, _calm),
+    "clock_step": _shared(_step_clock, _set_clock_right),
+    "face_stuck": _shared(
         lambda plant, value: plant.scene.break_sensor(int(value[0]), value[1]),
         lambda plant, value: plant.scene.repair_sensor(int(value[0])),
     ),
-    "face_shaded": PlantFault(
+    "face_shaded": _shared(
         lambda plant, value: plant.scene.shade(int(value[0]), value[1]),
         lambda plant, value: plant.scene.shade(int(value[0]), 1.0),
     ),
-    "face_noise": PlantFault(_disturb_sensors, _calm_sensors),
-    "meter_frozen": PlantFault(
+    "face_noise": _shared(_disturb_sensors, _calm_sensors),
+    "meter_frozen": _shared(
         lambda plant, _value: plant.meter.freeze(), lambda plant, _value: plant.meter.freeze(is_frozen=False)
     ),
-    "meter_garbled": PlantFault(lambda plant, value: plant.meter.corrupt_next(int(value[0]))),
-    "meter_cut": PlantFault(lambda plant, value: plant.meter.cut_next(int(value[0]))),
-    "meter_mute": PlantFault(lambda plant, value: plant.meter.drop_next(int(value[0]))),
-    "meter_late": PlantFault(_delay_meter, _hurry_meter),
-    "meter_restart": PlantFault(lambda plant, _value: plant.meter.power_cycle(plant.clock.monotonic())),
-    "switch_fails": PlantFault(lambda plant, value: plant.switch.fail_next(times=int(value[0]))),
-    "switch_reset": PlantFault(lambda plant, _value: plant.switch.power_cycle(plant.clock.monotonic())),
-    "switch_line_stuck": PlantFault(
+    "meter_garbled": _shared(lambda plant, value: plant.meter.corrupt_next(int(value[0]))),
+    "meter_cut": _shared(lambda plant, value: plant.meter.cut_next(int(value[0]))),
+    "meter_mute": _shared(lambda plant, value: plant.meter.drop_next(int(value[0]))),
+    "meter_late": _shared(_delay_meter, _hurry_meter),
+    "meter_restart": _shared(lambda plant, _value: plant.meter.power_cycle(plant.clock.monotonic())),
+    "switch_fails": _shared(lambda plant, value: plant.switch.fail_next(times=int(value[0]))),
+    "switch_reset": _shared(lambda plant, _value: plant.switch.power_cycle(plant.clock.monotonic())),
+    "switch_line_stuck": _shared(
         lambda plant, value: plant.switch.stick(int(value[0]), bool(value[1]), plant.clock.monotonic()),
         lambda plant, _value: plant.switch.unstick(plant.clock.monotonic()),
     ),
-    "bridge_lost": PlantFault(partial(_disturb_bridge, kind="lost"), _set_bridge_right),
-    "bridge_late": PlantFault(partial(_disturb_bridge, kind="late"), _set_bridge_right),
-    "bridge_replayed": PlantFault(partial(_disturb_bridge, kind="replayed"), _set_bridge_right),
-    "bridge_forged": PlantFault(_forge),
-    "disk_full": PlantFault(partial(_fill_disk, full=True), partial(_fill_disk, full=False)),
-    "kill": PlantFault(_kill, _replace_process),
-    "kill_torn": PlantFault(_kill_while_writing, _replace_process),
-    "suspended": PlantFault(_suspend),
-    "end": PlantFault(_end, _replace_process),
+    "bridge_lost": _shared(partial(_disturb_bridge, kind="lost"), _set_bridge_right),
+    "bridge_late": _shared(partial(_disturb_bridge, kind="late"), _set_bridge_right),
+    "bridge_replayed": _shared(partial(_disturb_bridge, kind="replayed"), _set_bridge_right),
+    "bridge_forged": _shared(_forge),
+    "disk_full": _shared(partial(_fill_disk, full=True), partial(_fill_disk, full=False)),
+    "kill": _shared(_kill, _replace_process),
+    "kill_torn": _shared(_kill_while_writing, _replace_process),
+    "suspended": _shared(_suspend),
+    "end": _shared(_end, _replace_process),
 }
 """Every fault that a schedule may name."""

@@ -1,123 +1,163 @@
-"""The rig as it goes on while processes die on it: one unit, one cube, one sky, and one service after another."""
+"""The rig as it goes on while processes die on it: its units, one cube, one sky, and one service after another."""
 
 import asyncio
 import math
 import shutil
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from daemon.base.records import Bus, Event, ModeChange, Move, Record, Scan
+from daemon.base.records import Bus, Event, Mode, ModeChange, Move, Record, Scan, concerns
 from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
+from daemon.motion.motion import Motion
 from daemon.rigs.campaign.disk import Disk
-from daemon.rigs.campaign.rig import HandledRig, HandWeather
+from daemon.rigs.campaign.rig import HandledRig, HandWeather, SteppingClock
+from daemon.rigs.campaign.taps import DriverTap, UnitTap, Witness
 from daemon.service.rig import Role
-from drivers.interfaces import AxisName, Positioner
+from daemon.service.service import Service
+from daemon.tracker.control import Control
+from drivers.interfaces import Positioner
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import Setup
+from sim_drivers.transports import InMemoryStream
 from solar.frames import Angles
 
 HOMED = "homing finished"
-PLUGGED = ("positioner", "multiplexer", "voltmeter")
+PLUGGED = ("multiplexer", "voltmeter")
 UNIT_GOES_TO = Angles(35.0, 30.0)
 """Where the unit's own tracking and its stow modes drive, far from what the service ever asks for by itself."""
 _OWN_TARGET_EVERY_S = 300
+_STOW_APART_DEG = 5.0
 _WRITE_S = 0.004
 """As to a real port through its thread: what else happens while a packet is on its way can come in between."""
 
 
-class Witness(Protocol):
-    """Who is told of orders, services and plugs, and keeps what was broken."""
-
-    def fails(self, promise: str, text: str) -> None:
-        """Take note of a broken promise."""
-
-    def packet(self, data: bytes, now_s: float) -> None:
-        """Take note of a packet that reaches the unit."""
-
-    def sending(self, target: tuple[float, float]) -> AbstractContextManager[None]:
-        """Accompany a target [deg] while the driver sends and confirms it."""
-
-    def homes(self, axis: AxisName) -> None:
-        """Take note that a reference run is ordered."""
-
-    def link_changes(self) -> None:
-        """Take note that a plug was pulled or put back."""
-
-    def service_begins(self) -> None:
-        """Take note that a new process is there."""
-
-    def scan(self, scan: Scan) -> None:
-        """Take note of a scan that the service has accepted."""
-
-
-class UnitTap:
-    """The unit as one process reaches it: what is sent is noted, and a dead process sends nothing more.
-
-    Parameters
-    ----------
-    unit
-        The simulated unit.
-    witness
-        Notes every packet.
-    """
-
-    def __init__(self, unit: PositionerCore, witness: Witness) -> None:
-        self._unit = unit
-        self._witness = witness
-        self.live_screens = unit.live_screens
-        self.screens = unit.screens
-        self.enumerate_usb = unit.enumerate_usb
-        self.dead = False
-
-    def feed(self, data: bytes, now: float) -> None:
-        """Hand bytes to the unit."""
-        if not self.dead:
-            self._witness.packet(data, now)
-            self._unit.feed(data, now)
-
-
-class DriverTap:
-    """The positioner's driver, with every order that goes through it noted.
-
-    Parameters
-    ----------
-    driver, line
-        The driver, and the unit as it reaches it.
-    witness
-        Notes targets and reference runs.
-    """
-
-    def __init__(self, driver: PozsolPositioner, line: UnitTap, witness: Witness) -> None:
-        self._driver = driver
-        self._witness = witness
-        self._line = line
-        self.open, self.close = driver.open, driver.close
-        self.read_telemetry, self.disable_autonomy = driver.read_telemetry, driver.disable_autonomy
-        self.stop, self.halt, self.clear_faults = driver.stop, driver.halt, driver.clear_faults
-        self.repeated_s, self.standing, self.recall = driver.repeated_s, driver.standing, driver.recall
-
-    async def move_to(self, a_deg: float, b_deg: float, *, first: AxisName = "a") -> None:
-        """Move there; see the driver."""
-        if self._line.dead:
-            await self._driver.move_to(a_deg, b_deg, first=first)
-            return
-        with self._witness.sending((a_deg, b_deg)):
-            await self._driver.move_to(a_deg, b_deg, first=first)
-
-    async def home(self, axis: AxisName) -> None:
-        """Begin a reference run; see the driver."""
-        if not self._line.dead:
-            self._witness.homes(axis)
-        await self._driver.home(axis)
-
-
 def nothing() -> None:
     """Do nothing."""
+
+
+class PlantTracker:
+    """One tracker of the plant: its unit and cable, and what the service at present does with it.
+
+    Parameters
+    ----------
+    plant
+        Whose tracker it is.
+    place
+        Its place among the trackers, from 0.
+    witness
+        Is told of its orders and its plug.
+
+    Attributes
+    ----------
+    plugged, is_silent
+        Whether its cable is in; whether nothing comes from the unit although it is.
+    records
+        Its own of those that the plant keeps, and those of no tracker.
+    called
+        Begins what is said of it among others; empty for a tracker alone.
+    """
+
+    def __init__(self, plant: "Plant", place: int, witness: Witness) -> None:
+        self.plant = plant
+        self.place = place
+        self.witness = witness
+        self.plugged = True
+        self.is_silent = False
+        self.records: list[Record] = []
+        self.line: UnitTap
+        self.name, self.settings = plant.settings.trackers[place]
+        self.called = f"{self.name}: " if plant.settings.tracker else ""
+
+    def drive(
+        self, unit: PositionerCore, settings: Settings, build: Callable[[PositionerCore, Settings], Positioner]
+    ) -> Positioner:
+        """Return the driver of the unit with a tap before and behind it."""
+        self.line = UnitTap(unit, self.witness)
+        driver = build(self.line, settings)  # type: ignore[arg-type] # it passes for the unit
+        assert isinstance(driver, PozsolPositioner)  # noqa: S101 - narrowing
+        return DriverTap(driver, self.line, self.witness)
+
+    @property
+    def clock(self) -> SteppingClock:
+        """The plant's."""
+        return self.plant.clock
+
+    @property
+    def service(self) -> Service:
+        """The one that runs at present."""
+        return self.plant.service
+
+    @property
+    def is_served(self) -> bool:
+        """Whether a service is there; one that is just ending is not."""
+        return self.plant.is_served
+
+    @property
+    def wind_m_s(self) -> float | None:
+        """What the wind sensor says; None: it is silent."""
+        return self.plant.wind_m_s
+
+    @property
+    def unit(self) -> PositionerCore:
+        """The simulated unit."""
+        return self.plant.units[self.place]
+
+    @property
+    def motion(self) -> Motion:
+        """What moves it."""
+        return self.plant.service.trackers[self.place].motion
+
+    @property
+    def control(self) -> Control:
+        """What decides for it."""
+        return self.plant.service.trackers[self.place].control
+
+    @property
+    def mode(self) -> Mode:
+        """What it does at present."""
+        return self.control.mode
+
+    def truth(self) -> Angles:
+        """Return where its axes really stand."""
+        return self.unit.truth(self.clock.monotonic())
+
+    def wishes(self) -> bytes:
+        """Return what persons have asked of it, as it is kept."""
+        directory = self.settings.store.directory
+        assert directory is not None  # noqa: S101 - narrowing; every plant has one
+        kept = directory / "operator.json"
+        return kept.read_bytes() if kept.is_file() else b""
+
+    def has_homed(self, since_s: float) -> bool:
+        """Tell whether a reference run of both axes has ended well since then."""
+        return any(
+            isinstance(record, Event) and record.text == HOMED and record.time_monotonic_s >= since_s
+            for record in self.records
+        )
+
+    def lay(self) -> None:
+        """Let a new cable be as the one before was."""
+        self._cable.link_up, self._cable.silent, self._cable.write_s = self.plugged, self.is_silent, _WRITE_S
+
+    def plug(self, *, up: bool) -> None:
+        """Pull its cable, or put it back."""
+        self.plugged = self._cable.link_up = up
+        self.witness.link_changes()
+
+    def silence(self, *, silent: bool) -> None:
+        """Let nothing come from the unit any more, or let it be heard again."""
+        self.is_silent = self._cable.silent = silent
+        self.witness.link_changes()
+
+    @property
+    def _cable(self) -> InMemoryStream:
+        cable: InMemoryStream = self.plant.cables.positioners[self.place]
+        return cable
 
 
 class Plant(HandledRig):
@@ -127,15 +167,17 @@ class Plant(HandledRig):
     ----------
     loop, settings, start, weather, setup
         As for `HandledRig`.
-    witness
-        Is told of orders, services and plugs.
+    witnesses
+        One for each tracker: is told of its orders and its plug, and of services.
 
     Attributes
     ----------
+    mounts
+        The trackers.
     records
         Events, moves and changes of mode of all services so far; the rest would fill the memory in a day.
     plugged
-        Which devices' cables are in.
+        Which cables of the cube are in.
     served
         Set while a service is there; one that is just ending is not.
     served_since_s
@@ -155,11 +197,11 @@ class Plant(HandledRig):
         start: datetime,
         weather: HandWeather,
         setup: Setup,
-        witness: Witness,
+        witnesses: Sequence[Witness],
     ) -> None:
-        self.witness = witness
         self.plugged = dict.fromkeys(PLUGGED, True)
         self.settings = settings
+        self.mounts = [PlantTracker(self, place, witness) for place, witness in enumerate(witnesses)]
         self.served = asyncio.Event()
         self.served_since_s = math.inf
         self.commands: set[asyncio.Task[None]] = set()
@@ -167,8 +209,6 @@ class Plant(HandledRig):
         self._serving: asyncio.Task[None] | None = None
         self._stop = asyncio.Event()
         self.disk = Disk()
-        self._silent = False
-        self._line: UnitTap
         super().__init__(loop, settings, start, weather, Role.BOTH, setup)
 
     @property
@@ -183,14 +223,12 @@ class Plant(HandledRig):
         super().connect(settings)
         for device, up in self.plugged.items():
             getattr(self.cables, device).link_up = up
-        self.cables.positioner.silent, self.cables.positioner.write_s = self._silent, _WRITE_S
+        for mount in self.mounts:
+            mount.lay()
 
     def drive(self, unit: PositionerCore, settings: Settings) -> Positioner:
-        """Return the driver of the unit with a tap before and behind it."""
-        self._line = UnitTap(unit, self.witness)
-        driver = super().drive(self._line, settings)  # type: ignore[arg-type] # it passes for the unit
-        assert isinstance(driver, PozsolPositioner)  # noqa: S101 - narrowing
-        return DriverTap(driver, self._line, self.witness)
+        """Return the driver of the next unit with a tap before and behind it."""
+        return self.mounts[len(self.cables.positioners)].drive(unit, settings, super().drive)
 
     def keep_in(self, directory: Path | None) -> StateFolder:
         """Return what writes the files that a service keeps, to a disk that can be full."""
@@ -200,46 +238,25 @@ class Plant(HandledRig):
         """Keep what somebody may ask for, and show scans to the witness."""
         if isinstance(record, Event | Move | ModeChange):
             self.records.append(record)
+            for mount in self.mounts:
+                if concerns(record, mount.name):
+                    mount.records.append(record)
         elif isinstance(record, Scan):
-            self.witness.scan(record)
+            self.mounts[0].witness.scan(record)
 
     @property
     def is_served(self) -> bool:
         """Whether a service is there; one that is just ending is not."""
         return self.served.is_set()
 
-    def wishes(self) -> bytes:
-        """Return what persons have asked for, as it is kept."""
-        kept = self.directory / "operator.json"
-        return kept.read_bytes() if kept.is_file() else b""
-
     def kept_files(self) -> list[Path]:
         """Return what the service has kept for its next start."""
         return sorted(path for path in self.directory.rglob("*") if path.is_file())
 
-    def has_homed(self, since_s: float) -> bool:
-        """Tell whether a reference run of both axes has ended well since then."""
-        return any(
-            isinstance(record, Event) and record.text == HOMED and record.time_monotonic_s >= since_s
-            for record in self.records
-        )
-
     def plug(self, device: str, *, up: bool) -> None:
-        """Pull a cable, or put it back."""
+        """Pull a cable of the cube, or put it back."""
         self.plugged[device] = up
         getattr(self.cables, device).link_up = up
-        if device == "positioner":
-            self.witness.link_changes()
-
-    @property
-    def is_silent(self) -> bool:
-        """Whether nothing comes from the unit although its cable is in."""
-        return self._silent
-
-    def silence(self, *, silent: bool) -> None:
-        """Let nothing come from the unit any more, or let it be heard again."""
-        self._silent = self.cables.positioner.silent = silent
-        self.witness.link_changes()
 
     def start(self) -> None:
         """Start the service that has been built."""
@@ -248,17 +265,18 @@ class Plant(HandledRig):
         self._serving.add_done_callback(self._ended)
         self.served.set()
         self.served_since_s = self.clock.monotonic()
-        self.witness.service_begins()
+        for mount in self.mounts:
+            mount.witness.service_begins()
 
     def _ended(self, task: "asyncio.Task[None]") -> None:
         if task is self._serving and not task.cancelled():
-            self.witness.fails("service-died", f"the service ended by itself: {task.exception()!r}")
+            self.mounts[0].witness.fails("service-died", f"the service ended by itself: {task.exception()!r}")
 
     async def kill(self) -> None:
         """Let the process die at once: not a byte goes out any more, and no file changes."""
         serving, self._serving = self._serving, None
         self.served.clear()
-        self._line.dead = True
+        self._hang_up()
         kept = {path: path.read_bytes() for path in self.kept_files()}
         await self._finish(serving, cancel=True)
         shutil.rmtree(self.directory, ignore_errors=True)
@@ -272,7 +290,12 @@ class Plant(HandledRig):
         self.served.clear()
         self._stop.set()
         await self._finish(serving, cancel=False)
-        self._line.dead = True
+        self._hang_up()
+
+    def _hang_up(self) -> None:
+        """Let not a byte of the process go out any more."""
+        for mount in self.mounts:
+            mount.line.dead = True
 
     def renew(self) -> None:
         """Build and start a new process on the same instruments and files."""
@@ -294,14 +317,14 @@ class Plant(HandledRig):
                 serving.cancel()
         for outcome in await asyncio.gather(*ending, return_exceptions=True):
             if isinstance(outcome, Exception):
-                self.witness.fails("service-died", f"the service did not end in order: {outcome!r}")
+                self.mounts[0].witness.fails("service-died", f"the service did not end in order: {outcome!r}")
 
 
 def build_plant(
     loop: VirtualTimeLoop,
     start: datetime,
     directory: Path,
-    witness: Witness,
+    witnesses: Sequence[Witness],
     *,
     law: str,
     rehome: str,
@@ -312,7 +335,7 @@ def build_plant(
 
     Parameters
     ----------
-    loop, start, witness
+    loop, start, witnesses
         As for `Plant`.
     directory
         Where the service keeps its files.
@@ -330,10 +353,18 @@ def build_plant(
             "motion": {"rehome": rehome},
             "safety": {"stow_at_least_s": 120.0},
             "store": {"directory": str(directory)},
+            "tracker": _tables(len(witnesses)),
         }
     )
     setup = Setup(synchronous=synchronous, own_target=_own_target, wind_stow=UNIT_GOES_TO, snow_stow=UNIT_GOES_TO)
-    return Plant(loop, settings, start, HandWeather(*sky_w_m2), setup, witness)
+    return Plant(loop, settings, start, HandWeather(*sky_w_m2), setup, witnesses)
+
+
+def _tables(trackers: int) -> list[dict[str, Any]]:
+    """Return a table for each of several trackers, whose stow positions differ: an order for another one shows."""
+    if trackers == 1:
+        return []
+    return [{"name": f"t{place}", "safety": {"stow_a_deg": _STOW_APART_DEG * place}} for place in range(trackers)]
 
 
 def _own_target(now_s: float) -> Angles:

@@ -98,7 +98,7 @@ class HandledRig:
     role
         Of the service.
     setup
-        How the positioner is built; as the settings say where it is None.
+        How the positioners are built; as the settings say where it is None.
     polling
         How often the positioner is looked at.
 
@@ -140,7 +140,11 @@ class HandledRig:
         self.scene = Scene(SITE, weather, sky_model="isotropic", seed=1, sensors=SENSORS)
         self.switch = MultiplexerCore(inputs=self._sensor, latency_s=0.0)
         self.meter = VoltmeterCore(input_voltage=self.switch.output_voltage, random=np.random.default_rng(1))
-        self.unit = PositionerCore(loop.time(), setup) if setup else build_unit(settings, self.clock)
+        self.units = [
+            PositionerCore(loop.time(), setup) if setup else build_unit(named.settings, self.clock)
+            for named in settings.trackers
+        ]
+        self.unit = self.units[0]
         self.cables = SimpleNamespace()
         self.connect(settings)
         self.source = PvSource(
@@ -170,15 +174,18 @@ class HandledRig:
         self.multiplexer = NiMultiplexer(cables.multiplexer)
         self.voltmeter = build_voltmeter(settings, line=cables.voltmeter)
         self.cube = build_multiplexed_cube(settings, self.clock, self.multiplexer, self.voltmeter)
-        self.positioner: Positioner = self.drive(self.unit, settings)
-        own = [named.settings for named in settings.trackers[1:]]
-        cables.others = [InMemoryStream(build_unit(one, self.clock), now) for one in own]
-        self.others = [build_pozsol(one, self.clock, line) for one, line in zip(own, cables.others, strict=True)]
+        cables.positioners = []
+        self.positioner: Positioner
+        self.positioner, *self.others = (
+            self.drive(unit, named.settings) for unit, named in zip(self.units, settings.trackers, strict=True)
+        )
+        cables.positioner, *cables.others = cables.positioners
 
     def drive(self, unit: PositionerCore, settings: Settings) -> Positioner:
-        """Return the driver of a unit, or of what stands between."""
-        self.cables.positioner = InMemoryStream(unit, self.clock.monotonic)
-        return build_pozsol(settings, self.clock, self.cables.positioner)
+        """Return the driver of a unit, or of what stands between, and lay its cable."""
+        line = InMemoryStream(unit, self.clock.monotonic)
+        self.cables.positioners.append(line)
+        return build_pozsol(settings, self.clock, line)
 
     def serve(self, settings: Settings, role: Role) -> Service:
         """Return a service on these instruments, as a newly started process would be."""

@@ -69,13 +69,13 @@ class Bounded(logging.Handler):
         self.lines.append(LogLine(self._now(), record.levelname, record.name, record.getMessage()))
 
     def check(self, schedule: Schedule, records: Sequence[Record], fails: Callable[[str, str], None]) -> None:
-        """Compare each hour's lines and moves with what happened in it, and the memory with that of the first hour."""
+        """Compare an hour's lines and moves with what happened to the trackers, the memory with the first hour's."""
         self._check_lines(schedule, fails)
         self._check_memory(records, fails)
         moves = Counter(int(record.time_monotonic_s // _HOUR_S) for record in records if isinstance(record, Move))
         events = Counter(int(event.at_s // _HOUR_S) for event in schedule.events)
         for hour, count in moves.items():
-            allowed = MOVES_OF_AN_HOUR + MOVES_OF_AN_EVENT * (events[hour] + events[hour - 1])
+            allowed = schedule.trackers * (MOVES_OF_AN_HOUR + MOVES_OF_AN_EVENT * (events[hour] + events[hour - 1]))
             if count > allowed:
                 fails("moves", f"{count} moves in hour {hour}, {allowed} allowed")
 
@@ -100,7 +100,7 @@ class Bounded(logging.Handler):
             for during in range(hour, int((event.at_s + event.lasts_s) // _HOUR_S) + 1):
                 happened[during] += LINES_OF_AN_OUTAGE
         for hour, count in written.items():
-            allowed = happened[hour] + LINES_OF_AN_OUTAGE
+            allowed = schedule.trackers * (happened[hour] + LINES_OF_AN_OUTAGE)
             if count > allowed and hour < schedule.hours:
                 texts = Counter(line.text for line in self.lines if int(line.at_s // _HOUR_S) == hour)
                 fails("log", f"{count} lines in hour {hour}, {allowed} allowed; most: {texts.most_common(3)}")

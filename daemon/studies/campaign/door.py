@@ -1,9 +1,12 @@
 """How a person's commands reach a service: by calls, in the process."""
 
+import asyncio
+import json
 from dataclasses import dataclass
 from typing import Protocol
 
 from daemon.service.operator import Operator
+from daemon.service.operator_commands import Operators, parse
 from daemon.service.service import Service
 
 
@@ -21,8 +24,10 @@ class Door(Protocol):
     def has(self, name: str) -> bool:
         """Tell whether there is a command."""
 
-    async def give(self, service: Service, name: str, value: tuple[float, ...], why: str) -> DoorReply:
-        """Give a command and wait for its answer."""
+    async def give(
+        self, service: Service, name: str, value: tuple[float, ...], why: str, place: int | None = 0
+    ) -> DoorReply:
+        """Give a command to the tracker at a place, or one to all, and wait for its answer."""
 
 
 class DirectDoor:
@@ -32,7 +37,44 @@ class DirectDoor:
         """Tell whether there is a command."""
         return hasattr(Operator, name)
 
-    async def give(self, service: Service, name: str, value: tuple[float, ...], why: str) -> DoorReply:
-        """Give a command and wait for its answer."""
-        answer = await getattr(Operator(service.trackers[0], 1.0), name)(*value, why)
+    async def give(
+        self, service: Service, name: str, value: tuple[float, ...], why: str, place: int | None = 0
+    ) -> DoorReply:
+        """Give a command to the tracker at a place, or one to all, and wait for its answer."""
+        if place is None:
+            command = parse(name, json.dumps({"why": why}).encode(), "campaign")
+            found = await Operators(service.trackers, 1.0).carry_out(command)
+            return DoorReply(found["done"], found["text"])
+        answer = await getattr(Operator(service.trackers[place], 1.0), name)(*value, why)
         return DoorReply(answer.done, answer.text)
+
+
+class Together:
+    """Gives one command to all trackers, which several persons take for one of their own each.
+
+    Parameters
+    ----------
+    door
+        Through which it goes.
+    """
+
+    def __init__(self, door: Door) -> None:
+        self._door = door
+        self._given: asyncio.Task[DoorReply] | None = None
+
+    def has(self, name: str) -> bool:
+        """Tell whether there is a command."""
+        return self._door.has(name)
+
+    async def give(
+        self,
+        service: Service,
+        name: str,
+        value: tuple[float, ...],
+        why: str,
+        place: int | None = None,  # noqa: ARG002 - whoever asks, it is for all
+    ) -> DoorReply:
+        """Give the command, if nobody has yet, and wait for its answer."""
+        if self._given is None:
+            self._given = asyncio.create_task(self._door.give(service, name, value, why, None), name=name)
+        return await self._given

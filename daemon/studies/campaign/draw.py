@@ -5,7 +5,8 @@ to three things at nearly the same time: a fault of a component, a person's comm
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from random import Random
 
 from daemon.studies.campaign.schedule import Happening, Schedule
@@ -101,9 +102,18 @@ _BAD = ((math.nan, 60.0), (0.0, math.nan), (51.0, 60.0), (-50.0001, 60.0), (0.0,
 _PAUSES_S = (150.0, 150.0, 600.0, 2400.0)
 """From hands that never rest to a rig that is left alone for most of a day."""
 _LEFT_AT_END_S = 300.0
+SHARED = (
+    "wind", "clock_", "face_", "meter_", "switch_", "bridge_", "disk_", "unplug_multiplexer", "unplug_voltmeter",
+    "kill", "suspended", "end",
+)  # fmt: skip
+"""How the names of faults begin that all trackers of a service have in common."""
+_TO_ALL = 0.25
+_RELEASED_TOGETHER = 0.6
 
 
-def draw(seed: int, hours: float, without: Collection[str] = (), only: Collection[str] = ()) -> Schedule:
+def draw(
+    seed: int, hours: float, without: Collection[str] = (), only: Collection[str] = (), trackers: int = 1
+) -> Schedule:
     """Return the schedule of a seed.
 
     Parameters
@@ -116,6 +126,8 @@ def draw(seed: int, hours: float, without: Collection[str] = (), only: Collectio
         Faults and commands that are left out.
     only
         Faults that there are; empty for all. Commands are not touched by it.
+    trackers
+        How many the service has. The same things happen at the same times as with one, each to one of them or to all.
     """
     random = Random(seed)  # noqa: S311 - reproducibility is the point; nothing secret depends on it
     spans = {name: span for name, span in SPANS.items() if name not in without and (not only or name in only)}
@@ -133,8 +145,24 @@ def draw(seed: int, hours: float, without: Collection[str] = (), only: Collectio
         rehome=random.choice(("operator", "operator", "automatic")),
         synchronous=random.random() < 0.2,
         sky=random.choice(((700.0, 90.0), (700.0, 90.0), (0.0, 150.0), (300.0, 200.0))),
-        events=tuple(sorted((event for event in events if event.at_s < hours * 3600), key=_at_s)),
+        events=_among(trackers, seed, sorted((event for event in events if event.at_s < hours * 3600), key=_at_s)),
+        trackers=trackers,
     )
+
+
+def _among(trackers: int, seed: int, events: Sequence[Happening]) -> tuple[Happening, ...]:
+    """Return the events, each of one tracker or of all."""
+    if trackers == 1:
+        return tuple(events)
+    random = Random(f"{seed} of {trackers}")  # noqa: S311 - as above
+    return tuple(replace(event, tracker=_tracker(random, trackers, event)) for event in events)
+
+
+def _tracker(random: Random, trackers: int, event: Happening) -> int | None:
+    if event.what == "fault" and event.name.startswith(SHARED):
+        return 0
+    to_all = _RELEASED_TOGETHER if event.name in ("auto", "clear") else _TO_ALL
+    return None if random.random() < to_all else random.randrange(trackers)
 
 
 def value_ranges(name: str) -> tuple[tuple[float, float], ...]:

@@ -160,7 +160,13 @@ def chosen_faults(words: Collection[str]) -> tuple[str, ...]:
 
 
 def chosen_schedules(
-    seeds: int, first: int, hours: float, only: Collection[str], without: Collection[str], file: Path | None
+    seeds: int,
+    first: int,
+    hours: float,
+    only: Collection[str],
+    without: Collection[str],
+    file: Path | None,
+    trackers: int = 1,
 ) -> list[Schedule]:
     """Return the schedules that a person asks for.
 
@@ -172,6 +178,8 @@ def chosen_schedules(
         Names of faults, and of cells of the matrix; names of faults and commands.
     file
         A schedule that `reduce` has left, in place of all that.
+    trackers
+        How many the service has.
 
     Raises
     ------
@@ -193,21 +201,23 @@ def chosen_schedules(
         from daemon.studies.campaign.door import DirectDoor  # noqa: PLC0415 - the whole service
         from daemon.studies.campaign.person import known  # noqa: PLC0415 - as above
 
-        refuse_unknown(schedule.events, known(DirectDoor()))
+        refuse_unknown(schedule, known(DirectDoor()))
         _refuse_values(file, schedule.events)
         return [schedule]
     unknown = sorted(set(without) - {*SPANS, *COMMANDS})
     if unknown:
         raise UserError(f"--without: there is no fault or command {', '.join(unknown)}")
     faults = chosen_faults(only)
-    return [draw(seed, hours, without, faults) for seed in range(first, first + seeds)]
+    return [draw(seed, hours, without, faults, trackers) for seed in range(first, first + seeds)]
 
 
-def refuse_unknown(events: Iterable[Happening], commands: Collection[str]) -> None:
+def refuse_unknown(schedule: Schedule, commands: Collection[str]) -> None:
     """Raise `UserError` for the first event that simulator or service does not know: to skip it would be a lie."""
     from daemon.rigs.campaign.faults import FAULTS  # noqa: PLC0415 - the whole service: a wrong name does not wait for it
 
-    for event in events:
+    for event in schedule.events:
+        if event.tracker is not None and event.tracker >= schedule.trackers:
+            raise UserError(f"{event.name} is for tracker {event.tracker}, and there are {schedule.trackers}, from 0")
         if event.what == "command" and event.name not in commands:
             raise UserError(f"the service has no command '{event.name}'; leave it out with --without {event.name}")
         if event.what == "fault" and event.name not in FAULTS:

@@ -4,7 +4,7 @@ import asyncio
 import math
 
 from daemon.base.records import Mode
-from daemon.rigs.campaign.plant import Plant
+from daemon.rigs.campaign.plant import PlantTracker
 from daemon.service.operator import CommandError
 from daemon.studies.campaign.door import Door
 from daemon.studies.campaign.draw import COMMANDS
@@ -25,25 +25,28 @@ def known(door: Door) -> list[str]:
 
 
 class Person:
-    """Gives commands to whatever service is there.
+    """Gives commands for one tracker to whatever service is there.
 
     Parameters
     ----------
-    plant, watch
-        The rig, and what compares it with the promises.
+    mount, watch
+        The tracker, and what compares it with the promises.
     door
         Through which commands go.
     """
 
-    def __init__(self, plant: Plant, watch: TruthWatch, door: Door) -> None:
+    def __init__(self, mount: PlantTracker, watch: TruthWatch, door: Door) -> None:
         self._door = door
-        self._plant = plant
+        self._mount = mount
         self._watch = watch
         self._given = 0
 
-    async def give(self, name: str, value: tuple[float, ...] = ()) -> None:
-        """Give a command as soon as a service is there, and check what comes of it."""
-        await self._plant.served.wait()
+    async def give(self, name: str, value: tuple[float, ...] = (), for_all: Door | None = None) -> None:
+        """Give a command as soon as a service is there, and check what comes of it.
+
+        `for_all` is the door of one command that is given for all trackers, or None.
+        """
+        await self._mount.plant.served.wait()
         self._given += 1
         self._watch.storms.disturbed(self._now_s)
         if name == "bad":
@@ -52,10 +55,10 @@ class Person:
         stopped_before = self._watch.stopped and self._now_s > self._watch.stop_asked_s
         maintained_before = self._watch.maintained
         self._begins(name)
-        given, plant, watch = self._given, self._plant, self._watch
-        generation, asked_s = plant.service, self._now_s
+        given, mount, watch = self._given, self._mount, self._watch
+        generation, asked_s = mount.service, self._now_s
         try:
-            answer = await self._door.give(plant.service, name, value, _WHY)
+            answer = await (for_all or self._door).give(mount.service, name, value, self._why(for_all), mount.place)
         except asyncio.CancelledError:
             if self._now_s - asked_s < _KEPT_WITHIN_S:
                 self._dies(name, was_stopped=stopped_before, was_maintained=maintained_before)
@@ -63,11 +66,11 @@ class Person:
         except CommandError as error:
             if name == "maintenance" and not maintained_before and "could not be sent" not in str(error):
                 watch.maintenance_ends()
-            self._check_sentence(name, str(error))
+            self._check_sentence(name, str(error), 1 if for_all is None else len(mount.plant.mounts))
             if stopped_before and name not in ("stop", "auto"):
                 self._check_refusal(name, str(error))
             return
-        if plant.service is not generation:
+        if mount.service is not generation:
             return
         if stopped_before and name not in ("stop", "auto") and watch.stopped:
             watch.fails("stop-undone", f"{name} was carried out under a stop: {answer.text}")
@@ -76,7 +79,18 @@ class Person:
 
     @property
     def _now_s(self) -> float:
-        return self._plant.clock.monotonic()
+        return self._mount.clock.monotonic()
+
+    def _why(self, for_all: Door | None) -> str:
+        return f"{_WHY}, to {'all' if for_all else self._mount.name}"
+
+    def check_wishes(self) -> None:
+        """See that what persons have asked of other trackers is not in force here."""
+        wishes, own = self._mount.control.wishes, [self._why(None), self._why(self._door)]
+        for name in type(wishes).model_fields:
+            wish = getattr(wishes, name)
+            if wish is not None and wish.why.startswith(_WHY) and wish.why not in own:
+                self._watch.fails("mixed-up", f"{name} is in force here, and was asked with the words '{wish.why}'")
 
     def _begins(self, name: str) -> None:
         if name == "stop":
@@ -97,21 +111,21 @@ class Person:
             self._watch.maintenance_ends()
 
     async def _give_wrong(self, value: tuple[float, ...]) -> None:
-        plant, watch = self._plant, self._watch
+        mount, watch = self._mount, self._watch
         orders = watch.explained.packets
-        wishes = plant.wishes()
-        moving = any(watch.moving.values()) or plant.motion.moving
+        wishes = mount.wishes()
+        moving = any(watch.moving.values()) or mount.motion.moving
         try:
-            answer = await self._door.give(plant.service, "goto", value, _WHY)
+            answer = await self._door.give(mount.service, "goto", value, self._why(None), mount.place)
         except CommandError as error:
             self._check_sentence("goto", str(error))
         else:
             watch.fails("bad-input", f"goto {value} was carried out: {answer.text}")
-        if plant.wishes() != wishes or (not moving and watch.explained.packets != orders):
+        if mount.wishes() != wishes or (not moving and watch.explained.packets != orders):
             watch.fails("bad-input", f"goto {value} changed what was asked before, or sent something")
 
-    def _check_sentence(self, name: str, sentence: str) -> None:
-        if not sentence or "\n" in sentence or len(sentence) > _LONGEST_SENTENCE:
+    def _check_sentence(self, name: str, sentence: str, trackers: int = 1) -> None:
+        if not sentence or "\n" in sentence or len(sentence) > _LONGEST_SENTENCE * trackers:
             self._watch.fails("sentence", f"{name} is refused with {sentence!r}")
 
     def _check_refusal(self, name: str, sentence: str) -> None:
@@ -124,22 +138,22 @@ class Person:
             await self._check_standing(name, text, given)
         elif name in ("goto", "stow", "snow"):
             self._check_place(name, value, text)
-        elif name == "home" and self._plant.motion.homing:
+        elif name == "home" and self._mount.motion.homing:
             self._watch.fails("false-done", f"home is said to be done while it is under way: {text}")
         elif name == "clear":
             self._check_cleared(text)
 
     async def _check_standing(self, name: str, text: str, given: int) -> None:
-        plant = self._plant
-        before, mode = plant.truth(), plant.mode
+        mount = self._mount
+        before, mode = mount.truth(), mount.mode
         await asyncio.sleep(0.1)
-        after, undisturbed = plant.truth(), given == self._given and plant.mode is mode
+        after, undisturbed = mount.truth(), given == self._given and mount.mode is mode
         turned_deg = max(abs(before.a_deg - after.a_deg), abs(before.b_deg - after.b_deg))
         if turned_deg > STANDS_DEG and undisturbed and not self._watch.disturbed(0.3):
             self._watch.fails("false-done", f"{name} is said to be done, and an axis turns: {text}")
 
     def _check_place(self, name: str, value: tuple[float, ...], text: str) -> None:
-        safety, at = self._plant.service.settings.safety, self._plant.truth()
+        safety, at = self._mount.settings.safety, self._mount.truth()
         a_deg, b_deg = {
             "goto": value,
             "stow": (safety.stow_a_deg, safety.stow_b_deg),
@@ -150,7 +164,7 @@ class Person:
             self._watch.fails("false-done", f"{name} is said to be done, the truth is {at}: {text}")
 
     def _check_cleared(self, text: str) -> None:
-        telemetry = self._plant.motion.telemetry
+        telemetry = self._mount.motion.telemetry
         if telemetry is None or not text.startswith("forgiven"):
             return
         # What the mode is for is said behind it, and may be a fault that has come since.

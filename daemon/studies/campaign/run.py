@@ -16,8 +16,9 @@ from daemon.base.records import Mode, ModeChange, Move
 from daemon.base.timeloop import VirtualTimeLoop, virtual_time
 from daemon.rigs.campaign.faults import FAULTS, PROCESS, PlantFault
 from daemon.rigs.campaign.plant import build_plant
+from daemon.service.operator_commands import OF_ALL
 from daemon.studies.campaign.bounded import WARM_AFTER_S, Bounded, LogLine
-from daemon.studies.campaign.door import DirectDoor, Door
+from daemon.studies.campaign.door import DirectDoor, Door, Together
 from daemon.studies.campaign.matrix import refuse_unknown
 from daemon.studies.campaign.person import WORKS, Person, known
 from daemon.studies.campaign.schedule import Happening, Schedule
@@ -82,28 +83,35 @@ class CampaignRun:
     def __init__(
         self, loop: VirtualTimeLoop, schedule: Schedule, directory: Path, bounded: Bounded, door: Door
     ) -> None:
-        refuse_unknown(schedule.events, known(door))
-        self.watch = TruthWatch()
+        refuse_unknown(schedule, known(door))
+        self.watches = [TruthWatch() for _ in range(schedule.trackers)]
         self.plant = build_plant(
             loop,
             schedule.begin,
             directory,
-            self.watch,
+            self.watches,
             law=schedule.law,
             rehome=schedule.rehome,
             synchronous=schedule.synchronous,
             sky_w_m2=schedule.sky,
         )
-        self.watch.attach(self.plant)
+        for mount, watch in zip(self.plant.mounts, self.watches, strict=True):
+            watch.attach(mount)
         self._schedule = schedule
-        self._person = Person(self.plant, self.watch, door)
+        self._door = door
+        self._persons = [
+            Person(mount, watch, door) for mount, watch in zip(self.plant.mounts, self.watches, strict=True)
+        ]
         self._bounded = bounded
         self._acting: set[asyncio.Task[None]] = set()
-        self._lasting: Counter[str] = Counter()
+        self._lasting: Counter[tuple[str, int]] = Counter()
         loop.set_exception_handler(self._unhandled)
 
+    def _fails(self, promise: str, text: str) -> None:
+        self.watches[0].fails(promise, text)
+
     def _unhandled(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        self.watch.fails("defect", f"{context.get('message')}: {context.get('exception')!r}")
+        self._fails("defect", f"{context.get('message')}: {context.get('exception')!r}")
 
     async def carry_out(self, *, heal: bool) -> None:
         """Let everything of the schedule happen; with `heal` set everything right and see the tracker work again."""
@@ -113,7 +121,7 @@ class CampaignRun:
             self._act(events.pop(0))
             await asyncio.sleep(0)
         plant.start()
-        watching = asyncio.create_task(self.watch.run(), name="watch")
+        watching = [asyncio.create_task(watch.run(), name="watch") for watch in self.watches]
         self._warming = asyncio.get_running_loop().call_later(WARM_AFTER_S, self._warm)
         try:
             for event in events:
@@ -122,8 +130,8 @@ class CampaignRun:
             await asyncio.sleep(max(self._schedule.hours * 3600 - plant.clock.monotonic(), 0.0))
             if heal:
                 await self._set_right()
-                await self._see_it_work()
-            self._bounded.check(self._schedule, plant.records, self.watch.fails)
+                await asyncio.gather(*map(self._see_it_work, self._persons, self.watches))
+            self._bounded.check(self._schedule, plant.records, self._fails)
         finally:
             self._warming.cancel()
             await self._leave(watching)
@@ -135,7 +143,7 @@ class CampaignRun:
             # Without a service there would be less in memory than at the end.
             self._warming = asyncio.get_running_loop().call_later(_SERVED_AGAIN_S, self._warm)
 
-    async def _leave(self, watching: "asyncio.Task[None]") -> None:
+    async def _leave(self, watching: "list[asyncio.Task[None]]") -> None:
         plant = self.plant
         acting = {*self._acting, *plant.commands}
         for task in acting:
@@ -143,81 +151,71 @@ class CampaignRun:
         await asyncio.gather(*acting, return_exceptions=True)
         if plant.is_served:
             await plant.end()
-        watching.cancel()
-        (outcome,) = await asyncio.gather(watching, return_exceptions=True)
-        if isinstance(outcome, Exception):
-            raise outcome
+        for task in watching:
+            task.cancel()
+        for outcome in await asyncio.gather(*watching, return_exceptions=True):
+            if isinstance(outcome, Exception):
+                raise outcome
         # What has been cancelled gets the round that it takes to end.
         await asyncio.sleep(0)
         left = [task.get_name() for task in asyncio.all_tasks() if task is not asyncio.current_task()]
         if left:
-            self.watch.fails("leak", f"tasks that outlive their service: {left}")
+            self._fails("leak", f"tasks that outlive their service: {left}")
 
     def _act(self, event: Happening) -> None:
-        if event.what == "command":
-            task = asyncio.create_task(self._person.give(event.name, event.value), name=event.name)
-            self.plant.commands.add(task)
-        else:
-            task = asyncio.create_task(self._fault(event), name=event.name)
-            self._acting.add(task)
-        task.add_done_callback(self._acted)
+        shared = event.what == "fault" and FAULTS[event.name].of_all
+        places = range(len(self.watches)) if event.tracker is None and not shared else (event.tracker or 0,)
+        # One command for all where there is such a one, and else one for each.
+        together = Together(self._door) if len(places) > 1 and event.name in OF_ALL else None
+        for place in places:
+            if event.what == "command":
+                giving = self._persons[place].give(event.name, event.value, together)
+                task = asyncio.create_task(giving, name=event.name)
+                self.plant.commands.add(task)
+            else:
+                task = asyncio.create_task(self._fault(event, place), name=event.name)
+                self._acting.add(task)
+            task.add_done_callback(self._acted)
 
     def _acted(self, task: "asyncio.Task[None]") -> None:
         self.plant.commands.discard(task)
         self._acting.discard(task)
         if not task.cancelled() and task.exception() is not None:
-            self.watch.fails("defect", f"{task.get_name()} ended in {task.exception()!r}")
+            self._fails("defect", f"{task.get_name()} ended in {task.exception()!r}")
+        for person in self._persons:
+            person.check_wishes()
 
-    async def _fault(self, event: Happening) -> None:
+    async def _fault(self, event: Happening, place: int) -> None:
         fault, plant = FAULTS[event.name], self.plant
         if event.name in PROCESS and not plant.is_served:
             return
-        self._note(event.name, event.value, fault)
-        self._lasting[event.name] += 1
-        await _done(fault.begin(plant, event.value))
-        self.watch.lasting += 1
+        key = event.name, 0 if fault.of_all else place
+        mount, watches = plant.mounts[place], self._concerned(*key)
+        for watch in watches:
+            _note(watch, event.name, event.value, fault)
+        self._lasting[key] += 1
+        await _done(fault.begin(mount, event.value))
+        for watch in watches:
+            watch.lasting += 1
         try:
             await asyncio.sleep(event.lasts_s)
         finally:
-            self.watch.lasting -= 1
+            for watch in watches:
+                watch.lasting -= 1
         # Another fault may have taken the sensor away meanwhile, or the service.
         served_s = plant.clock.monotonic() - plant.served_since_s
         if event.name == "wind" and plant.wind_m_s == event.value[0] and GUST_S <= event.lasts_s <= served_s:
-            self.watch.gust()
-        self._lasting[event.name] -= 1
-        if fault.end is not None and not self._lasting[event.name]:
-            await _done(fault.end(plant, event.value))
-            self._note_end(event.name, fault)
+            for watch in watches:
+                watch.gust()
+        self._lasting[key] -= 1
+        if fault.end is not None and not self._lasting[key]:
+            await _done(fault.end(mount, event.value))
+            for watch in watches:
+                _note_end(watch, event.name, fault)
 
-    def _note(self, name: str, value: tuple[float, ...], fault: PlantFault) -> None:
-        watch = self.watch
-        if fault.moves:
-            watch.moves_itself()
-        if name == "deaf":
-            watch.deaf(is_deaf=True)
-        elif name == "clock_step":
-            watch.steps.note(value[0], watch.now_s)
-        if fault.uncounts:
-            watch.reference.excused, watch.reference.lost_s = True, watch.now_s
-        if name.endswith("hall_loss"):
-            watch.blind.add("a" if name[0] == "a" else "b")
-        if fault.by_hand:
-            watch.explained.held(is_held=True, now_s=watch.now_s)
-        watch.disturbs()
-
-    def _note_end(self, name: str, fault: PlantFault) -> None:
-        watch = self.watch
-        if fault.moves:
-            watch.moves_itself()
-        if fault.by_hand:
-            watch.explained.held(is_held=False, now_s=watch.now_s)
-        if name.endswith("hall_loss"):
-            watch.sees_again("a" if name[0] == "a" else "b")
-        if name == "deaf":
-            watch.deaf(is_deaf=False)
-        elif name == "clock_step":
-            watch.steps.note(0.0, watch.now_s)
-        watch.disturbs()
+    def _concerned(self, name: str, place: int) -> list[TruthWatch]:
+        """Return who watches the trackers to which a fault happens; all others have to go on as if it were not."""
+        return self.watches if FAULTS[name].of_all else [self.watches[place]]
 
     async def _set_right(self) -> None:
         """End whatever still lasts."""
@@ -225,42 +223,75 @@ class CampaignRun:
         for task in lasting:
             task.cancel()
         await asyncio.gather(*lasting, return_exceptions=True)
-        for name, count in self._lasting.items():
+        for (name, place), count in self._lasting.items():
             fault = FAULTS[name]
             if count and fault.end is not None and name not in PROCESS:
                 value = next(event.value for event in self._schedule.events if event.name == name)
-                await _done(fault.end(self.plant, value))
-                self._note_end(name, fault)
+                await _done(fault.end(self.plant.mounts[place], value))
+                for watch in self._concerned(name, place):
+                    _note_end(watch, name, fault)
         for device in self.plant.plugged:
             self.plant.plug(device, up=True)
+        for mount in self.plant.mounts:
+            mount.plug(up=True)
         if not self.plant.is_served:
             self.plant.renew()
 
-    async def _see_it_work(self) -> None:
-        """Set the tracker right as a person would, with the commands there are, and homing; it has to work then."""
-        plant, begun_s = self.plant, self.plant.clock.monotonic()
+    async def _see_it_work(self, person: Person, watch: TruthWatch) -> None:
+        """Set a tracker right as a person would, with the commands there are, and homing; it has to work then."""
+        mount, begun_s = watch.mount, self.plant.clock.monotonic()
         for command in ("clear", "auto"):
-            await self._person.give(command)
+            await person.give(command)
             await asyncio.sleep(30.0)
         turn = 0
-        while plant.clock.monotonic() - begun_s < RECOVERS_WITHIN_S:
+        while mount.clock.monotonic() - begun_s < RECOVERS_WITHIN_S:
             if turn and turn % _ASKED_AGAIN_AFTER == 0:
-                await self._person.give("clear")
-            if not plant.motion.homing and not plant.has_homed(begun_s):
+                await person.give("clear")
+            if not mount.motion.homing and not mount.has_homed(begun_s):
                 # Under a stow it is refused, so it is asked for until it has been made.
-                await self._person.give("home")
+                await person.give("home")
             await asyncio.sleep(60.0)
             turn += 1
-            at_rest = not plant.motion.doubt and not plant.motion.moving
-            if plant.mode in WORKS and at_rest and plant.has_homed(begun_s):
+            at_rest = not mount.motion.doubt and not mount.motion.moving
+            if mount.mode in WORKS and at_rest and mount.has_homed(begun_s):
                 break
         else:
-            text = f"mode {plant.mode}: {plant.control.why} {RECOVERS_WITHIN_S:g} s after everything was set right"
-            self.watch.fails("does-not-recover", text)
+            text = f"mode {mount.mode}: {mount.control.why} {RECOVERS_WITHIN_S:g} s after everything was set right"
+            watch.fails("does-not-recover", text)
             return
-        if self.watch.is_wrong():
-            text = f"after a reference run the truth is {plant.truth()}, and the service says {plant.motion.pose}"
-            self.watch.fails("believes-a-wrong-count", text)
+        if watch.is_wrong():
+            text = f"after a reference run the truth is {mount.truth()}, and the service says {mount.motion.pose}"
+            watch.fails("believes-a-wrong-count", text)
+
+
+def _note(watch: TruthWatch, name: str, value: tuple[float, ...], fault: PlantFault) -> None:
+    if fault.moves:
+        watch.moves_itself()
+    if name == "deaf":
+        watch.deaf(is_deaf=True)
+    elif name == "clock_step":
+        watch.steps.note(value[0], watch.now_s)
+    if fault.uncounts:
+        watch.reference.excused, watch.reference.lost_s = True, watch.now_s
+    if name.endswith("hall_loss"):
+        watch.blind.add("a" if name[0] == "a" else "b")
+    if fault.by_hand:
+        watch.explained.held(is_held=True, now_s=watch.now_s)
+    watch.disturbs()
+
+
+def _note_end(watch: TruthWatch, name: str, fault: PlantFault) -> None:
+    if fault.moves:
+        watch.moves_itself()
+    if fault.by_hand:
+        watch.explained.held(is_held=False, now_s=watch.now_s)
+    if name.endswith("hall_loss"):
+        watch.sees_again("a" if name[0] == "a" else "b")
+    if name == "deaf":
+        watch.deaf(is_deaf=False)
+    elif name == "clock_step":
+        watch.steps.note(0.0, watch.now_s)
+    watch.disturbs()
 
 
 async def _done(result: Any) -> None:
@@ -297,19 +328,23 @@ def run_schedule(schedule: Schedule, door: Door | None = None, *, heal: bool = T
         with _listening(bounded):
             running = CampaignRun(loop, schedule, Path(folder), bounded, door or DirectDoor())
             runner.run(running.carry_out(heal=heal))
-    watch, plant = running.watch, running.plant
+    watches, plant = running.watches, running.plant
     left = _open_handles() - handles
     if left > 0:
-        watch.violations.append(Violation("leak", schedule.hours * 3600, f"{left} files or sockets are left open"))
+        watches[0].violations.append(Violation("leak", schedule.hours * 3600, f"{left} files or sockets are left open"))
     return CampaignOutcome(
-        violations=tuple(watch.violations),
-        stop_latencies_s=tuple(watch.stop_latencies_s),
+        violations=tuple(sorted((found for watch in watches for found in watch.violations), key=_at_s)),
+        stop_latencies_s=tuple(latency_s for watch in watches for latency_s in watch.stop_latencies_s),
         lines=tuple(bounded.lines),
         moves=sum(isinstance(record, Move) for record in plant.records),
         entered=tuple(
             (record.time_monotonic_s, record.after) for record in plant.records if isinstance(record, ModeChange)
         ),
     )
+
+
+def _at_s(violation: Violation) -> float:
+    return violation.at_s
 
 
 @contextmanager

@@ -10,6 +10,8 @@ from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationE
 from daemon.config.rules import END_OF_STARTS, FIRST_START
 
 _AS_WRITTEN = ConfigDict(extra="forbid", strict=True)
+MOST_TRACKERS = 10
+_Place = Annotated[int, Field(ge=0, lt=MOST_TRACKERS)]
 _YEAR_S = 31_536_000.0
 _Instant = Annotated[float, Field(ge=-_YEAR_S, le=_YEAR_S, allow_inf_nan=False)]
 _Length = Annotated[float, Field(ge=0, le=_YEAR_S, allow_inf_nan=False)]
@@ -41,6 +43,8 @@ class Happening:
         NaN.
     lasts_s
         How long a fault lasts; 0 for one that is over at once.
+    tracker
+        To which of several it happens, from 0; None: to all at once. What they share is not asked.
     """
 
     __pydantic_config__: ClassVar = _AS_WRITTEN
@@ -50,11 +54,13 @@ class Happening:
     name: str
     value: tuple[float, ...] = ()
     lasts_s: _Length = 0.0
+    tracker: _Place | None = 0
 
     def __str__(self) -> str:
         value = " ".join(f"{number:g}" for number in self.value)
         lasts = f" for {self.lasts_s:g} s" if self.lasts_s else ""
-        return f"{self.at_s:9.2f} s  {self.what} {self.name} {value}{lasts}".rstrip()
+        tracker = "" if self.tracker == 0 else f" of {'all' if self.tracker is None else f't{self.tracker}'}"
+        return f"{self.at_s:9.2f} s  {self.what} {self.name} {value}{lasts}".rstrip() + tracker
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +83,8 @@ class Schedule:
         DNI and DHI [W/m2].
     events
         In the order of their time.
+    trackers
+        How many the service has.
     """
 
     __pydantic_config__: ClassVar = _AS_WRITTEN
@@ -89,6 +97,7 @@ class Schedule:
     synchronous: bool
     sky: tuple[_NotNegative, _NotNegative]
     events: tuple[Happening, ...]
+    trackers: Annotated[int, Field(ge=1, le=MOST_TRACKERS)] = 1
 
     @property
     def begin(self) -> datetime:
@@ -97,9 +106,10 @@ class Schedule:
 
     def text(self) -> str:
         """Return it for people: a line for each event."""
+        of_several = f" {self.trackers} trackers," if self.trackers > 1 else ""
         head = (
             f"seed {self.seed}, {self.hours:g} h from {self.start}, law {self.law}, rehome {self.rehome},"
-            f" {'both axes at once' if self.synchronous else 'one axis at a time'}, DNI/DHI {self.sky}"
+            f"{of_several} {'both axes at once' if self.synchronous else 'one axis at a time'}, DNI/DHI {self.sky}"
         )
         return "\n".join([head, *map(str, self.events)])
 

@@ -26,8 +26,9 @@ class RotatorRig(rigs.ServiceRig):
         own = settings.instruments.positioner
         self.rotator = build_rotator(settings, own, self.clock)
         self.unit = SimpleNamespace(truth=rotator_truth(self.rotator, settings))
-        self.cables.positioner = InMemoryRotctld(self.rotator, self.clock.monotonic)
-        return driver.build(own, positioner_surroundings(settings, self.clock), self.cables.positioner)
+        line = InMemoryRotctld(self.rotator, self.clock.monotonic)
+        self.cables.positioners.append(line)
+        return driver.build(own, positioner_surroundings(settings, self.clock), line)
 
     @property
     def operator(self):

@@ -3,15 +3,15 @@
 from collections.abc import Callable
 
 from daemon.base.records import Mode
-from daemon.rigs.campaign.plant import Plant
+from daemon.rigs.campaign.plant import PlantTracker
 
 
-def check_asked_for(plant: Plant, target: tuple[float, float], fails: Callable[[str, str], None]) -> None:
+def check_asked_for(mount: PlantTracker, target: tuple[float, float], fails: Callable[[str, str], None]) -> None:
     """Look at a target [deg] that is about to be sent; `fails` is called with a promise and a text.
 
     A mode that parks the tracker asks for one place alone: any other was asked for before, and has waited.
     """
-    control, settings = plant.control, plant.service.settings
+    control, settings = mount.control, mount.settings
     safety, hold = settings.safety, control.wishes.hold
     places = {
         Mode.STOW: (safety.stow_a_deg, safety.stow_b_deg),

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 from daemon.base.records import Mode, ModeChange
-from daemon.rigs.campaign.plant import Plant
+from daemon.rigs.campaign.plant import PlantTracker
 
 CLOCK_STEP_S = 30.0
 _NOTICED_WITHIN_S = 1.0
@@ -27,22 +27,22 @@ class ClockSteps:
         """Take note by how much the clock is off from now on."""
         self._set.append((now_s, off_s))
 
-    def check(self, plant: Plant, target: tuple[float, float], now_s: float, begun_s: float) -> None:
+    def check(self, mount: PlantTracker, target: tuple[float, float], now_s: float, begun_s: float) -> None:
         """Look at a target [deg] that is sent by the clock, of a service that began at `begun_s`."""
-        clock, control = plant.clock, plant.control
+        clock, control = mount.clock, mount.control
         # A process that began after a step has never known another time, and believes that one.
         began_off_s = next(off_s for at_s, off_s in reversed(self._set) if at_s <= begun_s)
         known = min(abs(clock.step_s), abs(clock.step_s - began_off_s)) > CLOCK_STEP_S
         wrong = known and now_s - self._set[-1][0] > _NOTICED_WITHIN_S
         # To be parked when it is night in truth takes no clock.
-        parked = control.mode is Mode.NIGHT and plant.service.sun_elevation_deg(clock.utc() - clock.step_s) < 0.0
-        if wrong and not parked and not _ordered_before(plant):
+        parked = control.mode is Mode.NIGHT and mount.service.sun_elevation_deg(clock.utc() - clock.step_s) < 0.0
+        if wrong and not parked and not _ordered_before(mount):
             text = f"{target} is sent in mode {control.mode} with the clock off by {clock.step_s:g} s: {control.why}"
             self._fails("clock", text)
 
 
-def _ordered_before(plant: Plant) -> bool:
+def _ordered_before(mount: PlantTracker) -> bool:
     """Tell whether the move that is sent was ordered in another mode: it is no decision of this one."""
-    changes = (record for record in reversed(plant.records) if isinstance(record, ModeChange))
+    changes = (record for record in reversed(mount.records) if isinstance(record, ModeChange))
     latest = next(changes, None)
-    return latest is not None and plant.motion.last_move_started_s < latest.time_monotonic_s
+    return latest is not None and mount.motion.last_move_started_s < latest.time_monotonic_s

@@ -2,7 +2,7 @@
 
 import math
 
-from daemon.rigs.campaign.plant import Plant
+from daemon.rigs.campaign.plant import PlantTracker
 
 CONNECTED_S = 2.0
 """From the first telemetry on the service has this long before everything binds."""
@@ -45,18 +45,18 @@ class Reach:
         """Take note that the unit takes no commands, or takes them again."""
         self._deaf, self.since_s, self._grace_s = is_deaf, now_s, HEARS_AGAIN_S
 
-    def sample(self, plant: Plant, now_s: float) -> None:
+    def sample(self, mount: PlantTracker, now_s: float) -> None:
         """See whether there is telemetry."""
-        connected = plant.is_served and plant.motion.connected
+        connected = mount.is_served and mount.motion.connected
         if connected and not self._connected:
             self.connected_s = now_s
         elif not connected:
             self.connected_s = math.inf
         self._connected = connected
 
-    def live(self, plant: Plant, now_s: float) -> bool:
+    def live(self, mount: PlantTracker, now_s: float) -> bool:
         """Tell whether the service can keep its promises: it has had time to connect and to be heard."""
-        if not (plant.is_served and plant.plugged["positioner"]) or self._deaf or plant.is_silent:
+        if not (mount.is_served and mount.plugged) or self._deaf or mount.is_silent:
             return False
         if now_s - self.since_s > CONNECTS_WITHIN_S:
             return True

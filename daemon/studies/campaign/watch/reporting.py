@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from daemon.base.records import Event, Mode, ModeChange, Record
-from daemon.rigs.campaign.plant import Plant
+from daemon.rigs.campaign.plant import PlantTracker
 
 WORTH_REPORTING_DEG = 0.5
 REPORTED_WITHIN_S = 10.0
@@ -72,18 +72,18 @@ class Reporting:
         """Note that both axes stand, or move by an order."""
         self._begun_s = None
 
-    def check(self, plant: Plant, now_s: float, *, by_hand: bool) -> None:
+    def check(self, mount: PlantTracker, now_s: float, *, by_hand: bool) -> None:
         """Compare with what has been reported by now; nothing is asked of a service that has ended meanwhile."""
-        blocked = plant.motion.unexplained
+        blocked = mount.motion.unexplained
         if by_hand:
             self._cause_s = now_s
         if blocked is not None and self._blocked is None and now_s - self._cause_s > CAUSE_WITHIN_S:
             self._fails("false-alarm", f"nothing has moved by itself, but: {blocked}")
         self._blocked = blocked
-        within_s = REPORTED_WITHIN_S if plant.motion.target is None else MOVE_ENDS_WITHIN_S
+        within_s = REPORTED_WITHIN_S if mount.motion.target is None else MOVE_ENDS_WITHIN_S
         while self._unreported and now_s - self._unreported[0][0] > within_s:
             begun_s, turned_deg = self._unreported.pop(0)
-            late = islice(reversed(plant.records), _LATE_RECORDS)
+            late = islice(reversed(mount.records), _LATE_RECORDS)
             if not blocked and not any(_reports(record, begun_s) for record in late):
                 self._fails(
                     "unreported",

@@ -7,11 +7,11 @@ as long as nothing of what it depends on has changed, and no axis can have come 
 import math
 from typing import NamedTuple
 
-from daemon.rigs.campaign.plant import Plant
+from daemon.rigs.campaign.plant import PlantTracker
 from solar.frames import Angles
 
 FASTEST_PER_S, FASTEST_DEG_PER_S = 10.0, 5.0
-"""No axis of the plant turns so fast, in its position units and in degrees; full speed is a third of that."""
+"""No axis of a tracker turns so fast, in its position units and in degrees; full speed is a third of that."""
 
 
 class Turning(NamedTuple):
@@ -45,25 +45,25 @@ class Steady:
         """Look closely next: something is about to change."""
         self._known = None
 
-    def note(self, plant: Plant, now_s: float, turns: Turning, until_s: float) -> None:
+    def note(self, mount: PlantTracker, now_s: float, turns: Turning, until_s: float) -> None:
         """Take note of a close look after which nothing is waited for until then, if nothing changes."""
-        self._known, self._turning, self._until_s = _depends_on(plant, now_s), turns, until_s
+        self._known, self._turning, self._until_s = _depends_on(mount, now_s), turns, until_s
 
-    def goes_on(self, plant: Plant, turns: Turning, now_s: float) -> bool:
+    def goes_on(self, mount: PlantTracker, turns: Turning, now_s: float) -> bool:
         """Tell whether a close look would find what the last one did."""
         if self._known is None or now_s >= self._until_s or turns != self._turning:
             return False
-        return self._known == _depends_on(plant, now_s)
+        return self._known == _depends_on(mount, now_s)
 
 
-def _depends_on(plant: Plant, now_s: float) -> tuple[object, ...]:
-    motion = plant.motion
+def _depends_on(mount: PlantTracker, now_s: float) -> tuple[object, ...]:
+    motion = mount.motion
     return (
         motion.connected,
         motion.homing,
         motion.target is None,
         motion.unexplained,
-        plant.is_served,
-        plant.wind_m_s,
-        plant.unit.changes(now_s),
+        mount.is_served,
+        mount.wind_m_s,
+        mount.unit.changes(now_s),
     )

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 from daemon.base.records import Mode, MoveOutcome
-from daemon.rigs.campaign.plant import Plant
+from daemon.rigs.campaign.plant import PlantTracker
 from solar.frames import Angles
 
 STORM_S = 11.0
@@ -50,41 +50,41 @@ class Storms:
         """Tell whether something of a storm, or after a gust, has to show as time goes on."""
         return self._storm_s is not None or now_s < self.gust_s + GUST_STOWS_S
 
-    def check(self, plant: Plant, at: Angles, now_s: float, reachable_s: float, *, live: bool) -> None:
+    def check(self, mount: PlantTracker, at: Angles, now_s: float, reachable_s: float, *, live: bool) -> None:
         """Compare wind, mode and where the axes truly stand.
 
         `reachable_s` and `live` say since when, and whether, the service can do anything.
         """
-        self._check_storm(plant, at, now_s, reachable_s, live=live)
+        self._check_storm(mount, at, now_s, reachable_s, live=live)
         after_gust = self.gust_s + STORM_S < now_s < self.gust_s + GUST_STOWS_S
-        if after_gust and reachable_s < now_s - STORM_S and plant.control.mode in FREE and live:
-            self._fails("storm", f"mode {plant.control.mode} {now_s - self.gust_s:.0f} s after a gust")
+        if after_gust and reachable_s < now_s - STORM_S and mount.control.mode in FREE and live:
+            self._fails("storm", f"mode {mount.control.mode} {now_s - self.gust_s:.0f} s after a gust")
 
-    def _check_storm(self, plant: Plant, at: Angles, now_s: float, reachable_s: float, *, live: bool) -> None:
-        wind = plant.wind_m_s
-        strong = wind is not None and wind >= plant.service.settings.safety.stow_wind_m_s
-        if not strong or not plant.is_served:
+    def _check_storm(self, mount: PlantTracker, at: Angles, now_s: float, reachable_s: float, *, live: bool) -> None:
+        wind = mount.wind_m_s
+        strong = wind is not None and wind >= mount.settings.safety.stow_wind_m_s
+        if not strong or not mount.is_served:
             self._storm_s = None
             return
         if self._storm_s is None:
             self._storm_s = now_s
         since_s = max(self._storm_s, reachable_s)
-        if now_s - since_s > STORM_S and plant.control.mode in FREE and live:
-            self._fails("storm", f"mode {plant.control.mode} {now_s - since_s:.0f} s into a wind of {wind} m/s")
+        if now_s - since_s > STORM_S and mount.control.mode in FREE and live:
+            self._fails("storm", f"mode {mount.control.mode} {now_s - since_s:.0f} s into a wind of {wind} m/s")
         since_s = max(since_s, self._undisturbed_s)
-        if live and not self.excused and plant.control.mode is Mode.STOW:
-            self._check_stow(plant, at, now_s, since_s)
+        if live and not self.excused and mount.control.mode is Mode.STOW:
+            self._check_stow(mount, at, now_s, since_s)
         else:
             self._waits_s = None
 
-    def _check_stow(self, plant: Plant, at: Angles, now_s: float, since_s: float) -> None:
-        safety, last = plant.service.settings.safety, plant.motion.last_move
+    def _check_stow(self, mount: PlantTracker, at: Angles, now_s: float, since_s: float) -> None:
+        safety, last = mount.settings.safety, mount.motion.last_move
         there = max(abs(at.a_deg - safety.stow_a_deg), abs(at.b_deg - safety.stow_b_deg)) <= STOWED_DEG
         if now_s - since_s > STOWED_WITHIN_S and not there:
             self._fails("stow", f"the tracker stands at {at} {now_s - since_s:.0f} s into a storm")
         # One that has failed waits to be tried again.
         failed = last is not None and last.outcome not in (MoveOutcome.ARRIVED, MoveOutcome.INTERRUPTED)
-        if there or failed or plant.motion.target is not None:
+        if there or failed or mount.motion.target is not None:
             self._waits_s = None
         elif self._waits_s is None:
             self._waits_s = now_s

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from daemon.base.records import Mode
-from daemon.rigs.campaign.plant import Plant
+from daemon.rigs.campaign.plant import PlantTracker
 from drivers.interfaces import AxisName
 from solar.frames import Angles
 
@@ -40,16 +40,16 @@ class TrueCount:
         self.wrong_s: float | None = None
         self.compared_s = float("-inf")
 
-    def counts(self, plant: Plant, axis: AxisName, at_deg: float, now_s: float) -> bool:
+    def counts(self, mount: PlantTracker, axis: AxisName, at_deg: float, now_s: float) -> bool:
         """Tell whether the unit's count of an axis is the truth, to a hair."""
-        return abs(plant.unit.shown_deg(axis, now_s) - at_deg) < COUNTED_DEG
+        return abs(mount.unit.shown_deg(axis, now_s) - at_deg) < COUNTED_DEG
 
-    def is_wrong(self, plant: Plant, at: Angles, now_s: float) -> bool:
+    def is_wrong(self, mount: PlantTracker, at: Angles, now_s: float) -> bool:
         """Tell whether the unit's count is not where the axes are."""
-        shown = _shown(plant, now_s)
+        shown = _shown(mount, now_s)
         return max(abs(shown.a_deg - at.a_deg), abs(shown.b_deg - at.b_deg)) > REFERENCE_DEG
 
-    def check(self, plant: Plant, at: Angles, now_s: float, since_s: float, *, blind: bool, live: bool) -> None:
+    def check(self, mount: PlantTracker, at: Angles, now_s: float, since_s: float, *, blind: bool, live: bool) -> None:
         """Look every few seconds at axes that stand.
 
         Parameters
@@ -64,21 +64,21 @@ class TrueCount:
         if now_s - self.compared_s < REFERENCE_EVERY_S:
             return
         self.compared_s = now_s
-        if not self.is_wrong(plant, at, now_s):
+        if not self.is_wrong(mount, at, now_s):
             self.wrong_s = None
             # What is a hair at one angle may be a degree at another.
-            true = self.counts(plant, "a", at.a_deg, now_s) and self.counts(plant, "b", at.b_deg, now_s)
+            true = self.counts(mount, "a", at.a_deg, now_s) and self.counts(mount, "b", at.b_deg, now_s)
             self.excused = self.excused and (blind or not true)
             return
         if self.wrong_s is None:
             self.wrong_s = now_s
-        control = plant.control
+        control = mount.control
         tracks = control.mode in (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT)
         late = now_s - max(self.wrong_s, since_s) > DOUBTS_WITHIN_S
-        if tracks and late and not self.excused and plant.motion.doubt is None and live:
-            text = f"the unit says {_shown(plant, now_s)}, the truth is {at}; mode {control.mode}, no doubt"
+        if tracks and late and not self.excused and mount.motion.doubt is None and live:
+            text = f"the unit says {_shown(mount, now_s)}, the truth is {at}; mode {control.mode}, no doubt"
             self._fails("believes-a-wrong-count", text)
 
 
-def _shown(plant: Plant, now_s: float) -> Angles:
-    return Angles(plant.unit.shown_deg("a", now_s), plant.unit.shown_deg("b", now_s))
+def _shown(mount: PlantTracker, now_s: float) -> Angles:
+    return Angles(mount.unit.shown_deg("a", now_s), mount.unit.shown_deg("b", now_s))

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 from daemon.base.records import Mode, Scan
 from daemon.base.timeloop import call_until, wait_at_most
-from daemon.rigs.campaign.plant import Plant
+from daemon.rigs.campaign.plant import PlantTracker
 from daemon.studies.campaign.watch.asked_for import check_asked_for
 from daemon.studies.campaign.watch.believed import check_scan
 from daemon.studies.campaign.watch.clock_steps import ClockSteps
@@ -41,12 +41,12 @@ STALE_S = 16.0
 
 
 class TruthWatch:
-    """Holds what truly happens against what was promised; it is the plant's `Witness`.
+    """Holds what truly happens against what was promised; it is the `Witness` of one tracker.
 
     Attributes
     ----------
-    plant
-        What is watched.
+    mount
+        The tracker that is watched.
     violations
         The broken promises.
     stop_latencies_s
@@ -86,21 +86,21 @@ class TruthWatch:
         self._sent_s = -math.inf
         self._noted: set[tuple[str, int]] = set()
 
-    def attach(self, plant: Plant) -> None:
-        """Watch a plant; it is built with this watch, so it comes later."""
-        self.plant = plant
+    def attach(self, mount: PlantTracker) -> None:
+        """Watch a tracker; its plant is built with this watch, so it comes later."""
+        self.mount = mount
 
     @property
     def now_s(self) -> float:
         """The plant's time."""
-        return self.plant.clock.monotonic()
+        return self.mount.clock.monotonic()
 
     def fails(self, promise: str, text: str) -> None:
         """Take note of a broken promise, the first time in a minute."""
         key = (promise, int(self.now_s // 60))
         if key not in self._noted:
             self._noted.add(key)
-            self.violations.append(Violation(promise, self.now_s, text))
+            self.violations.append(Violation(promise, self.now_s, f"{self.mount.called}{text}"))
 
     # What the taps, the faults and the persons report.
 
@@ -172,7 +172,7 @@ class TruthWatch:
 
     def gust(self) -> None:
         """Take note that the wind has been strong for more than a second."""
-        if self.plant.is_served and self.now_s - self.reach.begun_s > STORM_S:
+        if self.mount.is_served and self.now_s - self.reach.begun_s > STORM_S:
             self.storms.gust_s = self.now_s
             self._steady.forget()
 
@@ -219,7 +219,7 @@ class TruthWatch:
             if not self._rests():
                 await call_until(SAMPLE_S, self._sample_and_rest)
             self._wake.clear()
-            due_s = self.plant.unit.next_event(self.now_s)
+            due_s = self.mount.unit.next_event(self.now_s)
             wait_s = IDLE_SAMPLE_S if due_s is None else min(max(due_s - self.now_s, SAMPLE_S), IDLE_SAMPLE_S)
             await wait_at_most(self._wake, wait_s)
 
@@ -232,27 +232,27 @@ class TruthWatch:
 
     def sample(self) -> None:
         """Compare truth and promises once."""
-        now_s, at = self.now_s, self.plant.truth()
+        now_s, at = self.now_s, self.mount.truth()
         before, gone_s, self._at = self._at, now_s - self._sampled_s, at
         self._sampled_s = now_s
-        if self.plant.motion.target is not None:
+        if self.mount.motion.target is not None:
             self._headed_s = now_s
         if before is None or gone_s <= 0:
             self._look_closely(at, at, 0.0, now_s)
             return
         least_deg = MOVES_DEG * min(gone_s / SAMPLE_S, 1.0)
         turns = turning(before, at, least_deg)
-        if not self._steady.goes_on(self.plant, turns, now_s):
+        if not self._steady.goes_on(self.mount, turns, now_s):
             self._steady.forget()
             until_s = self._look_closely(before, at, least_deg, now_s)
             if until_s > now_s:
-                self._steady.note(self.plant, now_s, turns, until_s)
+                self._steady.note(self.mount, now_s, turns, until_s)
         elif turns != STANDS:
             self._note_motion(now_s)
 
     def _look_closely(self, before: Angles, at: Angles, least_deg: float, now_s: float) -> float:
         """Return until when [s] another look finds the same if nothing changes; -inf where time alone may tell."""
-        self.reach.sample(self.plant, now_s)
+        self.reach.sample(self.mount, now_s)
         live = self._live(now_s)
         until_s = min(
             self._check_axis("a", at.a_deg, at.a_deg - before.a_deg, least_deg, now_s, live=live),
@@ -264,9 +264,9 @@ class TruthWatch:
             until_s = min(until_s, self.reference.compared_s + REFERENCE_EVERY_S)
         # The storm itself is one of them.
         self.storms.excused = self.lasting > 1 or self.reference.excused or self.reference.wrong_s is not None
-        self.storms.check(self.plant, at, now_s, self.reach.since_s, live=live)
+        self.storms.check(self.mount, at, now_s, self.reach.since_s, live=live)
         if live:
-            self.reporting.check(self.plant, now_s, by_hand=self.explained.by_hand(now_s))
+            self.reporting.check(self.mount, now_s, by_hand=self.explained.by_hand(now_s))
         else:
             self.reporting.forget()
         waits = self.stopped or self.maintained or self.storms.waits(now_s) or self.reporting.waits
@@ -285,7 +285,7 @@ class TruthWatch:
             return math.inf
         self._note_motion(now_s)
         counted = self._counted_of(axis)
-        motion, left = self.plant.motion, abs(counted.destination - counted.position)
+        motion, left = self.mount.motion, abs(counted.destination - counted.position)
         # A move has arrived within its tolerance; what is left of it the axis may still make up.
         heads_until_s = self._headed_s + RUN_OUT_S
         heading = motion.target is not None or (left <= LEFT_AT_ARRIVAL and now_s < heads_until_s)
@@ -311,14 +311,14 @@ class TruthWatch:
         return math.inf if why == "home" else -math.inf
 
     def _live(self, now_s: float) -> bool:
-        return self.reach.live(self.plant, now_s)
+        return self.reach.live(self.mount, now_s)
 
     def _counted(self) -> tuple[Counted, Counted]:
         """Return what the unit itself says of the axes A and B."""
         return self._counted_of("a"), self._counted_of("b")
 
     def _counted_of(self, axis: AxisName) -> Counted:
-        return Counted(*self.plant.unit.course(axis, self.now_s))
+        return Counted(*self.mount.unit.course(axis, self.now_s))
 
     # The promises.
 
@@ -327,7 +327,7 @@ class TruthWatch:
         if since_s is None:
             self._unexplained_s[axis] = now_s - SAMPLE_S
         elif now_s - since_s > UNEXPLAINED_S + SAMPLING_S + (UNIT_TRIPS_S if axis in self.blind else 0.0):
-            motion, control = self.plant.motion, self.plant.control
+            motion, control = self.mount.motion, self.mount.control
             self.fails(
                 "unexplained-motion",
                 f"axis {axis} has moved for {now_s - since_s:.1f} s without an order and stands at {at_deg:.2f} deg;"
@@ -336,7 +336,7 @@ class TruthWatch:
 
     def _check_limits(self, axis: AxisName, at_deg: float, turned_deg: float) -> float:
         """Return how far it is to the limit that the axis turns to [deg]; below 0 beyond it."""
-        limits = self.plant.service.settings.limits
+        limits = self.mount.settings.limits
         low, high = (limits.a_min_deg, limits.a_max_deg) if axis == "a" else (limits.b_min_deg, limits.b_max_deg)
         beyond_deg = low - at_deg if turned_deg < 0 else at_deg - high
         if beyond_deg > LIMIT_DEG and self._counts(axis, at_deg):
@@ -364,24 +364,24 @@ class TruthWatch:
             self.fails(
                 f"moves-under-{kind}",
                 f"axis {axes} moves {now_s - since_s:.1f} s after {kind} and stands at {self._at};"
-                f" mode {self.plant.control.mode}: {self.plant.control.why}",
+                f" mode {self.mount.control.mode}: {self.mount.control.why}",
             )
 
     def _counts(self, axis: AxisName, at_deg: float) -> bool:
-        return self.reference.counts(self.plant, axis, at_deg, self.now_s)
+        return self.reference.counts(self.mount, axis, at_deg, self.now_s)
 
     def is_wrong(self) -> bool:
         """Tell whether the unit's count is not what is true."""
-        return self.reference.is_wrong(self.plant, self._at or self.plant.truth(), self.now_s)
+        return self.reference.is_wrong(self.mount, self._at or self.mount.truth(), self.now_s)
 
     def _check_reference(self, at: Angles, now_s: float) -> None:
-        if not any(self.moving.values()) and self.plant.is_served:
+        if not any(self.moving.values()) and self.mount.is_served:
             since_s = max(self.reach.since_s, self.reach.connected_s)
-            self.reference.check(self.plant, at, now_s, since_s, blind=bool(self.blind), live=self._live(now_s))
+            self.reference.check(self.mount, at, now_s, since_s, blind=bool(self.blind), live=self._live(now_s))
 
     def _check_target(self, target: tuple[float, float]) -> None:
-        control, now_s = self.plant.control, self.now_s
-        check_asked_for(self.plant, target, self.fails)
+        control, now_s = self.mount.control, self.now_s
+        check_asked_for(self.mount, target, self.fails)
         if self._sendings:
             self.fails("two-targets", f"{target} is sent while another target is being sent")
         itself = now_s - self._self_moved_s < 10.0 or self.explained.by_hand(now_s)
@@ -390,11 +390,11 @@ class TruthWatch:
         moves = any(moves for axis, moves in self.moving.items() if axis not in self.blind)
         if moves and now_s - self._sampled_s <= SAMPLING_S and seen and not itself and self._live(now_s):
             self.fails("two-targets", f"{target} is sent while an axis moves ({self.moving})")
-        if self._stop_s is not None and self.plant.is_served and now_s > self._stop_s:
+        if self._stop_s is not None and self.mount.is_served and now_s > self._stop_s:
             self.fails("moves-under-stop", f"{target} is sent under a stop; mode {control.mode}: {control.why}")
         # A second try of the same move is no new decision.
-        begins = now_s - self.plant.motion.last_move_started_s < 1.0
+        begins = now_s - self.mount.motion.last_move_started_s < 1.0
         if begins and control.mode is Mode.TRACKING and control.state.scan_age_s > STALE_S:
             self.fails("stale", f"{target} is sent in tracking on readings {control.state.scan_age_s:.0f} s old")
         if begins and control.mode in (Mode.FALLBACK, Mode.NIGHT):
-            self.steps.check(self.plant, target, now_s, self.reach.begun_s)
+            self.steps.check(self.mount, target, now_s, self.reach.begun_s)

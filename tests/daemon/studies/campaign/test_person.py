@@ -29,10 +29,10 @@ class Lying:
     def has(self, name):
         return True
 
-    async def give(self, service, name, value, why):
+    async def give(self, service, name, value, why, place=0):
         lie = self._lies.get(name)
         if lie is None or (name == "goto" and value != BAD.value):
-            return await self._honest.give(service, name, value, why)
+            return await self._honest.give(service, name, value, why, place)
         return lie(service)
 
 

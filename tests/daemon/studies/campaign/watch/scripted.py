@@ -18,7 +18,7 @@ class Scripted:
         self.at = {"a": 0.0, "b": 60.0}
         self.count_off = 0.0
         self.destination = {"a": 100.0, "b": 100.0}
-        self.plugged = {"positioner": True}
+        self.plugged = True
         self.is_served = True
         self.wind_m_s = 3.0
         self.motion = SimpleNamespace(connected=True, homing=False, target=None, doubt=None, unexplained=None)
@@ -29,9 +29,9 @@ class Scripted:
         self.control.state = SimpleNamespace(scan_age_s=1.0)
         self.sun_deg = 30.0
         self.is_silent = False
-        self.service = SimpleNamespace(
-            settings=Settings.model_validate({}), sun_elevation_deg=lambda utc_s: self.sun_deg
-        )
+        self.called = ""
+        self.settings = Settings.model_validate({})
+        self.service = SimpleNamespace(sun_elevation_deg=lambda utc_s: self.sun_deg)
         self.unit = self
         self.watch = watch
         watch.attach(self)

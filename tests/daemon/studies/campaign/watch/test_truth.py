@@ -88,14 +88,14 @@ def test_a_person_at_the_buttons_explains_motion_and_no_one_else_does(plant):
 @pytest.mark.parametrize("lost", ["unplugged", "deaf", "no service"])
 def test_what_nobody_can_stop_breaks_no_promise_until_it_can_be_stopped(plant, lost):
     if lost == "unplugged":
-        plant.plugged["positioner"] = False
+        plant.plugged = False
     elif lost == "deaf":
         plant.watch.deaf(is_deaf=True)
     else:
         plant.is_served = False
     plant.wait(60, a=30)
     assert promises(plant) == []
-    plant.plugged["positioner"] = plant.is_served = True
+    plant.plugged = plant.is_served = True
     plant.watch.deaf(is_deaf=False)
     plant.wait(20, a=10)
     assert promises(plant) == ["unexplained-motion"]

@@ -1,0 +1,95 @@
+"""What stands before and behind a positioner's driver, and notes every order that goes through it."""
+
+from contextlib import AbstractContextManager
+from typing import Protocol
+
+from daemon.base.records import Scan
+from drivers.interfaces import AxisName
+from drivers.positioners.pozsol.positioner import PozsolPositioner
+from sim_drivers.pozsol.core import PositionerCore
+
+
+class Witness(Protocol):
+    """Who is told of orders, services and plugs, and keeps what was broken."""
+
+    def fails(self, promise: str, text: str) -> None:
+        """Take note of a broken promise."""
+
+    def packet(self, data: bytes, now_s: float) -> None:
+        """Take note of a packet that reaches the unit."""
+
+    def sending(self, target: tuple[float, float]) -> AbstractContextManager[None]:
+        """Accompany a target [deg] while the driver sends and confirms it."""
+
+    def homes(self, axis: AxisName) -> None:
+        """Take note that a reference run is ordered."""
+
+    def link_changes(self) -> None:
+        """Take note that a plug was pulled or put back."""
+
+    def service_begins(self) -> None:
+        """Take note that a new process is there."""
+
+    def scan(self, scan: Scan) -> None:
+        """Take note of a scan that the service has accepted."""
+
+
+class UnitTap:
+    """The unit as one process reaches it: what is sent is noted, and a dead process sends nothing more.
+
+    Parameters
+    ----------
+    unit
+        The simulated unit.
+    witness
+        Notes every packet.
+    """
+
+    def __init__(self, unit: PositionerCore, witness: Witness) -> None:
+        self._unit = unit
+        self._witness = witness
+        self.live_screens = unit.live_screens
+        self.screens = unit.screens
+        self.enumerate_usb = unit.enumerate_usb
+        self.dead = False
+
+    def feed(self, data: bytes, now: float) -> None:
+        """Hand bytes to the unit."""
+        if not self.dead:
+            self._witness.packet(data, now)
+            self._unit.feed(data, now)
+
+
+class DriverTap:
+    """The positioner's driver, with every order that goes through it noted.
+
+    Parameters
+    ----------
+    driver, line
+        The driver, and the unit as it reaches it.
+    witness
+        Notes targets and reference runs.
+    """
+
+    def __init__(self, driver: PozsolPositioner, line: UnitTap, witness: Witness) -> None:
+        self._driver = driver
+        self._witness = witness
+        self._line = line
+        self.open, self.close = driver.open, driver.close
+        self.read_telemetry, self.disable_autonomy = driver.read_telemetry, driver.disable_autonomy
+        self.stop, self.halt, self.clear_faults = driver.stop, driver.halt, driver.clear_faults
+        self.repeated_s, self.standing, self.recall = driver.repeated_s, driver.standing, driver.recall
+
+    async def move_to(self, a_deg: float, b_deg: float, *, first: AxisName = "a") -> None:
+        """Move there; see the driver."""
+        if self._line.dead:
+            await self._driver.move_to(a_deg, b_deg, first=first)
+            return
+        with self._witness.sending((a_deg, b_deg)):
+            await self._driver.move_to(a_deg, b_deg, first=first)
+
+    async def home(self, axis: AxisName) -> None:
+        """Begin a reference run; see the driver."""
+        if not self._line.dead:
+            self._witness.homes(axis)
+        await self._driver.home(axis)

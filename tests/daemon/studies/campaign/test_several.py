@@ -1,0 +1,83 @@
+"""The campaign on a service with several trackers: each is held to every promise, and none for what another does."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from daemon.base.errors import UserError
+from daemon.rigs.campaign.faults import FAULTS
+from daemon.studies.campaign.door import DirectDoor
+from daemon.studies.campaign.draw import SHARED, draw
+from daemon.studies.campaign.matrix import chosen_schedules
+from daemon.studies.campaign.run import run_schedule
+from daemon.studies.campaign.schedule import Happening, Schedule
+
+GOTO = Happening(145.0, "command", "goto", (-45.0, 30.0), tracker=1)
+TURNS_BY_ITSELF = Happening(200.0, "fault", "own_tracking", lasts_s=30.0, tracker=1)
+
+
+class MixedUp:
+    """A door through which some commands reach other trackers than those that they are for."""
+
+    def __init__(self, **places):
+        self._places = places
+        self._honest = DirectDoor()
+
+    def has(self, name):
+        return self._honest.has(name)
+
+    async def give(self, service, name, value, why, place=0):
+        return await self._honest.give(service, name, value, why, self._places.get(name, place))
+
+
+def run(*events, door=None, heal=False):
+    schedule = replace(draw(1, 0.12, trackers=2), events=events, sky=(700.0, 90.0), start="2022-06-21T12:00")
+    return run_schedule(schedule, door, heal=heal)
+
+
+def test_the_same_things_happen_at_the_same_times_as_to_one_tracker():
+    alone, several = draw(7, 3), draw(7, 3, trackers=3)
+    assert {event.tracker for event in alone.events} == {0}
+    assert {event.tracker for event in several.events} == {0, 1, 2, None}
+    assert [replace(event, tracker=0) for event in several.events] == list(alone.events)
+    assert several == Schedule.from_json(several.json())
+    assert several == draw(7, 3, trackers=3)
+
+
+def test_what_all_trackers_share_is_known_by_its_name():
+    assert {name for name, fault in FAULTS.items() if fault.of_all} == {
+        name for name in FAULTS if name.startswith(SHARED)
+    }
+
+
+def test_a_schedule_for_a_tracker_that_there_is_not_is_refused(tmp_path):
+    file = tmp_path / "mine.json"
+    file.write_text(replace(draw(1, 0.2), events=(GOTO,)).json())
+    with pytest.raises(UserError, match="goto is for tracker 1, and there are 1, from 0"):
+        chosen_schedules(1, 1, 1.0, (), (), file)
+
+
+def test_a_schedule_from_before_there_were_several_is_for_one(tmp_path):
+    old = json.loads(draw(1, 0.2).json())
+    del old["trackers"]
+    for event in old["events"]:
+        del event["tracker"]
+    assert Schedule.from_json(json.dumps(old)) == draw(1, 0.2)
+
+
+def test_every_tracker_is_set_right_and_works_again():
+    stop = Happening(150.0, "command", "stop", tracker=None)
+    assert run(GOTO, stop, TURNS_BY_ITSELF, heal=True).violations == ()
+
+
+def test_a_command_that_reaches_another_tracker_is_seen():
+    hold = Happening(150.0, "command", "hold", tracker=1)
+    assert "mixed-up" in run(hold, door=MixedUp(hold=0)).promises
+
+
+@pytest.mark.parametrize("also", [(), (replace(TURNS_BY_ITSELF, at_s=148.0, tracker=0),)])
+def test_a_stop_that_does_not_reach_a_tracker_is_seen_whatever_is_wrong_with_another(also):
+    stop = Happening(150.0, "command", "stop", tracker=None)
+    broken = [found for found in run(GOTO, *also, stop, door=MixedUp(stop=0)).violations if found.text.startswith("t1")]
+    assert "moves-under-stop" in {found.promise for found in broken}
