@@ -230,6 +230,7 @@ def _suspend(plant: Plant, value: Value) -> None:
     loop = asyncio.get_running_loop()
     assert isinstance(loop, VirtualTimeLoop)  # noqa: S101 - narrowing; no plant has another
     loop.skip(value[0])
+    plant.stood_still_s = plant.clock.monotonic()
     for mount in plant.mounts:
         mount.witness.link_changes()
 

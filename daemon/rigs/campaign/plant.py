@@ -182,6 +182,8 @@ class Plant(HandledRig):
         Set while a service is there; one that is just ending is not.
     served_since_s
         When the present service began.
+    stood_still_s
+        When a service that stood still went on last.
     disk
         What the service writes to.
     commands
@@ -204,6 +206,7 @@ class Plant(HandledRig):
         self.mounts = [PlantTracker(self, place, witness) for place, witness in enumerate(witnesses)]
         self.served = asyncio.Event()
         self.served_since_s = math.inf
+        self.stood_still_s = -math.inf
         self.commands: set[asyncio.Task[None]] = set()
         self.when_renewed = nothing
         self._serving: asyncio.Task[None] | None = None

@@ -204,7 +204,9 @@ class CampaignRun:
                 watch.lasting -= 1
         # Another fault may have taken the sensor away meanwhile, or the service.
         served_s = plant.clock.monotonic() - plant.served_since_s
-        if event.name == "wind" and plant.wind_m_s == event.value[0] and GUST_S <= event.lasts_s <= served_s:
+        awake_s = plant.clock.monotonic() - plant.stood_still_s
+        blew = event.name == "wind" and plant.wind_m_s == event.value[0]
+        if blew and GUST_S <= event.lasts_s <= served_s and awake_s >= GUST_S:
             for watch in watches:
                 watch.gust()
         self._lasting[key] -= 1
