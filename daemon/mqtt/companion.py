@@ -137,7 +137,8 @@ class Mqtt:
         # A cube alone moves nothing; that a person has seen its alarms can be said to it all the same.
         names = NAMES if own else ("acknowledge",) if self._role is Role.CUBE else ()
         if mqtt.commands and names:
-            operators = Operators(own, self._speed, service.cube_alarms)
+            beside = [tracker for tracker in service.trackers if tracker.name != self._tracker]
+            operators = Operators(own, self._speed, service.cube_alarms, beside)
             self._commands = Commands(
                 operators, partial(self._reply, simulated=simulated), mqtt, self._clock, self._speed
             )

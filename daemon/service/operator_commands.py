@@ -6,7 +6,7 @@ The command line and other programs come over HTTP, the rest over MQTT; both han
 import asyncio
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any, NoReturn
@@ -138,11 +138,20 @@ class Operators:
         How many times as fast as the machine's the service's clock runs.
     cube_alarms
         Those of no tracker, to be acknowledged as well; or None.
+    beside
+        Other trackers of the process, to which no command of this way is but a stop that names one.
     """
 
-    def __init__(self, trackers: Sequence[Tracker], speed: float, cube_alarms: Alarms | None = None) -> None:
-        self._trackers = {tracker.name: tracker for tracker in trackers}
+    def __init__(
+        self,
+        trackers: Sequence[Tracker],
+        speed: float,
+        cube_alarms: Alarms | None = None,
+        beside: Sequence[Tracker] = (),
+    ) -> None:
+        self._trackers = {tracker.name: tracker for tracker in (*trackers, *beside)}
         self._of = {tracker.name: Operator(tracker, speed) for tracker in trackers}
+        self._all = self._of | {tracker.name: Operator(tracker, speed) for tracker in beside}
         self._alarms = {} if cube_alarms is None else {"": cube_alarms}
         self._alarms |= {tracker.name: tracker.alarms for tracker in trackers}
         self._speed = speed
@@ -159,25 +168,34 @@ class Operators:
             self._refuse_too_many(command)
             answer = acknowledge(self._alarms, command.tracker, command.alarm, command.by, command.why)
             return answer_json(command.name, command.identifier, answer)
-        if command.wanted == "stop" and self._of and not (command.tracker is None or command.tracker in self._of):
+        if self._stops_whom_it_does_not_mean(command):
             await self._stop_all(command)
         chosen = self._meant(command)
         self._refuse_too_many(command)
         if len(chosen) == 1:
             ((_, operator),) = chosen.items()
             return answer_json(command.name, command.identifier, await _by(operator, command))
-        return answer_json(command.name, command.identifier, await self._by_all(command))
+        return answer_json(command.name, command.identifier, await self._by_each(self._of, command))
 
     def stopped_already(self, command: Command) -> dict[str, Any] | None:
         """Return the answer to a stop that changes nothing, as all whom it is for are stopped; None where one is not.
 
         Raises `CommandError` as `carry_out` does.
         """
-        stops = [self._trackers[name].control.wishes.describe("stop") for name in self._meant(command)]
+        for_all = self._stops_whom_it_does_not_mean(command)
+        chosen = self._all if for_all else self._meant(command)
+        stops = [self._trackers[name].control.wishes.describe("stop") for name in chosen]
         if None in stops:
             return None
+        if for_all:
+            raise CommandError(
+                f"{self._none_of_that_name(command)}; a stop is for all then: all are stopped", wrong=True
+            )
         text = f"the tracker is {stops[0]}; so many stops wait for their answers that this one waits for nothing"
         return answer_json(command.name, command.identifier, Answer(Seen.NOT_SEEN, text))
+
+    def _stops_whom_it_does_not_mean(self, command: Command) -> bool:
+        return command.wanted == "stop" and bool(self._of) and command.tracker not in (None, *self._of)
 
     def _meant(self, command: Command) -> dict[str, Operator]:
         if not self._of:
@@ -192,12 +210,15 @@ class Operators:
         return {command.tracker: self._of[command.tracker]}
 
     def _none_of_that_name(self, command: Command) -> str:
-        return f"there is no tracker {ascii(command.tracker)[:40]}; the trackers are {', '.join(self._of)}"
+        names, meant = ", ".join(self._of), ascii(command.tracker)[:40]
+        if command.tracker in self._all:
+            return f"this is for {names}, and the body names the tracker {meant}"
+        return f"there is no tracker {meant}; the trackers are {', '.join(self._all)}"
 
     async def _stop_all(self, command: Command) -> NoReturn:
-        """Stop all trackers for a stop of one that there is not, and say so: nobody can tell which was meant."""
+        """Stop all trackers for a stop of another one than it came to, and say so: nobody can tell which was meant."""
         try:
-            found = (await self._by_all(command)).text
+            found = (await self._by_each(self._all, command)).text
         except CommandError as error:
             found = str(error)
         raise CommandError(f"{self._none_of_that_name(command)}; a stop is for all then: {found}", wrong=True)
@@ -211,12 +232,12 @@ class Operators:
         if not limit.admit(self._clock.monotonic()):
             raise TooManyError(f"more than {per_s:g} commands a second came over {command.way}; ask again in a second")
 
-    async def _by_all(self, command: Command) -> Answer:
-        """Return what all trackers did at once; what one refuses is no reason for the others not to."""
+    async def _by_each(self, chosen: Mapping[str, Operator], command: Command) -> Answer:
+        """Return what several trackers did at once; what one refuses is no reason for the others not to."""
         outcomes = await asyncio.gather(
-            *(_by(operator, command) for operator in self._of.values()), return_exceptions=True
+            *(_by(operator, command) for operator in chosen.values()), return_exceptions=True
         )
-        results = "; ".join(f"{name}: {_sentence(found)}" for name, found in zip(self._of, outcomes, strict=True))
+        results = "; ".join(f"{name}: {_sentence(found)}" for name, found in zip(chosen, outcomes, strict=True))
         for found in outcomes:
             if isinstance(found, BaseException) and not isinstance(found, CommandError):
                 raise found

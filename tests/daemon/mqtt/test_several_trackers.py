@@ -35,7 +35,7 @@ def test_each_tracker_has_its_own_topics_commands_and_device(broker, scaled):
                 assert (state["tracker"]["connected"], state["tracker"]["name"]) == (True, "east")
                 await lab.say("heliocube/west/command/hold", {"tracker": "east"})
                 refused = await lab.until("heliocube/west/reply", lambda reply: not reply["accepted"])
-                assert refused["text"] == "there is no tracker 'east'; the trackers are west"
+                assert refused["text"] == "this is for west, and the body names the tracker 'east'"
                 for name in ("east", "west"):
                     modes = [json.loads(message.payload) for message in lab.on(f"heliocube/{name}/mode")]
                     assert {mode["tracker"] for mode in modes} == {name}
@@ -89,5 +89,23 @@ def test_one_message_stops_every_tracker_and_each_stays_until_its_own_auto(broke
             await lab.say("heliocube/east/command/auto", {})
             await until(lambda: modes["east"].mode is Mode.TRACKING, "the release of one")
             assert (modes["west"].mode, modes["north"].mode) == (Mode.HOLD, Mode.HOLD)
+
+    scaled(scenario)
+
+
+def test_a_stop_for_one_that_names_another_stops_both_since_nobody_can_tell_which_was_meant(broker, scaled):
+    settings = settings_for(broker.port, tracker=[{"name": "east"}, {"name": "west"}])
+
+    async def scenario():
+        rig = BrokerRig(asyncio.get_running_loop(), settings, SPEED)
+        both = rig.service.trackers
+        async with observer(broker.port) as lab, serving(rig):
+            await until(lambda: all(t.control.mode is Mode.TRACKING for t in both), "tracking of both")
+            await lab.say("heliocube/west/command/stop", {"tracker": "east"})
+            reply = await lab.until("heliocube/west/reply")
+            assert [tracker.control.wishes.stop is not None for tracker in both] == [True, True]
+            assert not reply["accepted"]
+            start = "this is for west, and the body names the tracker 'east'; a stop is for all then: all 2 trackers: "
+            assert reply["text"].startswith(start)
 
     scaled(scenario)

@@ -235,3 +235,16 @@ def test_the_unit_allows_the_threads_of_as_many_trackers_as_a_file_may_have():
     allowed = int(re.search(r"^TasksMax=(\d+)$", unit, re.MULTILINE)[1])
     # Of each what it is sent, what it tells, its load, what is kept and its broker's name; and what they share.
     assert allowed >= 5 * _MOST_TRACKERS + 32
+
+
+def test_a_stop_in_a_crowd_of_stops_that_names_no_tracker_of_the_process_is_not_dropped(run_rig):
+    async def scenario(rig):
+        await both_track(rig)
+        operators, stop = Operators(rig.service.trackers, 1.0), parse("stop", b'{"tracker": "nroth"}', "test")
+        await give(rig, "stop", tracker="east")
+        assert operators.stopped_already(stop) is None
+        await give(rig, "stop", tracker="west")
+        with pytest.raises(CommandError, match="a stop is for all then: all are stopped"):
+            operators.stopped_already(stop)
+
+    run_rig(scenario, tracker=TWO)
