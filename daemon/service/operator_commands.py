@@ -12,6 +12,7 @@ from datetime import datetime
 from typing import Any, NoReturn
 
 from daemon.base.alarms.alarms import Alarms
+from daemon.base.alarms.kinds import as_typed
 from daemon.base.process import TRACKER
 from daemon.base.recurrence import RateLimit
 from daemon.service.acknowledge import acknowledge
@@ -249,10 +250,13 @@ class Operators:
 
 
 async def _by(operator: Operator, command: Command) -> Answer:
-    """Let an operator carry out a command; what the log says meanwhile is said of its tracker."""
-    before = TRACKER.set(operator.log_name)
+    """Let an operator carry out a command; what the log says meanwhile is said of its tracker, and so is the answer."""
+    before, tracker = TRACKER.set(operator.log_name), operator.log_name or None
     try:
-        return await command.carry_out(operator)
+        answer = await command.carry_out(operator)
+        return replace(answer, text=as_typed(answer.text, tracker))
+    except CommandError as error:
+        raise CommandError(as_typed(str(error), tracker), wrong=error.wrong) from error
     finally:
         TRACKER.reset(before)
 

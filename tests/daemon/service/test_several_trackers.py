@@ -248,3 +248,24 @@ def test_a_stop_in_a_crowd_of_stops_that_names_no_tracker_of_the_process_is_not_
             operators.stopped_already(stop)
 
     run_rig(scenario, tracker=TWO)
+
+
+def test_what_a_command_is_answered_with_names_commands_as_they_are_typed_for_its_tracker(run_rig):
+    async def scenario(rig):
+        await both_track(rig)
+        await give(rig, "stop", why="fire")
+        with pytest.raises(CommandError, match="only 'heliocube auto --tracker west' releases it"):
+            await give(rig, "hold", tracker="west")
+        with pytest.raises(
+            CommandError, match=r"east: no stow.*auto --tracker east'.*west: no stow.*auto --tracker west'"
+        ):
+            await give(rig, "stow")
+        await give(rig, "auto", tracker="east")
+        await give(rig, "stow", tracker="east")
+        with pytest.raises(
+            CommandError, match="'heliocube auto --tracker east' ends a stow that was asked for"
+        ) as found:
+            await give(rig, "goto", tracker="east", a_deg=0.0, b_deg=60.0)
+        assert not found.value.wrong
+
+    run_rig(scenario, tracker=TWO)
