@@ -13,7 +13,6 @@ years, is laid in one calendar year.
 """
 
 import gzip
-import re
 import zlib
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
@@ -23,21 +22,17 @@ from typing import NoReturn
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
-from pvlib import iotools
-from pvlib.iotools.midc import MIDC_VARIABLE_MAP
-from pvlib.iotools.surfrad import VARIABLE_MAP as SURFRAD_VARIABLE_MAP
 
+from sim_drivers.network_files import Network, network_of
 from sim_drivers.weather import Conditions, WeatherError
 from solar.ephemeris import Site, sun_position
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
-from solar.tables import NO_READING, broken_line, separator_of, summer_time_hint, unreadable, utc_times
+from solar.tables import NO_READING, broken_line, separator_of, summer_time_hint, unreadable, utc_times, whole_lines
 
 LONGEST_GAP_S = 3600.0
 IRRADIANCES = ("ghi", "dni", "dhi")
 OPTIONAL = ("wind_speed", "temp_air")
-_SURFRAD_SITE = re.compile(r"\s*-?\d+\.\d+\s+-?\d+\.\d+\s+-?\d+\s+m\s+version\s+\d")
-_MIDC_PREFIXES = {"Global Horiz": "ghi", "Direct Normal": "dni", "Diffuse Horiz": "dhi"}
 
 
 class WeatherFileError(WeatherError):
@@ -140,7 +135,7 @@ def load_weather(path: Path, *, typical_year: int | None = None) -> MeasuredWeat
     Parameters
     ----------
     path
-        Our CSV, BSRN or MIDC, plain or ``.gz``; SURFRAD or TMY3, plain.
+        Plain or ``.gz``.
     typical_year
         Calendar year to lay a TMY3 file in; by default the year of its first record.
 
@@ -211,14 +206,9 @@ def _read(path: Path, typical_year: int | None) -> MeasuredWeather:
     first, second, third = _head(path)
     if not (first + second + third).strip():
         raise WeatherFileError(f"weather file {path} is empty")
-    if first.startswith(("*U", "*C")):
-        return _bsrn(path)
-    if _SURFRAD_SITE.match(second):
-        return _surfrad(path)
-    if "Date (MM/DD/YYYY)" in second and "Time (HH:MM)" in second:
-        return _tmy3(path, int(third[6:10]) if typical_year is None else typical_year)
-    if first.startswith("DATE (MM/DD/YYYY)") or ",Year,DOY," in first:
-        return _midc(path, first)
+    network = network_of(first, second, third, typical_year)
+    if network is not None:
+        return _of_network(path, network)
     separator = separator_of(first)
     try:
         return _csv(path, separator)
@@ -292,30 +282,9 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
     return MeasuredWeather(f"weather file {path}", utc_s, values, left_out=left_out, simulated=simulated)
 
 
-def _bsrn(path: Path) -> MeasuredWeather:
-    with gzip.open(path, "rt") if _is_gzipped(path) else path.open() as file:
-        frame, meta = iotools.read_bsrn(file)
-    return _from_pvlib(path, frame, Site(meta["latitude"], meta["longitude"], meta["altitude"]))
-
-
-def _surfrad(path: Path) -> MeasuredWeather:
-    frame, meta = iotools.read_surfrad(path, map_variables=False)
-    frame = frame.rename(columns=SURFRAD_VARIABLE_MAP)
-    return _from_pvlib(path, frame, Site(meta["latitude"], meta["longitude"], meta["elevation"]))
-
-
-def _midc(path: Path, header: str) -> MeasuredWeather:
-    frame = iotools.read_midc(path, variable_map=_midc_names(header), raw_data="Year,DOY" in header)
-    return _from_pvlib(path, frame, None)
-
-
-def _tmy3(path: Path, year: int) -> MeasuredWeather:
-    frame, meta = iotools.read_tmy3(path, coerce_year=year)
-    frame.index -= pd.Timedelta(minutes=30)
-    return _from_pvlib(path, frame, Site(meta["latitude"], meta["longitude"], meta["altitude"]))
-
-
-def _from_pvlib(path: Path, frame: pd.DataFrame, site: Site | None) -> MeasuredWeather:
+def _of_network(path: Path, network: Network) -> MeasuredWeather:
+    with whole_lines(path, network.separator, network.lines) as (whole, broken):
+        frame, site = network.read(whole)
     for column in IRRADIANCES:
         if column not in frame:
             found = ", ".join(str(name) for name in frame.columns)
@@ -328,21 +297,8 @@ def _from_pvlib(path: Path, frame: pd.DataFrame, site: Site | None) -> MeasuredW
         low, high = _plausible(key)
         # These networks mark a missing value by a number such as -9999 or -7999.
         values[key] = np.where((numbers >= low) & (numbers <= high), numbers, np.nan)
-    return MeasuredWeather(f"weather file {path}", utc_s, values, site)
-
-
-def _midc_names(header: str) -> dict[str, str]:
-    """Map this file's columns to ghi, dni, dhi, wind_speed and temp_air; the names differ from station to station."""
-    columns = [column.strip() for column in header.split(",")]
-    known = {column: name for station in MIDC_VARIABLE_MAP.values() for column, name in station.items()}
-    names: dict[str, str] = {}
-    for column in columns:
-        by_prefix = next((name for prefix, name in _MIDC_PREFIXES.items() if column.startswith(prefix)), None)
-        name = known.get(column, by_prefix)
-        name = "dni" if name in ("dni_chp1", "dni_nip") else name
-        if name is not None and name not in names.values():
-            names[column] = name
-    return names
+    left_out = [f"weather file {path}: {broken.note()}"] if broken else []
+    return MeasuredWeather(f"weather file {path}", utc_s, values, site, left_out)
 
 
 def _head(path: Path) -> tuple[str, str, str]:

@@ -5,9 +5,11 @@ import gzip
 import re
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple, TextIO, cast
 
 if TYPE_CHECKING:
@@ -23,6 +25,7 @@ _OFFSET = re.compile(r":\d\d.*(Z|[+-]\d\d:?\d*)\s*$", re.IGNORECASE)
 _AUTUMN = (4, 10, 11)
 _LATEST_HOUR = 3
 _EVIDENT = 3
+_LAST_BYTES = 65536
 
 
 class CellError(ValueError):
@@ -86,22 +89,53 @@ def broken_line(path: Path, separator: str) -> BrokenLine | None:
     the reader, and so is a pipe, which can be read but once. Raises `OSError`, `UnicodeDecodeError`, and for a damaged
     ``.gz`` `EOFError` or `zlib.error`.
     """
-    if not path.is_file():
-        return None
-    text = ""
-    with opened(path) as file:
-        for text in file:  # noqa: B007 - the last is looked at
-            pass
-    if not text.strip(f"{separator} \t") or text.endswith(("\n", "\r")):
+    if not path.is_file() or not _unfinished(path).strip(f"{separator} \t".encode()):
         return None
     try:
         with opened(path) as file:
             rows = numbered_rows(file, separator)
-            due = len(next(rows)[1])
+            due = len(next(rows, (1, []))[1])
             number, cells = deque(rows, 1).pop()
     except (CellError, IndexError):
         return None
     return BrokenLine(number, len(cells), due) if len(cells) < due else None
+
+
+def _unfinished(path: Path) -> bytes:
+    """Return what stands behind the last end of a line, or the last part of it: nothing in most files."""
+    with gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb") as file:
+        if not isinstance(file, gzip.GzipFile):
+            file.seek(max(path.stat().st_size - _LAST_BYTES, 0))
+        end = b""
+        while part := file.read(_LAST_BYTES):
+            end = part if len(part) == _LAST_BYTES else (end + part)[-_LAST_BYTES:]
+    return re.split(rb"[\r\n]", end)[-1]
+
+
+@contextmanager
+def whole_lines(path: Path, separator: str | None, apart: int = 1) -> Iterator[tuple[Path, BrokenLine | None]]:
+    """Yield a table unpacked and without a last line that breaks off, and that line.
+
+    It has no end then, and fewer cells than the line so many before it: what a record of two lines has in the first is
+    no measure for the second. `separator` None is a blank or more. Raises as `broken_line`.
+    """
+    packed = path.suffix.lower() == ".gz"
+    if not packed and not _unfinished(path).strip():
+        yield path, None
+        return
+    with gzip.open(path) if packed else path.open("rb") as file:
+        lines = file.read().splitlines(keepends=True)
+    broken = None
+    if len(lines) > apart and not lines[-1].endswith((b"\r", b"\n")) and lines[-1].strip():
+        between = None if separator is None else separator.encode()
+        cells, due = (len(line.split(between)) for line in (lines[-1], lines[-1 - apart]))
+        if cells < due:
+            broken = BrokenLine(len(lines), cells, due)
+            lines.pop()
+    with TemporaryDirectory(prefix="heliocube-") as folder:
+        whole = Path(folder) / path.stem
+        whole.write_bytes(b"".join(lines))
+        yield whole, broken
 
 
 def unreadable(path: Path, separator: str, error: Exception) -> str:

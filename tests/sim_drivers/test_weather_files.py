@@ -276,6 +276,44 @@ def test_a_damaged_file_of_a_known_format_is_refused_in_one_sentence(tmp_path):
         assert str(path) in reason(path)
 
 
+NETWORKS = {
+    "lyn0316.dat": (bsrn(), {}),
+    "bon16075.dat": (surfrad(), {}),
+    "midc.txt": (MIDC, {}),
+    "raw.txt": (MIDC_RAW, {}),
+    "724666TYA.csv": (tmy3({"06/15": 1997}), {"typical_year": 2022}),
+}
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_last_line_of_a_network_s_file_that_breaks_off_counts_nowhere_and_is_told(tmp_path, name, packed):
+    text, options = NETWORKS[name]
+    lines = text.splitlines(keepends=True)
+    last = lines.pop()
+    path = tmp_path / (f"{name}.gz" if packed else name)
+
+    def read(end):
+        content = "".join([*lines, end]).encode()
+        path.write_bytes(gzip.compress(content) if packed else content)
+        return load_weather(path, **options)
+
+    whole = read("")
+    assert whole.note() is None
+    cells = len(last.split("," if "," in last else None))
+    for cut in range(1, len(last) - 1):
+        begun = last[:cut]
+        parts = len(begun.split("," if "," in last else None))
+        if not begun.strip() or parts == cells:
+            continue
+        found = read(begun)
+        assert found.note().endswith(
+            f"the last line, {len(lines) + 1}, breaks off at cell {parts} of {cells} and is left out"
+        )
+        assert found.utc_s.tolist() == whole.utc_s.tolist()
+    assert read(last.rstrip()).note() is None
+
+
 def test_measured_days_are_read_whole(measured):
     weather = load_weather(measured / "dtu_lyngby_2016" / "2016-06.csv.gz")
     minutes = utc("2016-06-05") + np.arange(0.0, 86400.0, 60.0)
