@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
-from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.answers import JsonOption, print_json, warn
 from daemon.commands.archive.readable import check_readable
 from daemon.commands.export import store_directory
 from daemon.commands.options import FILES, ForceOption, TrackerOption, ZoneOption
@@ -141,7 +141,7 @@ def plot(
     check_output(out.parent, [path.name for path in paths], "--out", force=force)
     with progress_bar(Console(stderr=True), "reading") as progress:
         if tables is not None:
-            material = material_of_tables(tables, site, settings, wanted, tracker)
+            material = material_of_tables(tables, site, settings, wanted, tracker, warn)
         else:
             asked = Wanted(day, start, end)
             with _readable(place, asked) as (directory, called):

@@ -20,7 +20,7 @@ from daemon.studies.inputs import check_frame, check_table, not_utf8
 from daemon.studies.report.span import ReportSpan, Wanted, times
 from solar.ephemeris import Site
 from solar.frames import Array, Limits
-from solar.tables import unreadable, utc_times
+from solar.tables import broken_line, unreadable, utc_times
 
 # What no figure is made of would fill the memory in a month.
 _LEFT_OUT = {"session", "source", "sequence", "calibration", "curve", "ghi", *(f"{face}_time" for face in FACES)}
@@ -208,8 +208,13 @@ def reach_of_tables(tables: dict[str, pd.DataFrame], source: str) -> ReportSpan:
     return ReportSpan(first.timestamp(), last.timestamp() + _LAST_S, name)
 
 
-def from_tables(directory: Path, table_format: str) -> dict[str, pd.DataFrame]:
-    """Return the tables of a folder that ``heliocube simulate`` or ``export`` wrote; raises `UserError`."""
+def from_tables(
+    directory: Path, table_format: str, warn: Callable[[str], None] = lambda _: None
+) -> dict[str, pd.DataFrame]:
+    """Return the tables of a folder that ``heliocube simulate`` or ``export`` wrote; raises `UserError`.
+
+    `warn` is called with a sentence for each that breaks off in its last line, which is left out.
+    """
     found: dict[str, pd.DataFrame] = {}
     for kind in KINDS:
         path = directory / f"{kind}.{table_format}"
@@ -217,7 +222,7 @@ def from_tables(directory: Path, table_format: str) -> dict[str, pd.DataFrame]:
             found[kind] = pd.DataFrame(index=pd.DatetimeIndex([], tz="UTC", name="time"))
             continue
         try:
-            table = pd.read_parquet(path) if path.suffix == ".parquet" else _csv(path)
+            table = pd.read_parquet(path) if path.suffix == ".parquet" else _csv(path, warn)
         except UnicodeDecodeError:
             raise not_utf8(path) from None
         except OSError as error:
@@ -229,17 +234,23 @@ def from_tables(directory: Path, table_format: str) -> dict[str, pd.DataFrame]:
     return found
 
 
-def _csv(path: Path) -> pd.DataFrame:
+def _csv(path: Path, warn: Callable[[str], None]) -> pd.DataFrame:
     separator = check_table(path)
     if not path.stat().st_size:
         raise UserError(f"{path} is empty: export it anew, or take the file away")
     try:
         # Otherwise pandas takes the name 'NA' for none, even behind a converter, and '01' for 1.
         named: Any = {"tracker": "={}".format}
-        table = pd.read_csv(path, sep=separator, decimal="," if separator == ";" else ".", converters=named)
+        broken = broken_line(path, separator)
+        # What stands in it would turn a column of numbers into one of texts; the fast engine skips no last line.
+        whole: Any = {"skipfooter": 1, "engine": "python"} if broken else {}
+        decimal = "," if separator == ";" else "."
+        table: pd.DataFrame = pd.read_csv(path, sep=separator, decimal=decimal, converters=named, **whole)
     except pd.errors.ParserError as error:
         raise UserError(unreadable(path, separator, error)) from None
     check_frame(path, table)
+    if broken:
+        warn(f"{path}: {broken.note()}")
     # A record of the cube or of the process names no tracker.
     return table.assign(tracker=table["tracker"].str[1:]) if "tracker" in table else table
 

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import tzinfo
 from pathlib import Path
 
@@ -26,9 +26,14 @@ _DPI = 150
 
 
 def material_of_tables(
-    directory: Path, site: str | None, settings: Settings | None, wanted: Wanted | None, tracker: str | None
+    directory: Path,
+    site: str | None,
+    settings: Settings | None,
+    wanted: Wanted | None,
+    tracker: str | None,
+    warn: Callable[[str], None] = lambda _: None,
 ) -> Material:
-    """Return the material of a folder of tables, all of it or a span.
+    """Return the material of a folder of tables, all of it or a span; `warn` as of `from_tables`.
 
     Raises
     ------
@@ -42,7 +47,7 @@ def material_of_tables(
         name, place = str(site), Site(*parse_site(str(site)))
     else:
         name, place = settings.site.name, settings.site.place()
-    tables, source = from_tables(directory, table_format), f"the tables in {directory}"
+    tables, source = from_tables(directory, table_format, warn), f"the tables in {directory}"
     if wanted is None:
         span = reach_of_tables(tables, source)
     else:

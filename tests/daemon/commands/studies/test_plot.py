@@ -36,6 +36,21 @@ def tables(heliocube, store, tmp_path):
     return folder, asked
 
 
+@pytest.mark.parametrize("name", ["scans", "decisions", "moves", "poses", "modes"])
+def test_a_last_line_that_breaks_off_is_left_out_of_a_picture_and_told(heliocube, tables, tmp_path, name):
+    folder, asked = tables
+    path = folder / f"{name}.csv"
+    head, *rows, last = path.read_text().splitlines()
+    for end in ("2022-1", last[:24], last.rsplit(",", 2)[0]):
+        path.write_text("\n".join([head, *rows, end]))
+        code, said, warned = heliocube("plot", *asked, "--force")
+        assert (code, said.count("written: ")) == (0, 3), warned
+        at = f"at cell {end.count(',') + 1} of {head.count(',') + 1}"
+        assert (
+            warned == f"heliocube: warning: {path}: the last line, {len(rows) + 2}, breaks off {at} and is left out\n"
+        )
+
+
 @pytest.mark.parametrize(
     ("name", "spoil", "sentence"),
     [
