@@ -63,7 +63,11 @@ def _midc(path: Path, header: str) -> _Found:
 
 def _tmy3(path: Path, year: int) -> _Found:
     frame, meta = iotools.read_tmy3(path, coerce_year=year)
-    frame.index -= pd.Timedelta(minutes=30)
+    times = list(frame.index)
+    if len(times) > 1 and times[-1] - times[-2] > pd.Timedelta(days=1):
+        # pvlib takes the last hour for the one that ends at New Year, which a file that ends early has not.
+        times[-1] = times[-1].replace(year=times[-1].year - 1)
+    frame.index = pd.DatetimeIndex(times) - pd.Timedelta(minutes=30)
     return frame, Site(meta["latitude"], meta["longitude"], meta["altitude"])
 
 

@@ -314,6 +314,11 @@ def test_a_last_line_of_a_network_s_file_that_breaks_off_counts_nowhere_and_is_t
     assert read(last.rstrip()).note() is None
 
 
+def test_a_typical_year_that_ends_early_has_its_last_hour_in_the_same_year(tmp_path):
+    path = written(tmp_path, tmy3({"06/15": 1997}), "724666TYA.csv")
+    assert load_weather(path, typical_year=2022).end_utc_s == utc("2022-06-16T06:30")
+
+
 def test_measured_days_are_read_whole(measured):
     weather = load_weather(measured / "dtu_lyngby_2016" / "2016-06.csv.gz")
     minutes = utc("2016-06-05") + np.arange(0.0, 86400.0, 60.0)
