@@ -28,7 +28,16 @@ from sim_drivers.weather import Conditions, WeatherError
 from solar.ephemeris import Site, sun_position
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
-from solar.tables import NO_READING, broken_line, separator_of, summer_time_hint, unreadable, utc_times, whole_lines
+from solar.tables import (
+    NO_READING,
+    broken_line,
+    separator_of,
+    summer_time_hint,
+    unreadable,
+    utc_times,
+    whole_lines,
+    why_unread,
+)
 
 LONGEST_GAP_S = 3600.0
 IRRADIANCES = ("ghi", "dni", "dhi")
@@ -164,7 +173,7 @@ def load_weather(path: Path, *, typical_year: int | None = None) -> MeasuredWeat
         ValueError,
     ) as error:
         # The formats' readers raise whatever a damaged file makes them trip over.
-        raise WeatherFileError(f"weather file {path} cannot be read: {' '.join(str(error).split())}") from error
+        raise WeatherFileError(f"weather file {path} cannot be read: {why_unread(error)}") from error
 
 
 def site_mismatch(weather: MeasuredWeather, site: Site) -> str | None:

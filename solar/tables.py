@@ -3,6 +3,7 @@
 import csv
 import gzip
 import re
+import zlib
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -136,6 +137,13 @@ def whole_lines(path: Path, separator: str | None, apart: int = 1) -> Iterator[t
         whole = Path(folder) / path.stem
         whole.write_bytes(b"".join(lines))
         yield whole, broken
+
+
+def why_unread(error: Exception) -> str:
+    """Return in words why a file could not be read, for a damaged ``.gz`` with a remedy."""
+    if isinstance(error, EOFError | zlib.error | gzip.BadGzipFile):
+        return "it is cut off or damaged; copy it anew, or unpack what is left: zcat FILE > NEW.csv"
+    return getattr(error, "strerror", None) or " ".join(str(error).split())
 
 
 def unreadable(path: Path, separator: str, error: Exception) -> str:

@@ -18,7 +18,16 @@ from daemon.store.schema import FILE_NAME, open_for_reading
 from daemon.studies.inputs import check_names, check_table, not_utf8, with_point
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
-from solar.tables import NO_READING, BrokenLine, CellError, broken_line, numbered_rows, opened, summer_time_hint
+from solar.tables import (
+    NO_READING,
+    BrokenLine,
+    CellError,
+    broken_line,
+    numbered_rows,
+    opened,
+    summer_time_hint,
+    why_unread,
+)
 
 COLUMNS = ("time", *FACES)
 _ROWS_AT_ONCE = 50_000
@@ -92,7 +101,7 @@ def read_csv(path: Path) -> Recording:
     except FileNotFoundError:
         raise UserError(f"{path} does not exist: name a CSV file with the columns {','.join(COLUMNS)}") from None
     except (OSError, EOFError, zlib.error) as error:
-        raise UserError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise UserError(f"{path} cannot be read: {why_unread(error)}") from None
     except UnicodeDecodeError:
         raise not_utf8(path) from None
     except CellError as error:

@@ -221,12 +221,12 @@ def report(
     from solar.ephemeris import Site
 
     place = None if site is None else Site(*parse_site(site))
+    found = None if bias is None else read(bias)
     pairs, stored_site = _pairs(data, store, cube, chrono)
     place = place or stored_site
     if place is None:
         raise UserError("report needs --site LAT,LON[,ALT]: tables do not say where the trackers are")
     check_spans(pairs, spans)
-    found = None if bias is None else read(bias)
     if found is not None and found.names != (cube, chrono):
         raise UserError(
             f"--bias: {bias} corrects {found.names[0]} to {found.names[1]}, not {cube} to {chrono}: fit it again"

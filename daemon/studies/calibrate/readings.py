@@ -20,7 +20,7 @@ from daemon.studies.inputs import check_frame, check_table, impossible_note, not
 from daemon.studies.recorded import stored_faces
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
-from solar.tables import NO_READING, broken_line, summer_time_hint, unreadable, utc_times
+from solar.tables import NO_READING, broken_line, summer_time_hint, unreadable, utc_times, why_unread
 
 _MV, _W_M2 = "_mv", "_w_m2"
 _REFERENCE_NAMES = ("ghi", "ghi_w_m2")
@@ -167,7 +167,7 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array, str]:
     except pd.errors.ParserError as error:
         raise UserError(unreadable(path, separator, error)) from None
     except (OSError, EOFError, zlib.error, ValueError) as error:
-        raise UserError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
+        raise UserError(f"{path} cannot be read: {why_unread(error)}") from None
     frame.columns = pd.Index([str(name).strip().lower() for name in frame.columns])
     if "time" not in frame:
         raise UserError(f"{path} has no column time; found: {', '.join(map(str, frame.columns))}")

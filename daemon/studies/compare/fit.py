@@ -136,14 +136,18 @@ def write(found: Fit, path: Path) -> None:
 
 def read(path: Path) -> Fit:
     """Return a fit from its file; `UserError` if it is none."""
+    if path.is_dir():
+        raise UserError(f"--bias: {path} is a folder: name the file in it that 'heliocube compare fit' wrote")
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise UserError(f"--bias: there is no file {path}; 'heliocube compare fit' writes it") from None
-    except (OSError, ValueError) as error:
-        raise UserError(f"--bias: {path} cannot be read: {error}") from None
+    except OSError as error:
+        raise UserError(f"--bias: {path} cannot be read: {error.strerror}") from None
+    except ValueError:
+        content = None
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
-        raise UserError(f"--bias: {path} was not written by 'heliocube compare fit'")
+        raise UserError(f"--bias: {path} was not written by 'heliocube compare fit': name the file that it wrote")
     try:
         return _fit_of(content)
     except (KeyError, TypeError, ValueError) as error:

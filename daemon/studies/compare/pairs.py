@@ -16,7 +16,7 @@ from daemon.studies.compare.measurements import OPTIONAL, REQUIRED, SIMULATED, M
 from daemon.studies.inputs import check_frame, check_table, impossible_note, not_utf8
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, possible
-from solar.tables import broken_line, unreadable, utc_times
+from solar.tables import broken_line, unreadable, utc_times, why_unread
 
 TOGETHER_WITHIN_S = 5.0
 _NUMBERS = ("pmpp_w", *OPTIONAL)
@@ -166,7 +166,7 @@ def _read(path: Path) -> tuple[pd.DataFrame, str]:
         raise not_utf8(path) from None
     except (OSError, EOFError, zlib.error, ValueError) as error:
         # pandas and pyarrow derive theirs from ValueError; the others are those of a .gz that was cut off or damaged.
-        raise UserError(f"{path} is not a table that can be read: {str(error).splitlines()[0]}") from None
+        raise UserError(f"{path} cannot be read: {why_unread(error)}") from None
     table = table.drop(columns=[name for name in ("index",) if name in table]).dropna(how="all")
     missing = [name for name in REQUIRED if name not in table]
     unknown = [str(name) for name in table if name not in _COLUMNS]

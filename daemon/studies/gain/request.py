@@ -10,7 +10,7 @@ from daemon.base.errors import UserError
 from daemon.studies.gain.choices import Device
 from daemon.studies.inputs import check_names, check_table, not_utf8, with_point
 from solar.frames import Array
-from solar.tables import CellError, numbered_rows, opened
+from solar.tables import CellError, numbered_rows, opened, why_unread
 
 LARGEST_GRID = 20_000_000
 POINT_COLUMNS = {
@@ -131,7 +131,7 @@ def read_points(path: Path) -> dict[str, Array]:
     except CellError as error:
         raise UserError(f"points file {path}, {error}") from None
     except (OSError, EOFError, zlib.error) as error:
-        raise UserError(f"points file {path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise UserError(f"points file {path} cannot be read: {why_unread(error)}") from None
     if not rows:
         raise UserError(f"points file {path} has a header and no data")
     columns = np.array(rows).T

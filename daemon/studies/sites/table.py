@@ -9,7 +9,7 @@ from typing import get_args
 from daemon.base.errors import UserError
 from daemon.config.simulation import WeatherName
 from daemon.studies.inputs import check_names, check_table, not_utf8, parse_site, with_point
-from solar.tables import CellError, numbered_rows, opened
+from solar.tables import CellError, numbered_rows, opened, why_unread
 
 REQUIRED = ("name", "latitude", "longitude")
 OPTIONAL = ("altitude", "weather", "year")
@@ -73,7 +73,7 @@ def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
     except CellError as error:
         raise UserError(f"--sites: {path} {error}") from None
     except (OSError, EOFError, zlib.error) as error:
-        raise UserError(f"--sites: {path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise UserError(f"--sites: {path} cannot be read: {why_unread(error)}") from None
     if not sites:
         raise UserError(f"--sites: {path} has no line with a site below its heads")
     _check_names(path, sites)

@@ -1,6 +1,7 @@
 """Cells of a table that are quoted or counted wrongly."""
 
 import gzip
+import re
 
 import pytest
 
@@ -9,7 +10,10 @@ from daemon.rigs.measured import measured_weather
 from daemon.studies.calibrate.readings import read_csv as read_faces_in_mv
 from daemon.studies.calibrate.readings import read_reference
 from daemon.studies.compare.pairs import read_tables
+from daemon.studies.gain.request import read_points
 from daemon.studies.recorded import read_csv
+from daemon.studies.sites.table import read_sites
+from sim_drivers.weather import WeatherError
 
 
 def weather_values(path):
@@ -134,3 +138,20 @@ def test_a_remark_of_two_lines_does_not_break_off_without_an_end_of_line(tmp_pat
     path = logged(tmp_path, False, head, f"2022-10-14T10:00Z,{row}", f"2022-10-14T10:01Z,{last}")
     assert count(path) == 2
     assert not any(notes(path))
+
+
+PACKED = [
+    *[(read, head, f"2022-10-14T10:00Z,{row}") for read, head, row in NOT_CLOSED],
+    (lambda path: read_sites(path, "clear"), "name,latitude,longitude", "Lyngby,55.79,12.53"),
+    (read_points, "phi_deg,beta_deg,n,lambda_deg", "48,30,172,0"),
+]
+
+
+@pytest.mark.parametrize(("read", "head", "row"), PACKED)
+@pytest.mark.parametrize("spoil", [lambda whole: whole[:-9], lambda whole: whole[:-8] + bytes(8)])
+def test_a_packed_table_that_is_cut_off_or_damaged_is_refused_with_what_to_do(tmp_path, read, head, row, spoil):
+    path = tmp_path / "table.csv.gz"
+    path.write_bytes(spoil(gzip.compress(f"{head}\n{row}\n".encode())))
+    what = f"{path} cannot be read: it is cut off or damaged; copy it anew, or unpack what is left: zcat FILE > NEW.csv"
+    with pytest.raises((UserError, WeatherError), match=rf"{re.escape(what)}$"):
+        read(path)

@@ -271,6 +271,8 @@ def test_without_a_flat_flat_period_there_is_no_fit(compare, day, tmp_path):
     ("arguments", "message"),
     [
         (("--bias", "none.json"), "there is no file none.json"),
+        (("--bias", "."), "--bias: . is a folder: name the file in it that 'heliocube compare fit' wrote"),
+        (("--bias", __file__), ".py was not written by 'heliocube compare fit': name the file that it wrote"),
         (("--period", "noon"), "is not NAME=FROM/TO"),
         (("--period", "x=2022-10-12T11:00/2022-10-12T10:00"), "ends before it begins"),
         (("--period", "x=now/then"), "'now' is not a date or time"),

@@ -17,7 +17,7 @@ def test_a_table_that_was_cut_off(tmp_path):
     rows = "".join(f"2022-10-12T10:00:{n % 60:02d}Z,T-Cube,{n * n % 97}\n" for n in range(9999))
     cut = tmp_path / "cut.csv.gz"
     cut.write_bytes(gzip.compress(f"time,tracker,pmpp_w\n{rows}".encode())[:2000])
-    with pytest.raises(UserError, match=r"cut\.csv\.gz is not a table that can be read: "):
+    with pytest.raises(UserError, match=r"cut\.csv\.gz cannot be read: it is cut off or damaged"):
         read_tables([cut])
 
 
