@@ -3,6 +3,7 @@
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,19 +11,33 @@ from daemon.archive.address import ArchiveAddress, PagesRefusedError
 from daemon.archive.aside import take_what_can_be
 from daemon.archive.writer import ArchiveWriter, SentPage
 from daemon.base.errors import UserError
-from daemon.store.batches import Batch, BatchError, decoded, encoded, next_batch
-from daemon.store.runs import runs_of
+from daemon.store.batches import Batch, BatchError, decoded, encoded, identified, is_sound, next_batch
+from daemon.store.runs import StoredRun, runs_of
 from daemon.store.schema import FILE_NAME, open_for_reading, unreadable
 
 _PAGES_AT_ONCE = 20
 
 
 class ArchiveFilled(NamedTuple):
-    """How many records the store has, how many the archive had not, and how many it does not take and has set aside."""
+    """What came of a store.
+
+    Attributes
+    ----------
+    read, added
+        How many records it has, and how many of them the archive had not.
+    aside
+        How many the database does not take; they are set aside there.
+    damaged
+        How many are damaged in the store and left out.
+    unsound
+        Runs that are left out, because what the store knows of them is damaged.
+    """
 
     read: int
     added: int
     aside: int
+    damaged: int
+    unsound: tuple[int, ...]
 
 
 def fill(
@@ -46,10 +61,12 @@ def fill(
     """
     path = store / FILE_NAME if store.is_dir() else store
     writer = None
-    read = added = aside = 0
+    read = added = aside = damaged = 0
+    runs = [StoredRun(run, identified(run, origin)) for run, origin in runs_of(path)]
     try:
         part: list[SentPage] = []
-        for batch in _batches(path):
+        for batch in _batches(path, [each for each in runs if is_sound(each.origin)]):
+            damaged += batch.damaged
             if writer is None:
                 writer = ArchiveWriter(address)
                 writer.prepare()
@@ -65,7 +82,8 @@ def fill(
     finally:
         if writer is not None:
             writer.close()
-    return ArchiveFilled(read, added, aside)
+    unsound = tuple(run for run, origin in runs if not is_sound(origin))
+    return ArchiveFilled(read, added, aside, damaged, unsound)
 
 
 def _take(writer: ArchiveWriter, pages: list[SentPage]) -> tuple[int, int]:
@@ -77,15 +95,14 @@ def _take(writer: ArchiveWriter, pages: list[SentPage]) -> tuple[int, int]:
         return sum(added for added, _ in sifted), sum(len(refused) for _, refused in sifted)
 
 
-def _batches(path: Path) -> Iterator[Batch]:
-    runs = runs_of(path)
+def _batches(path: Path, runs: list[StoredRun]) -> Iterator[Batch]:
     with closing(open_for_reading(path)) as connection:
         for run, origin in runs:
             after = -1
             try:
                 while batch := next_batch(connection, run, origin, after):
                     # Judged as what comes over a broker is.
-                    yield decoded(encoded(batch))
+                    yield replace(decoded(encoded(batch)), damaged=batch.damaged)
                     after = batch.through
             except sqlite3.Error as error:
                 raise unreadable(path, error) from None

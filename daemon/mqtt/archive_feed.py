@@ -24,7 +24,7 @@ from daemon.mqtt.link import Link
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics
 from daemon.service.rig import Role
-from daemon.store.batches import MOST_NUMBER, MOST_ROWS, Batch, encoded, identified, next_batch
+from daemon.store.batches import MOST_NUMBER, MOST_ROWS, Batch, encoded, identified, is_sound, next_batch
 from daemon.store.runs import StoredRun, runs_of
 from daemon.store.schema import FILE_NAME, open_for_reading, unreadable
 
@@ -110,6 +110,8 @@ class ArchiveFeed:
         self._is_kept = False
         self._answered = asyncio.Event()
         self._aside, self._aside_s = 0, math.inf
+        self._damaged = 0
+        self._unsound: list[int] = []
         self._saved_s = clock.monotonic()
         self._confirmed_s = clock.monotonic()
         self._alarm: Callable[[str, str | None], None] = lambda _name, _text: None
@@ -134,6 +136,7 @@ class ArchiveFeed:
                     self._complain(str(unreadable(self._path, error) if isinstance(error, sqlite3.Error) else error))
                     await asyncio.sleep(self._every_s)
                     continue
+                self._tell_unsound()
                 if page is None:
                     self._confirmed_s = self._clock.monotonic()
                     await asyncio.sleep(self._every_s)
@@ -148,6 +151,8 @@ class ArchiveFeed:
         It is no longer than the broker takes, except for a single record. Raises if the store is not read.
         """
         runs = [each for each in runs_of(self._path) if (each.origin.role == Role.CUBE.value) is self._of_cube]
+        self._unsound = [run for run, origin in runs if not is_sound(identified(run, origin))]
+        runs = [each for each in runs if each.run not in self._unsound]
         with closing(open_for_reading(self._path)) as connection:
             ordered, most = sorted(runs, key=lambda each: each.run), MOST_ROWS
             while batch := self._page_of(connection, ordered, most):
@@ -193,8 +198,20 @@ class ArchiveFeed:
         self._confirmed_s = now_s = self._clock.monotonic()
         self._link.trouble("archive", None)
         self._alarm("archive-behind", None)
+        if batch.damaged:
+            self._damaged += batch.damaged
+            are = counted(
+                self._damaged, f"record of the store {self._path} is", f"records of the store {self._path} are"
+            )
+            self._link.trouble("archive damage", f"{are} damaged: they stay there, and no archive gets them")
         if now_s - self._saved_s >= _SAVE_EVERY_S:
             self._save()
+
+    def _tell_unsound(self) -> None:
+        if self._unsound:
+            runs = ", ".join(map(str, self._unsound))
+            what = f"what the store {self._path} knows of run {runs} is damaged"
+            self._link.trouble("archive runs", f"{what}: its records stay there, and no archive gets them")
 
     def _complain(self, why: str = "") -> None:
         """Say that nothing is confirmed, once that has lasted, and why where that is not for want of an archive."""

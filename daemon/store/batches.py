@@ -44,11 +44,14 @@ class Batch:
         The page holds every record of the run that its store has, from the page before up to this number.
     rows
         By the name of the table: the number and then the values of its columns, None for what is not known.
+    damaged
+        How many records of the store are left out, because no archive takes them.
     """
 
     origin: Origin
     through: int
     rows: dict[str, list[tuple[Any, ...]]]
+    damaged: int = 0
 
     @property
     def count(self) -> int:
@@ -83,6 +86,7 @@ def next_batch(
     after
         The number of the last record that is not wanted any more, -1 for none.
     """
+    connection.text_factory = _decoded
     # In one transaction: what a service writes between two tables would be passed over in the first one, and never be
     # asked for again.
     with connection:
@@ -94,8 +98,35 @@ def next_batch(
     page = found[:most]
     rows: dict[str, list[tuple[Any, ...]]] = {}
     for _, name, row in page:
-        rows.setdefault(name, []).append(row)
-    return Batch(identified(run, origin), page[-1][0], rows)
+        if _is_sound(name, row):
+            rows.setdefault(name, []).append(row)
+    return Batch(identified(run, origin), page[-1][0], rows, len(page) - sum(map(len, rows.values())))
+
+
+def is_sound(origin: Origin) -> bool:
+    """Tell whether an archive takes what is known of a run, which only a damaged store has otherwise."""
+    try:
+        _origin(asdict(origin))
+    except (ValueError, TypeError):
+        return False
+    return True
+
+
+def _is_sound(name: str, row: tuple[Any, ...]) -> bool:
+    """Tell whether an archive takes a record."""
+    try:
+        values = [_VALUES[column.holds](value) for column, value in zip(_COLUMNS[name], row[1:], strict=True)]
+    except ValueError:
+        return False
+    return values[0] is not None
+
+
+def _decoded(text: bytes) -> str | bytes:
+    try:
+        return text.decode()
+    except UnicodeDecodeError:
+        # It is judged with its record; SQLite's own error would be one of all that follow.
+        return text
 
 
 def _rows_after(
@@ -105,26 +136,22 @@ def _rows_after(
     there = columns_of(connection, name)
     if there:
         wanted = ", ".join(column.name if column.name in there else "NULL" for column in _COLUMNS[name])
-        query = f"SELECT number, {wanted} FROM {name} WHERE run = ? AND number > ? ORDER BY number LIMIT ?"  # noqa: S608 - our own names
+        query = (
+            f"SELECT number, {wanted} FROM {name} WHERE run = ? AND number > ? AND typeof(number) = 'integer'"  # noqa: S608 - our own names
+            " ORDER BY number LIMIT ?"
+        )
         for row in connection.execute(query, (run, after, most)):
             yield row[0], name, row
 
 
 def encoded(batch: Batch) -> bytes:
-    """Return a page as the JSON of a message; raises `BatchError` for what only a damaged store has."""
+    """Return a page of `next_batch` as the JSON of a message; its run has to be sound."""
     kinds = {
         name: {"columns": ["number", *(column.name for column in _COLUMNS[name])], "rows": rows}
         for name, rows in batch.rows.items()
     }
     page = {"format": FORMAT, "run": asdict(batch.origin), "through": batch.through, "records": kinds}
-    try:
-        return json.dumps(page, separators=(",", ":")).encode()
-    except TypeError:
-        least, most = (choose(row[0] for table in batch.rows.values() for row in table) for choose in (min, max))
-        raise BatchError(
-            f"a record from number {least} to {most} of the run {batch.origin.id!a}, or what is known of the run,"
-            " is damaged in the store"
-        ) from None
+    return json.dumps(page, separators=(",", ":")).encode()
 
 
 def decoded(payload: bytes) -> Batch:

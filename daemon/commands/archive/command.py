@@ -104,6 +104,11 @@ def fill(
     typer.echo(f"{store}: {read} read; {found.added} of them are new in {address}, as {name}")
     if found.aside:
         warn(f"{counted(found.aside, 'record')} not taken by the database, and set aside: {_HOW_TO_RETRY}")
+    if found.damaged:
+        warn(f"{counted(found.damaged, 'record is', 'records are')} damaged in {store} and left out")
+    if found.unsound:
+        runs = ", ".join(map(str, found.unsound))
+        warn(f"what {store} knows of run {runs} is damaged: its records are left out")
 
 
 @app.command()

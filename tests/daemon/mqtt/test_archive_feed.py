@@ -17,6 +17,7 @@ from daemon.mqtt.connection import Incoming
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics
 from daemon.service.rig import Role
+from daemon.store.batches import decoded
 from daemon.store.schema import FILE_NAME
 from daemon.store.store import Store
 from tests.support.archive import T0, Sender, event, origin, pose
@@ -189,10 +190,51 @@ def test_a_store_that_cannot_be_read_has_not_been_confirmed(tmp_path):
     virtual(scenario)
 
 
-def blob(path):
-    """Something in the place of a number, as rubbish on a page may look."""
-    with closing(sqlite3.connect(path)) as store, store:
-        store.execute("UPDATE poses SET a_deg = x'00' WHERE number = 1500")
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "a_deg = x'00'", "a_deg = 'steep'", "moving = 'perhaps'", "tracker = x'ff'", "tracker = CAST(x'ff' AS TEXT)",
+        "time = x'00'", "time = 1e10", "time = -1", "number = x'00'", "number = 'many'",
+    ],
+)  # fmt: skip
+def test_a_damaged_record_is_told_and_stays_in_the_store_and_all_others_go_on(tmp_path, damage):
+    async def scenario():
+        link, run, later = HandLink(), origin(), origin()
+        service = Service(tmp_path, link)
+        service.keep(*(pose(n) for n in range(1200)), run=run)
+        service.keep(pose(1200), run=later)
+        with closing(sqlite3.connect(tmp_path / FILE_NAME)) as store, store:
+            store.execute("UPDATE poses SET wind_m_s = 'nothing' WHERE run = 1 AND number BETWEEN 500 AND 999")
+            store.execute(f"UPDATE poses SET {damage} WHERE run = 1 AND number = 300")
+        await service.send_for(100.0)
+        assert link.kept == {(run.id, n) for n in range(1200) if n != 300 and not 500 <= n < 1000} | {(later.id, 0)}
+        assert all(decoded(json.dumps(page).encode()) for page in link.pages)
+        number = 500 + ("number" not in damage)
+        assert link.troubles["archive damage"] == (
+            f"{number} records of the store {tmp_path / FILE_NAME} are damaged: they stay there, and no archive gets"
+            " them"
+        )
+
+    virtual(scenario)
+
+
+@pytest.mark.parametrize("damage", ["site = x'00'", "latitude_deg = 'north'", "started = 1e18"])
+def test_a_run_that_nothing_sound_is_known_of_is_told_and_all_others_go_on(tmp_path, damage):
+    async def scenario():
+        link, later = HandLink(), origin()
+        service = Service(tmp_path, link)
+        service.keep(pose(0))
+        service.keep(pose(1), run=later)
+        with closing(sqlite3.connect(tmp_path / FILE_NAME)) as store, store:
+            store.execute(f"UPDATE runs SET {damage} WHERE run = 1")
+        await service.send_for(100.0)
+        assert link.kept == {(later.id, 0)}
+        assert link.troubles["archive runs"] == (
+            f"what the store {tmp_path / FILE_NAME} knows of run 1 is damaged: its records stay there, and no archive"
+            " gets them"
+        )
+
+    virtual(scenario)
 
 
 def rubbish(path):
@@ -205,15 +247,15 @@ def rubbish(path):
     path.write_bytes(whole)
 
 
-@pytest.mark.parametrize(("spoil", "why"), [(blob, "is damaged in the store"), (rubbish, "'heliocube store salvage ")])
-def test_a_store_that_is_damaged_further_on_is_told_and_ends_nothing(tmp_path, spoil, why):
+def test_a_store_that_is_damaged_further_on_is_told_and_ends_nothing(tmp_path):
     async def scenario():
         link = HandLink()
         service = Service(tmp_path, link)
         service.keep(*(pose(n) for n in range(3000)))
-        spoil(tmp_path / FILE_NAME)
+        rubbish(tmp_path / FILE_NAME)
         await service.send_for(4000.0)
         assert 0 < len(link.kept) <= 1500
+        why = "'heliocube store salvage "
         assert why in link.troubles["archive"]
         assert service.alarms["archive-behind"].startswith("no archive has confirmed records of lab/roof/records for 1")
         assert why in service.alarms["archive-behind"]

@@ -1,8 +1,10 @@
 """`heliocube archive fill` and `parquet`, and what reads an archive as it reads a store, against a real PostgreSQL."""
 
 import json
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from datetime import date
 from pathlib import Path
 
@@ -10,6 +12,9 @@ import pytest
 
 from daemon.archive.address import parse_archive
 from daemon.archive.parquet import drop_days
+from daemon.base.clock import SystemClock
+from daemon.store.store import Store
+from tests.support.archive import origin, pose
 
 DAY = "2022-10-12"
 HOW = "it is mqtt.prefix and mqtt.name of the service, such as plant/roof"
@@ -123,6 +128,26 @@ def cools_down(store, postgres, database, heliocube, tmp_path):
     query = f"SELECT installation, count(*) FROM '{out}/poses/*/*.parquet' GROUP BY 1"
     counts = dict(in_duckdb(query))
     assert counts["plant/both"] == counts["plant/roof"] == counts["plant/late"] > 0
+
+
+def test_what_is_damaged_in_a_store_keeps_nothing_else_out_of_the_archive(database, heliocube, tmp_path):
+    for known in (origin(), origin()):
+        store = Store(tmp_path, 60.0, 400, known, SystemClock(), print)
+        for number in range(3):
+            store.keep(pose(number))
+        store.close()
+    with closing(sqlite3.connect(tmp_path / "heliocube.sqlite")) as store, store:
+        store.execute("UPDATE poses SET tracker = x'ff' WHERE run = 1 AND number = 1")
+        store.execute("UPDATE runs SET site = x'ff' WHERE run = 2")
+    fill = ("archive", "fill", tmp_path, "--to", database, "--name", "plant/both")
+    code, out, err = heliocube(*fill)
+    assert (code, out) == (0, f"{tmp_path}: 2 records were read; 2 of them are new in {database}, as plant/both\n")
+    assert err == (
+        f"heliocube: warning: 1 record is damaged in {tmp_path} and left out\n"
+        f"heliocube: warning: what {tmp_path} knows of run 2 is damaged: its records are left out\n"
+    )
+    answer = json.loads(heliocube(*fill, "--json")[1])
+    assert (answer["damaged"], answer["unsound"], answer["added"]) == (1, [2], 0)
 
 
 def test_a_file_of_the_broker_that_is_missing_is_told_before_the_database_is_asked(heliocube, tmp_path):
