@@ -107,6 +107,7 @@ class ArchiveFeed:
         self._through: dict[str, int] = {}
         self._finished: set[str] = set()
         self._asked: Batch | None = None
+        self._refused = ""
         self._is_kept = False
         self._answered = asyncio.Event()
         self._aside, self._aside_s = 0, math.inf
@@ -182,7 +183,7 @@ class ArchiveFeed:
     async def _deliver(self, batch: Batch, payload: bytes) -> None:
         """Send one page until it is confirmed, or is too long for a broker that has come since."""
         message = Message(self._topic, payload, 1)
-        self._asked, self._is_kept = batch, False
+        self._asked, self._is_kept, self._refused = batch, False, ""
         self._answered.clear()
         self._backoff.reset()
         while self._fits(batch, payload):
@@ -191,7 +192,7 @@ class ArchiveFeed:
             if self._is_kept:
                 self._confirmed(batch)
                 return
-            self._complain()
+            self._complain(self._refused)
 
     def _confirmed(self, batch: Batch) -> None:
         self._through[batch.origin.id] = batch.through
@@ -255,6 +256,7 @@ class ArchiveFeed:
         if self._asked is None or answer.run != self._asked.origin.id:
             return
         if answer.refused:
+            self._refused = answer.refused
             self._link.trouble("archive", f"the archive refuses records of {self._topic}: {answer.refused}")
         elif answer.through == self._asked.through:
             # Of another end is what was confirmed before, or was never sent.

@@ -25,6 +25,7 @@ MOST_NUMBER = 1 << 53
 _MOST_ROWS_TAKEN = 5000
 _COLUMNS = dict(COLUMNS.values())
 _ORIGIN = {field.name: field.type for field in fields(Origin)}
+_KNOWN = {name: {"number", *(column.name for column in columns)} for name, columns in _COLUMNS.items()}
 KINDS = tuple(_COLUMNS)
 
 
@@ -158,19 +159,19 @@ def decoded(payload: bytes) -> Batch:
     """Return the page of a message.
 
     What stands there is judged column by column, since whoever may write to the broker may have written it. A number
-    that is none is not known, and so is a column that the message does not have; one that this program does not know is
-    left out.
+    that is none is not known, and so is a column that the message does not have. What this program does not know would
+    be lost once the page is confirmed.
 
     Raises
     ------
     BatchError
-        It is not a page of records.
+        It is not a page of records, or has a kind of records, or a column with values, that a later program writes.
     """
     try:
         page = json.loads(payload)
         _check_format(page["format"])
         origin = _origin(page["run"])
-        rows = {name: _rows(name, **table) for name, table in page["records"].items() if name in _COLUMNS}
+        rows = {name: _rows(name, **table) for name, table in page["records"].items()}
         through = _whole(page["through"])
     except BatchError:
         raise
@@ -201,7 +202,12 @@ def _origin(found: dict[str, Any]) -> Origin:
 
 
 def _rows(name: str, columns: list[str], rows: list[list[Any]]) -> list[tuple[Any, ...]]:
+    if name not in _COLUMNS:
+        raise _unknown(name)
     places = {column: place for place, column in enumerate(columns)}
+    for column in places.keys() - _KNOWN[name]:
+        if any(row[places[column]] is not None for row in rows):
+            raise _unknown(column, f"{name} with ")
     number = places["number"]
     chosen = [(places.get(column.name), _VALUES[column.holds]) for column in _COLUMNS[name]]
     found = []
@@ -211,6 +217,10 @@ def _rows(name: str, columns: list[str], rows: list[list[Any]]) -> list[tuple[An
             raise BatchError("a record has no time from 1970 to 2200")
         found.append((_whole(row[number]), *values))
     return found
+
+
+def _unknown(found: str, where: str = "") -> BatchError:
+    return BatchError(f"it has {where}{ascii(found)[:40]}, which this archive does not know: update the archive")
 
 
 def _whole(value: Any) -> int:

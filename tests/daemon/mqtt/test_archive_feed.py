@@ -157,6 +157,24 @@ def test_a_refusal_in_letters_that_no_file_can_hold_is_shown(tmp_path):
     virtual(scenario)
 
 
+def test_a_refusal_that_lasts_is_an_alarm_that_says_why(tmp_path):
+    async def scenario():
+        link, run = HandLink(), origin()
+        service = Service(tmp_path, link)
+        service.keep(pose(0), run=run)
+        link.answers = [json.dumps({"run": run.id, "refused": "update it"}).encode()] * 1000
+        await service.send_for(4000.0)
+        assert service.alarms["archive-behind"] == (
+            "no archive has confirmed records of lab/roof/records for 1 h (update it): they wait in the store, which"
+            " keeps 400 days"
+        )
+        link.answers.clear()
+        await service.send_for(100.0)
+        assert link.kept == {(run.id, 0)}
+
+    virtual(scenario)
+
+
 def test_the_records_of_a_store_that_has_begun_anew_are_sent_too(tmp_path):
     async def scenario():
         link, late = HandLink(), origin()

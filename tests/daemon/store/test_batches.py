@@ -122,6 +122,14 @@ def test_a_run_of_before_there_were_identifiers_has_the_same_one_each_time_and_n
         ({"run": {**GOOD["run"], "started_utc_s": -1}}, "its run has no place or no start"),
         ({"run": {**GOOD["run"], "site": "\ud800"}}, "it is no page of records"),
         ({"records": {"poses": {"columns": ["number", "time"], "rows": [[0, T0]] * 5001}}}, "5000 are the most"),
+        (
+            {"records": {**GOOD["records"], "b\u00e4ume": {"columns": ["number", "time"], "rows": [[1, T0]]}}},
+            "it has 'b\\xe4ume', which this archive does not know: update the archive",
+        ),
+        (
+            {"records": {"poses": {"columns": ["number", "time", "c_deg"], "rows": [[0, T0, None], [1, T0, 5.0]]}}},
+            "it has poses with 'c_deg', which this archive does not know: update the archive",
+        ),
     ],
 )
 def test_what_is_no_page_is_refused(change, part):
@@ -131,9 +139,9 @@ def test_what_is_no_page_is_refused(change, part):
     assert str(error.value).isascii()
 
 
-def test_columns_may_come_in_any_order_and_those_of_another_version_are_left_out():
-    table = {"columns": ["new", "b_deg", "time", "number"], "rows": [["x", 60, T0, 0]]}
-    batch = decoded(json.dumps(GOOD | {"records": {"poses": table, "kind_of_later": {}}}).encode())
+def test_columns_may_come_in_any_order_and_those_of_another_version_without_a_value_are_left_out():
+    table = {"columns": ["new", "b_deg", "time", "number"], "rows": [[None, 60, T0, 0]]}
+    batch = decoded(json.dumps(GOOD | {"records": {"poses": table}}).encode())
     assert batch.rows == {"poses": [(0, T0, None, None, 60.0, None, None, None)]}
 
 
