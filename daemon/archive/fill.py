@@ -83,7 +83,7 @@ def fill(
         if writer is not None:
             writer.close()
     unsound = tuple(run for run, origin in runs if not is_sound(origin))
-    return ArchiveFilled(read, added, aside, damaged, unsound)
+    return ArchiveFilled(read=read, added=added, aside=aside, damaged=damaged, unsound=unsound)
 
 
 def _take(writer: ArchiveWriter, pages: list[SentPage]) -> tuple[int, int]:

@@ -35,6 +35,7 @@ from daemon.commands.options import (
     TableFormat,
     ZoneOption,
     checked_seed,
+    refuse_repeated,
     show_values_in_words,
 )
 from daemon.commands.setup import command as setup_command
@@ -86,6 +87,7 @@ class _Commands(TyperGroup):
 _NO_CACHE = "MPLCONFIGDIR"
 
 show_values_in_words()
+refuse_repeated()
 app = typer.Typer(
     cls=_Commands,
     help="Control service for dual-axis sun trackers that point by a radiometric cube.\n\n"

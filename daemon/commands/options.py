@@ -1,11 +1,12 @@
 """What several commands share."""
 
+from collections import Counter
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperArgument, TyperOption
+from typer.core import TyperArgument, TyperCommand, TyperOption
 
 from daemon.base.errors import UserError
 from daemon.config.simulation import LARGEST_SEED
@@ -82,6 +83,15 @@ ClusterOption = Annotated[
 ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite existing files.")]
 
 
+# Not where or how to reach a service, or why: what a script adds to is no reason to refuse a stop. Two trackers are
+# refused before any command is known.
+_ONE_IS_MEANT = {
+    *("--against", "--bias", "--day", "--ghi", "--lat", "--law", "--laws", "--model", "--only", "--points"),
+    *("--schedule", "--site", "--sites", "--skies", "--sky", "--store", "--tables", "--weather"),
+    "--without",
+}
+
+
 def checked_seed(seed: int | None) -> int | None:
     """Return a seed; `typer.BadParameter` for one that is too large. As a range its digits would crowd out the help."""
     if seed is not None and seed > LARGEST_SEED:
@@ -106,6 +116,31 @@ def _value_in_words(option: TyperOption, ctx: Any) -> str | None:
     if kind.is_path or kind.annotation in (Path, list[Path]):
         return "PATH"
     return "NUMBER" if kind.is_ranged or kind.annotation in (int, float) else "TEXT"
+
+
+def refuse_repeated() -> None:
+    """Let every command refuse an option that is given again where both values may be meant: the last one counts."""
+    make_parser = TyperCommand.make_parser
+
+    def make(command: TyperCommand, ctx: Any) -> Any:
+        parser = make_parser(command, ctx)
+        parse = parser.parse_args
+
+        def parse_once(args: list[str]) -> Any:
+            found = parse(args)
+            given = Counter(option.opts[0] for option in found[2] if not getattr(option, "multiple", True))
+            for name in sorted(_ONE_IS_MEANT & given.keys()):
+                if given[name] > 1:
+                    raise UserError(
+                        f"nothing is done: {name} is given {given[name]} times, and only one would count: put several"
+                        " into one value where --help shows how, or give the command once for each"
+                    )
+            return found
+
+        parser.parse_args = parse_once  # type: ignore[method-assign]
+        return parser
+
+    TyperCommand.make_parser = make  # type: ignore[method-assign,assignment]
 
 
 def chosen_workers(jobs: int, cluster: str | None) -> "Workers":

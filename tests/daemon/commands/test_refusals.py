@@ -28,6 +28,11 @@ LONG = "x" * 300
 WRONG = {
     f"gain --lat 48 --weather {LONG}": f"{LONG} cannot be used: File name too long; name another place",
     f"gain --lat 48 --format csv --out {LONG}": f"{LONG} cannot be used: File name too long; name another place",
+    "run --site 48,2 --site 55,12": "nothing is done: --site is given 2 times, and only one would count",
+    "gain --lat 48 --weather clear --weather file": "--weather is given 2 times, and only one would count",
+    "gain --lat 48 --lat 52 --lat 55": "--lat is given 3 times",
+    "energy file --site 48,2 --out new --laws flat --laws optimal": "--laws is given 2 times",
+    "report --store there --store new --day yesterday --out new": "--store is given 2 times",
     "run --weather nonsense": "no weather file at nonsense, and it is not one of the built-in skies clear",
     "run --law nonsense": "nonsense",
     "run --site 100,200": "not on Earth",

@@ -226,23 +226,24 @@ GOOD = readings(NOON + np.arange(0, 60, 5.0))
 @pytest.mark.parametrize(
     ("lines", "options", "sentence"),
     [
-        ([], (), "has no readings below its header"),
-        (GOOD[:1], (), "two rows at least"),
-        ([GOOD[1], GOOD[0]], (), "not later than that of the line before"),
-        ([["yesterday", "1", "1", "1", "1"]], (), "'yesterday' is not ISO 8601"),
-        ([["2022-10-12T12:00:00Z", "x", "1", "1", "1"]], (), "east is 'x'"),
-        ([["2022-10-12T12:00:00Z", "1", "1"]], (), "3 cells where the header has 5"),
-        (readings(NOON + np.arange(0, 3600, 600.0)), (), "600 s apart"),
-        (GOOD, ("--law", "best"), "law.driver"),
-        (GOOD, ("--site", "here"), "--site"),
-        (GOOD, ("--store", "x"), "either FACES.csv or --store"),
-        (GOOD, ("--config", "missing.toml"), "missing.toml"),
+        ([], {}, "has no readings below its header"),
+        (GOOD[:1], {}, "two rows at least"),
+        ([GOOD[1], GOOD[0]], {}, "not later than that of the line before"),
+        ([["yesterday", "1", "1", "1", "1"]], {}, "'yesterday' is not ISO 8601"),
+        ([["2022-10-12T12:00:00Z", "x", "1", "1", "1"]], {}, "east is 'x'"),
+        ([["2022-10-12T12:00:00Z", "1", "1"]], {}, "3 cells where the header has 5"),
+        (readings(NOON + np.arange(0, 3600, 600.0)), {}, "600 s apart"),
+        (GOOD, {"--law": "best"}, "law.driver"),
+        (GOOD, {"--site": "here"}, "--site"),
+        (GOOD, {"--store": "x"}, "either FACES.csv or --store"),
+        (GOOD, {"--config": "missing.toml"}, "missing.toml"),
     ],
 )
 def test_bad_input_is_one_sentence_and_nothing_is_written(heliocube, tmp_path, lines, options, sentence):
     source, out = write(tmp_path / "faces.csv", lines), tmp_path / "out" / "positions.csv"
     out.parent.mkdir()
-    code, said = heliocube("replay", source, "--site", PLACE, "--law", "optimal", "--out", out, *options)
+    asked = {"--site": PLACE, "--law": "optimal", "--out": out} | options
+    code, said = heliocube("replay", source, *(word for option in asked.items() for word in option))
     assert code == 2
     assert sentence in said
     assert "Traceback" not in said
