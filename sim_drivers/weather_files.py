@@ -40,6 +40,8 @@ from solar.tables import (
 )
 
 LONGEST_GAP_S = 3600.0
+# Under thick clouds there is several times as much.
+_HIGH_SUN_DEG, _DARKEST_W_M2 = 20.0, 2.0
 IRRADIANCES = ("ghi", "dni", "dhi")
 OPTIONAL = ("wind_speed", "temp_air")
 
@@ -181,10 +183,12 @@ def site_mismatch(weather: MeasuredWeather, site: Site) -> str | None:
 
     GHI - DHI must equal DNI sin(elevation), and there is no beam at night. At the right site the two agree to 1 or 2 %
     on most days; an hour of time or 10 deg of longitude too many shows as more than 8 %. Fewer than ten sunny records
-    tell nothing.
+    tell nothing, but for a sky that is too dark under a high sun, as where the unit is another.
     """
     elevation_deg = sun_position(weather.utc_s, *site).elevation_deg
     ghi, dni, dhi = (weather.irradiance_w_m2[key] for key in IRRADIANCES)
+    if np.any(elevation_deg > _HIGH_SUN_DEG) and ghi.max() < _DARKEST_W_M2:
+        return f"{weather.name} has at most {ghi.max():.3g} W/m2 of ghi by day: if it is in kW/m2, multiply it by 1000"
     sunny = dni > 200.0
     if np.count_nonzero(sunny) < 10:
         return None

@@ -361,6 +361,20 @@ def test_hours_stamped_with_their_end_are_noticed_and_those_with_their_middle_ar
     )
 
 
+def test_a_day_in_kilowatts_is_noticed_and_a_night_is_not():
+    instants = utc("2022-04-12") + np.arange(0.0, 86400.0, 60.0)
+    now = GeneratedWeather("overcast", SIRTA, 1).at(instants)
+    values = {"ghi": now.ghi_w_m2, "dni": now.dni_w_m2, "dhi": now.dhi_w_m2}
+    kilowatts = {key: value / 1000.0 for key, value in values.items()}
+    others = {"wind_speed": now.wind_speed_m_s, "temp_air": now.temp_air_degc}
+    assert site_mismatch(MeasuredWeather("it", instants, values | others), SIRTA) is None
+    told = site_mismatch(MeasuredWeather("it", instants, kilowatts | others), SIRTA)
+    assert told.startswith("it has at most 0.")
+    assert told.endswith(" W/m2 of ghi by day: if it is in kW/m2, multiply it by 1000")
+    night = {key: value[:200] for key, value in (kilowatts | others).items()}
+    assert site_mismatch(MeasuredWeather("it", instants[:200], night), SIRTA) is None
+
+
 def test_a_day_without_sun_fits_everywhere():
     instants = utc("2022-10-12") + np.arange(0.0, 86400.0, 60.0)
     grey = np.full(instants.shape, 80.0)
