@@ -87,7 +87,7 @@ class MeasuredWeather:
     ) -> None:
         complete = np.all([np.isfinite(values[quantity]) for quantity in IRRADIANCES], axis=0)
         if not complete.any():
-            raise WeatherFileError(f"{name} has no record with ghi, dni and dhi all present")
+            raise WeatherFileError("; ".join((f"{name} has no record with ghi, dni and dhi all present", *left_out)))
         self.name = name
         self.site = site
         self.simulated = simulated

@@ -123,6 +123,14 @@ def test_an_impossible_value_is_a_missing_one_and_is_counted(tmp_path):
     )
 
 
+def test_a_file_without_a_possible_value_says_why_no_record_counts(tmp_path):
+    path = written(tmp_path, "time,ghi,dni,dhi\n2016-06-05T12:00:00Z,800000,900000,80000\n")
+    assert reason(path) == (
+        f"weather file {path} has no record with ghi, dni and dhi all present; weather file {path} has 3 impossible"
+        " values, taken as missing; first in line 2: ghi 800000, not in -50..2500"
+    )
+
+
 def test_a_missing_file_a_folder_and_a_broken_archive_are_refused(tmp_path):
     assert reason(tmp_path / "no.csv") == f"there is no weather file at {tmp_path / 'no.csv'}"
     assert reason(tmp_path) == f"{tmp_path} is a folder: name a file of measured weather in it"
