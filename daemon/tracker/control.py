@@ -127,7 +127,7 @@ class Control(Doors):
         self._since_utc_s = clock.utc()
         self._due_s = -math.inf
         self._decision: Decision | None = None
-        self._data = Data.WAITING
+        self._data, self._wind_known = Data.WAITING, False
         self._last_why = ""
         self._foreseen: tuple[object, Foresight | None] | None = None
         self._foresee_from_s = clock.monotonic() + phase.delay_s(_FORESEE_EVERY_S)
@@ -141,7 +141,7 @@ class Control(Doors):
         self._readings.add(scan)
         if self._clock_watch.trusted:
             self.pointing.receive(scan, utc_s)
-        if (self.mode in (Mode.STARTING, Mode.FALLBACK) or self._waits_for_data) and scan.ok:
+        if (self.mode in (Mode.STARTING, Mode.FALLBACK) or self._waits) and scan.ok:
             # It may be what was waited for.
             self._decide_in_turn()
 
@@ -211,21 +211,21 @@ class Control(Doors):
         return self.last_tick_s + self._until_next_tick()
 
     @property
-    def _waits_for_data(self) -> bool:
-        """Whether a decision is kept back because the readings are not good at this instant."""
-        return self.mode is Mode.TRACKING and self._data is not Data.FRESH
+    def _waits(self) -> bool:
+        """Whether a decision is kept back: readings that are not good at this instant, or wind that was not heard."""
+        return not self._wind_known or (self.mode is Mode.TRACKING and self._data is not Data.FRESH)
 
     def _until_next_tick(self) -> float:
         now_s = self._clock.monotonic()
         tick_s = self._phase.next_s(now_s, _TICK_S) - now_s
-        if not self._waits_for_data and self.mode in (Mode.TRACKING, Mode.FALLBACK):
+        if not self._waits and self.mode in (Mode.TRACKING, Mode.FALLBACK):
             return min(tick_s, max(self._due_s - now_s, _SHORTEST_WAIT_S))
         return tick_s
 
     def tick(self) -> None:
         """Judge the situation once, change mode if it calls for that, and act in the mode."""
         now_s = self._clock.monotonic()
-        self._watch_clock()
+        self._watch_clock(now_s)
         self.budget.turn(self._clock_watch.believed_utc_s)
         self.pointing.turn(self._clock_watch.believed_utc_s)
         self._freeze()
@@ -241,8 +241,7 @@ class Control(Doors):
                 self._motion.forget_order()
             self._enter(mode, why, now_s)
         self.why = why
-        wind_known = self._stow_watch.waiting_why(now_s) is None
-        self._motion.may_rehome = mode is Mode.FAULT and wind_known and self.wishes.allow_rehoming
+        self._motion.may_rehome = mode is Mode.FAULT and self._wind_known and self.wishes.allow_rehoming
         self._act(now_s, mean)
         self._alarms.mute(muted=self.wishes.maintenance is not None)
         self._reminders.remind(self.wishes, sun_known=self._clock_watch.trusted)
@@ -252,9 +251,12 @@ class Control(Doors):
         self._alarms.set("law-failed", self.pointing.failed_why)
         self.last_tick_s = now_s
 
-    def _watch_clock(self) -> None:
+    def _watch_clock(self, now_s: float) -> None:
         if (step_s := self._clock_watch.step_s()) is not None:
-            self._readings.note_step(step_s)
+            if step_s > self._settings.safety.scan_stale_s:
+                # The machine may have slept: its steady clock stood still, and what is old seems fresh by it.
+                self._readings.forget()
+                self._stow_watch.note_sleep(now_s)
             text = told_step(step_s, self._clock.utc())
             log.warning(text)
             self._report(text)
@@ -263,7 +265,8 @@ class Control(Doors):
         data, data_why, night_why = self._readings.judge(now_s, mean, sun_known=self._clock_watch.trusted)
         asked = self._orders.stow.reason(now_s)
         stow_why = "; ".join((*([asked] if asked else []), *self._stow_watch.reasons(now_s))) or None
-        if (waiting_why := self._stow_watch.waiting_why(now_s)) is not None:
+        self._wind_known = (waiting_why := self._stow_watch.waiting_why(now_s)) is None
+        if waiting_why is not None:
             # Nor, as below, to the position of night or snow: it may be steeper than where the tracker lay in a storm.
             data, data_why, night_why = Data.WAITING, waiting_why, None
         wishes = self.wishes
@@ -323,7 +326,7 @@ class Control(Doors):
             self._parking.park(Target(*snow, self.why), now_s)
         elif self.mode is Mode.HOLD:
             self._hold(now_s)
-        elif self.mode in (Mode.TRACKING, Mode.FALLBACK) and now_s >= self._due_s and not self._waits_for_data:
+        elif self.mode in (Mode.TRACKING, Mode.FALLBACK) and now_s >= self._due_s and not self._waits:
             self._decide(now_s, mean)
 
     def _hold(self, now_s: float) -> None:
@@ -349,7 +352,8 @@ class Control(Doors):
         if waits_why is not None:
             target = replace(target, why=f"{target.why}; {waits_why}")
         moved = worth_it and waits_why is None and self._order_within_budget(target)
-        log.info("%s", "moving" if moved else "staying", extra={"fields": _log_fields(law, target)})
+        told = {"law": law, "a_deg": f"{target.a_deg:z.2f}", "b_deg": f"{target.b_deg:z.2f}", "why": target.why}
+        log.info("%s", "moving" if moved else "staying", extra={"fields": told})
         self._decision = Decision(
             time_utc_s=utc_s,
             time_monotonic_s=now_s,
@@ -394,7 +398,3 @@ class Control(Doors):
 
     def _report(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "control", text))
-
-
-def _log_fields(law: str, target: Target) -> dict[str, str]:
-    return {"law": law, "a_deg": f"{target.a_deg:z.2f}", "b_deg": f"{target.b_deg:z.2f}", "why": target.why}

@@ -92,13 +92,9 @@ class Readings:
         if sum(face.quality is Quality.OK for face in scan.faces) >= self._faces_needed:
             self.good_s = scan.time_monotonic_s
 
-    def note_step(self, step_s: float) -> None:
-        """Take note of a step of the clock [s]: after one forward the machine may have slept, and all readings be old.
-
-        The steady clock stands still meanwhile, and they seem fresh by it.
-        """
-        if step_s > self._safety.scan_stale_s:
-            self._window.forget()
+    def forget(self) -> None:
+        """Decide on no reading of until now: they may be older than they seem."""
+        self._window.forget()
 
     def mean(self, now_s: float) -> Irradiances | None:
         """Return the window's mean, or None while too many faces have nothing in it."""

@@ -49,7 +49,7 @@ class StowSource(Protocol):
         """Return how it stood at the last poll; changes nothing, so anybody may call it."""
 
     def resume(self, why: str, now_s: float) -> None:
-        """Begin stowed, as it was before a restart, until it has been heard and was calm for its time."""
+        """Begin stowed, as before a restart or a sleep of the machine, until it was heard and calm for its time."""
 
 
 class OperatorStow:

@@ -122,6 +122,7 @@ class StowWatch:
         self._kept: Set[str] | None = None
         self._gust_m_s = math.nan
         self._pending = {source.name for source in self._sources}
+        self._heard_after_s = -math.inf
         self._before = file.load()
         if self._before is not None:
             for source in self._sources:
@@ -162,10 +163,27 @@ class StowWatch:
         return gust_m_s
 
     def waiting_why(self, now_s: float) -> str | None:
-        """Return which sources have not been heard once since the start, in words, or None."""
+        """Return which sources have not been heard once since the start or a sleep, in words, or None."""
         if self._pending:
-            self._pending = {status.name for status in self.statuses(now_s) if status.age_s == math.inf}
-        return f"waiting for the first message of {' and '.join(sorted(self._pending))}" if self._pending else None
+            heard_s = {status.name: now_s - status.age_s for status in self.statuses(now_s)}
+            self._pending = {name for name, at_s in heard_s.items() if not at_s > self._heard_after_s}
+        if not self._pending:
+            return None
+        names = " and ".join(sorted(self._pending))
+        if self._heard_after_s == -math.inf:
+            return f"waiting for the first message of {names}"
+        return f"waiting for {names} to be heard: the machine may have slept"
+
+    def note_sleep(self, now_s: float) -> None:
+        """Take note that the machine may have slept before this monotonic time: nobody heard what the wind did.
+
+        Every source has to be heard again, and one that stows to be calm for its whole time, as after a restart.
+        """
+        self._heard_after_s = now_s
+        self._pending = {source.name for source in self._sources}
+        for source in self._sources:
+            if (why := source.status(now_s).why) is not None:
+                source.resume(why, now_s)
 
     def statuses(self, now_s: float) -> tuple[StowStatus, ...]:
         """Return how each source stands."""
