@@ -31,12 +31,13 @@ STARTED_NAME = "started.json"
 
 
 class Started(BaseModel):
-    """The last start [s of UTC], and of which version."""
+    """The last start [s of UTC], of which version, and its number among all starts with this folder; 0: not known."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 
     started_utc_s: float = Field(allow_inf_nan=False)
     version: str = ""
+    number: int = Field(default=0, ge=0)
 
 
 # The trackers of one service write it one after the other.
@@ -54,11 +55,27 @@ def started_in(folder: StateFolder) -> StateFile[Started]:
 
 def last_start_utc_s(folder: StateFolder) -> float:
     """Return when a tracker was last started, by the clock of then [s]; minus infinity where that is not known."""
-    try:
-        kept = started_in(folder).load()
-    except UnreadableStateError:
-        return -math.inf
+    kept = _last_start(folder)
     return -math.inf if kept is None else kept.started_utc_s
+
+
+def next_number(directory: Path | None) -> int:
+    """Return the number of a start with the folder of a service, which is higher than any before in it or below it."""
+    paths = () if directory is None else (directory, *directory.glob("*/"))
+    return 1 + max((_number(path) for path in paths), default=0)
+
+
+def _number(folder: Path) -> int:
+    # Nothing is to be written there, and so no room kept.
+    kept = _last_start(StateFolder(folder, reserve=lambda _path: None))
+    return 0 if kept is None else kept.number
+
+
+def _last_start(folder: StateFolder) -> Started | None:
+    try:
+        return started_in(folder).load()
+    except UnreadableStateError:
+        return None
 
 
 def hand_on(directory: Path, trackers: Sequence[str]) -> None:
@@ -124,7 +141,10 @@ def _is_newer(gone: Path, own: Path) -> bool:
     """Whether a tracker that is gone was started after the last start with the other one."""
     if not (own / STARTED_NAME).exists():
         return True
-    # A folder of an older release has no such file.
+    numbers = _number(gone), _number(own)
+    if all(numbers):
+        return numbers[0] > numbers[1]
+    # By their times, which are wrong after a clock was set: folders of an older release have no number or no such file.
     lasts = [gone / name for name in (STARTED_NAME, *_IN_FORCE) if (gone / name).exists()]
     return lasts[0].stat().st_mtime > (own / STARTED_NAME).stat().st_mtime + _STARTED_TOGETHER_S
 

@@ -26,7 +26,7 @@ from daemon.cube.face_watch import FaceWatch
 from daemon.cube.told_faces import ToldFaces, UnreadFaces
 from daemon.motion.polling import OFTEN, Polling
 from daemon.service.health import LoopWatch, Watchdog
-from daemon.service.inheritance import hand_on, left_behind
+from daemon.service.inheritance import hand_on, left_behind, next_number
 from daemon.service.rig import Rig, Role
 from daemon.service.tracker import Tracker
 from daemon.tracker.phase import Phase
@@ -149,6 +149,7 @@ class Service:
         wanted, common, directory = self.settings.trackers, Common(), self.settings.store.directory
         tables, folders = [table.name for table in self.settings.tracker], [own.store.directory for _, own in wanted]
         lefts = [left_behind(directory, tables, own) if directory and own else None for own in folders]
+        number = next_number(directory)
         if tables and directory is not None:
             hand_on(directory, tables)
         if len(wanted) != len(self.rig.trackers):
@@ -172,6 +173,7 @@ class Service:
                 refused=self._refused,
                 muted=self._mute_cube,
                 hold_why=lefts[place] or self._hold_why,
+                start_number=number,
             )
             self.bus.subscribe(tracker.note, name)
             yield tracker

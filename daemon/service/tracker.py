@@ -95,6 +95,8 @@ class Tracker:
         Called when its alarms are silenced or heard again.
     hold_why
         Why it is to be held from the start where nobody has asked for anything, or None.
+    start_number
+        Of this start among all of the service.
     """
 
     def __init__(
@@ -116,6 +118,7 @@ class Tracker:
         refused: Callable[[], str],
         muted: Callable[[], None],
         hold_why: str | None = None,
+        start_number: int,
     ) -> None:
         self.name = name
         self.settings = settings
@@ -165,6 +168,7 @@ class Tracker:
         self.shadow = self._build_shadow(common) if settings.law.shadow else None
         self.mode_times = ModeTimes(clock, settings.site.longitude_deg)
         self.left_standing = False
+        self._start_number = start_number
         self._commands = LogBudget("commands", _COMMANDS_LOGGED)
         self._moving: asyncio.Future[None] | None = None
         self._hung_why: str | None = None
@@ -263,7 +267,8 @@ class Tracker:
         Whether the disk takes it is known before the first stop: the folder reports what it could not write.
         """
         self.alarms.set("nothing-kept", self.forgets)
-        started_in(self.folder).save(Started(started_utc_s=self.clock.utc(), version=version("heliocube")))
+        this = Started(started_utc_s=self.clock.utc(), version=version("heliocube"), number=self._start_number)
+        started_in(self.folder).save(this)
 
     def _check_wind_source(self) -> None:
         """Raise an alarm where nothing would stow a real tracker in a storm."""
