@@ -151,10 +151,11 @@ class Doors:
         self._orders.latch(name, why, by)
         self._orders.hold_at = None
         self._freeze()
+        # No disk stands between a person and the axes; a link that takes its time to send it, none before the disk.
+        asyncio.get_running_loop().call_soon(self._orders.keep)
         try:
             await self._motion.stop()
         finally:
-            # A disk must not stand between a person and the axes.
             self._keep_wishes()
 
     def _freeze(self) -> None:

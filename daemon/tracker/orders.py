@@ -46,6 +46,7 @@ class Orders:
         self.hold_at: Target | None = None
         self._goto_ended_by = "a restart"
         self._set(file.load())
+        self._kept = self.wishes
         if hold_why is not None and self.wishes == Wishes():
             self.latch("hold", hold_why, PROGRAM)
             self.keep()
@@ -114,8 +115,10 @@ class Orders:
         self._set(Wishes())
 
     def keep(self) -> None:
-        """Write down what is in force."""
-        self._file.save(self.wishes)
+        """Write down what is in force, once."""
+        if self.wishes is not self._kept:
+            self._kept = self.wishes
+            self._file.save(self.wishes)
 
     def note_buttons(self, telemetry: Telemetry | None) -> bool:
         """Hold, in memory, when somebody presses a button at the unit; return whether that is new.

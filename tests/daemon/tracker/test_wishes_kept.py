@@ -1,10 +1,12 @@
 """What an operator asked for survives a restart."""
 
 import asyncio
+import json
 
 import pytest
 
 from daemon.base.records import Mode, ModeChange, Move
+from tests.support.phases import under_way
 
 
 @pytest.mark.parametrize(
@@ -43,6 +45,22 @@ def test_a_restart_keeps_what_was_asked_until_it_is_released(run_rig, tmp_path, 
 
     for scenario in (first, second, third):
         run_rig(scenario, store={"directory": tmp_path})
+
+
+@pytest.mark.parametrize("name", ["stop", "maintenance"])
+def test_a_stop_is_kept_while_it_is_sent_over_a_link_that_takes_its_time(run_rig, tmp_path, name):
+    async def scenario(rig):
+        await under_way(rig)
+        rig.cables.positioner.write_s = 0.9
+        asking = asyncio.create_task(getattr(rig.control, name)("a hand near the actuator"))
+        await asyncio.sleep(0.01)
+        assert json.loads((tmp_path / "operator.json").read_text())[name]["why"] == "a hand near the actuator"
+        assert not asking.done()
+        rig.control.auto()
+        await asking
+        assert json.loads((tmp_path / "operator.json").read_text()) == {}
+
+    run_rig(scenario, store={"directory": tmp_path})
 
 
 def test_a_garbled_file_keeps_the_tracker_stopped(run_rig, tmp_path):
