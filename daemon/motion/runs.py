@@ -152,6 +152,9 @@ class Runs:
         for attempt in range(self._settings.attempts):
             if attempt:
                 await self._pause()
+                if guard.doubts.reference is not None:
+                    # The count may have begun anew: what it was before would put the axes beyond their targets.
+                    start = guard.pose or start
             if guard.stray is not None:
                 return await self._quell()
             if not guard.watch.settled:

@@ -3,6 +3,8 @@
 import asyncio
 import itertools
 
+import pytest
+
 from daemon.base.records import Mode, MoveOutcome, Target
 from sim_drivers.pozsol.setup import AxisDrive, Setup
 from tests.daemon.tracker.days import operator
@@ -162,3 +164,24 @@ def test_an_ordinary_move_that_fails_again_is_tried_after_twice_the_pause(run_ri
         assert not alarms(rig)
 
     run_rig(scenario, motion={"deadband_deg": 30}, **FEW_SCANS)
+
+
+@pytest.mark.parametrize("keep_position", [True, False])
+def test_a_stow_goes_on_within_ten_seconds_of_a_restart_of_the_unit_on_its_way(run_rig, keep_position):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.control.goto(40.0, 40.0, "a place")
+        await rig.until(lambda: rig.motion.target is not None, 10, "the move")
+        await at_rest(rig)
+        rig.control.auto()
+        rig.wind_m_s = 20.0
+        await rig.until(lambda: rig.mode is Mode.STOW and rig.motion.moving, 10, "the stow")
+        await asyncio.sleep(5.0)
+        rig.unit.power_cycle(rig.clock.monotonic(), keep_position=keep_position)
+        await asyncio.sleep(1.0)
+        stands = rig.truth()
+        # A stow lays the module flat first.
+        await rig.until(lambda: rig.truth().b_deg > stands.b_deg + 1.0, 10, "the rest of the way")
+        await rig.until(lambda: rig.truth().b_deg > 85.0, 60, "a flat module")
+
+    run_rig(scenario)
