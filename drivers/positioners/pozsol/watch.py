@@ -121,6 +121,9 @@ class PositionerWatch:
         """Watch a reference run from now on; until it has ended well the count is in doubt."""
         start = position_of(axis, before)
         stood, trusted = self._last_known.of(axis, start), not self.reference.doubts(axis)
+        if stood is None and f"{axis} before" in self.reference.kinds:
+            # A process that died on a reference run knew no place, and the unit may have kept its count.
+            stood = start
         self._last_known.tell(axis, 0.0)
         self.run = HomingRun(axis, self._setups[axis], start, sent_s, trusted=trusted, stood=stood)
         return self.run
