@@ -59,9 +59,12 @@ class ClockWatch:
         self._never: bool | None = None
         self.trusted = True
         self.corrections = 0
+        # In words; None once a time has been believed.
+        self._wrong_start: str | None = None
         if ran_utc_s - clock.utc() > _DISTRUST_S and synchronised() is not True:
             self.trusted, self._never = False, False
             self._believed_s = ran_utc_s - clock.monotonic()
+            self._wrong_start = _doubt_of_start(clock.utc(), ran_utc_s)
 
     def step_s(self) -> float | None:
         """Return by how much UTC has stepped since the last call [s], or None if it has not.
@@ -112,12 +115,13 @@ class ClockWatch:
 
     def _believe(self, now_s: float) -> None:
         self.trusted, self._believed_s, self._believed_at_s = True, self._offset_s, now_s
+        self._wrong_start = None
 
     def _report(self) -> None:
         if self._alarms is None:
             return
         if not self.trusted:
-            self._alarms.set("clock", _doubt(self._offset_s - self._believed_s))
+            self._alarms.set("clock", self._wrong_start or _doubt(self._offset_s - self._believed_s))
         elif self._never is not None:
             self._alarms.set("clock", _NEVER if self._never else None)
 
@@ -141,6 +145,14 @@ def told_step(step_s: float, now_utc_s: float) -> str:
 
 def _doubt(off_s: float) -> str:
     return (
-        f"the clock was {step_words(off_s)}, and nothing confirms the new time: the sun's position is not used"
-        " until the clock is synchronised (see 'timedatectl') or set back; if the time is right, restart the service"
+        f"the clock was {step_words(off_s)}, and nothing confirms the new time: the sun's position is not used until"
+        " the clock is synchronised (see 'timedatectl') or the step undone; if the time is right, restart the service"
+    )
+
+
+def _doubt_of_start(utc_s: float, ran_utc_s: float) -> str:
+    return (
+        f"by the clock this start of the service was at {minute_utc(utc_s)}, before the last one at"
+        f" {minute_utc(ran_utc_s)}, and nothing confirms its time: the sun's position is not used until the clock is"
+        " synchronised (see 'timedatectl'); where nothing synchronises it, set it right and restart the service"
     )

@@ -14,6 +14,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.alarms import kept
+from daemon.base.clock import LEAST_SHOWN_UTC_S, MOST_SHOWN_UTC_S
 from daemon.base.errors import UserError
 from daemon.base.files import replace_file
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
@@ -35,7 +36,7 @@ class Started(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 
-    started_utc_s: float = Field(allow_inf_nan=False)
+    started_utc_s: float = Field(allow_inf_nan=False, ge=LEAST_SHOWN_UTC_S, le=MOST_SHOWN_UTC_S)
     version: str = ""
     number: int = Field(default=0, ge=0)
 
