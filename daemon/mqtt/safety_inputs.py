@@ -9,6 +9,7 @@ from daemon.config.links import SafeInput, WindInput
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.topics import find
 from daemon.tracker.stow import StowStatus, release_in_s
+from drivers.numbers import read_number
 
 _LONGEST = 65536
 _M_S = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600, "kt": 1852 / 3600}
@@ -76,7 +77,10 @@ class WindReadings:
     def _speed_m_s(self, payload: bytes) -> float:
         value = _value(payload, self._settings.json_path)
         try:
-            speed = math.nan if isinstance(value, bool) else float(value)
+            if isinstance(value, str):
+                speed = read_number(value)
+            else:
+                speed = math.nan if isinstance(value, bool) else float(value)
         except (TypeError, ValueError, OverflowError):
             speed = math.nan
         speed_m_s = speed * _M_S[self._settings.unit]

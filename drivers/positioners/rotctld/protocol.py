@@ -9,6 +9,8 @@ import math
 import re
 from typing import NamedTuple
 
+from drivers.numbers import read_number
+
 GET_POSITION, SET_POSITION, STOP = "get_pos", "set_pos", "stop"
 GET_INFO, DUMP_STATE = "get_info", "dump_state"
 AZIMUTH, ELEVATION, INFO = "Azimuth", "Elevation", "Info"
@@ -56,7 +58,7 @@ class RotctldReply(NamedTuple):
         if text is None:
             raise ValueError(f"{label} is missing")
         try:
-            number = float(text)
+            number = read_number(text)
         except ValueError:
             number = math.nan
         if not math.isfinite(number):

@@ -78,6 +78,8 @@ def test_a_gust_between_two_looks_is_not_missed():
         (b"NaN", "is not a wind speed"),
         (b"-1", "is not a wind speed"),
         (b"1e400", "is not a wind speed"),
+        (b"0_9", "is not a wind speed"),
+        ("\uff13".encode(), "is not a wind speed"),
         (b"true", "is not a wind speed"),
         (b"[3]", "is not a wind speed"),
         (b'{"speed": 3}', "is not a wind speed"),

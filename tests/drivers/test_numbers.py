@@ -1,0 +1,31 @@
+"""Numbers that somebody else has written as text."""
+
+import math
+
+import pytest
+
+from drivers.numbers import read_number
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        ("15", 15.0),
+        (" +3.5\r\n", 3.5),
+        ("-0.5", -0.5),
+        (".5", 0.5),
+        ("5.", 5.0),
+        ("1.2E-03", 0.0012),
+        ("1e400", math.inf),
+    ],
+)
+def test_what_senders_write_is_read(text, number):
+    assert read_number(text) == number
+
+
+@pytest.mark.parametrize(
+    "text", ["", " ", "1_5", "\uff11\uff15", "\u0661", "nan", "inf", "-infinity", "1,5", "0x1F", "1 5", "."]
+)
+def test_what_no_sender_means_is_no_number(text):
+    with pytest.raises(ValueError, match="is not a number"):
+        read_number(text)
