@@ -112,6 +112,14 @@ def test_a_unit_reaches_private_networks_and_nothing_beyond_them(role):
 
 
 @pytest.mark.parametrize("role", ROLES)
+def test_no_start_waits_for_a_network_that_may_not_come(role):
+    unit = (DEPLOY / f"heliocube-{role}.service").read_text().splitlines()
+    waited = [line for line in unit if line.startswith(("Wants=", "After=", "Requires=")) and "network-online" in line]
+    assert not waited
+    assert {"Restart=always", "RestartSec=5", "StartLimitIntervalSec=0"} <= {*unit}
+
+
+@pytest.mark.parametrize("role", ROLES)
 def test_a_class_of_devices_is_allowed_only_with_its_module_loaded(role):
     unit = (DEPLOY / f"heliocube-{role}.service").read_text()
     modules = (DEPLOY / "heliocube.modules-load.conf").read_text().split("\n")
