@@ -63,9 +63,10 @@ def fill(
     writer = None
     read = added = aside = damaged = 0
     runs = [StoredRun(run, identified(run, origin)) for run, origin in runs_of(path)]
+    unsound = tuple(run for run, origin in runs if not is_sound(origin))
     try:
         part: list[SentPage] = []
-        for batch in _batches(path, [each for each in runs if is_sound(each.origin)]):
+        for batch in _batches(path, [each for each in runs if each.run not in unsound]):
             damaged += batch.damaged
             if writer is None:
                 writer = ArchiveWriter(address)
@@ -82,7 +83,6 @@ def fill(
     finally:
         if writer is not None:
             writer.close()
-    unsound = tuple(run for run, origin in runs if not is_sound(origin))
     return ArchiveFilled(read=read, added=added, aside=aside, damaged=damaged, unsound=unsound)
 
 
