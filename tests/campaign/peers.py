@@ -15,13 +15,12 @@ from pathlib import Path
 from sim_drivers.bench.client import request
 from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR
 from tests.firmware.live import command
-from tests.support import forks
+from tests.support import PATIENCE_S, forks
 from tests.support.addresses import free_port
 
 HELIOCUBE = Path(sys.executable).with_name("heliocube")
 TOKEN = "t" * 43
 COUNTS_PER_MM = 75.0
-ENDS_WITHIN_S = 40.0
 LOW_V, FULL_V = 15, 24
 CONFIG = """
 [api]
@@ -106,7 +105,7 @@ class SimulatedUnit:
     def close(self):
         self._said.close()
         self._process.terminate()
-        self._process.wait(ENDS_WITHIN_S)
+        self._process.wait(PATIENCE_S)
 
 
 class FirmwareUnit:
@@ -146,7 +145,7 @@ class FirmwareUnit:
 
     def close(self):
         self._process.stdin.close()
-        self._process.wait(ENDS_WITHIN_S)
+        self._process.wait(PATIENCE_S)
         self._process.stdout.close()
 
 
@@ -164,12 +163,12 @@ class Tracker:
 
     def kill(self):
         self._process.kill()
-        self._process.wait(ENDS_WITHIN_S)
+        self._process.wait(PATIENCE_S)
 
     def end(self):
         """Ask it to end and return its exit code."""
         self._process.terminate()
-        return self._process.wait(ENDS_WITHIN_S)
+        return self._process.wait(PATIENCE_S)
 
     @property
     def exit_code(self):
@@ -180,7 +179,7 @@ class Tracker:
 
     def ask(self, method, path, said=None):
         """Return the status and the content of a reply; `OSError` where nobody answers."""
-        connection = http.client.HTTPConnection("127.0.0.1", self._port, timeout=60)
+        connection = http.client.HTTPConnection("127.0.0.1", self._port, timeout=PATIENCE_S)
         with contextlib.closing(connection):
             body = None if said is None else json.dumps(said)
             connection.request(method, path, body, {"Authorization": f"Bearer {TOKEN}"})
@@ -196,7 +195,7 @@ class Tracker:
     def send_stop(self):
         """Send a stop and return the connection, on which the answer will come."""
         connection = socket.create_connection(("127.0.0.1", self._port))
-        connection.settimeout(ENDS_WITHIN_S)
+        connection.settimeout(PATIENCE_S)
         head = ("POST /api/stop HTTP/1.1", "Host: localhost", f"Authorization: Bearer {TOKEN}", "Content-Length: 0")
         connection.sendall("\r\n".join([*head, "", ""]).encode())
         return connection
@@ -206,7 +205,7 @@ class Tracker:
         arguments = [HELIOCUBE, *words, "--config", self.config]
         return subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
-    def until_it_takes(self, a_deg, b_deg, within_s=90.0):
+    def until_it_takes(self, a_deg, b_deg, within_s=PATIENCE_S):
         """Send a target until the tracker has taken it."""
         deadline_s, said = time.monotonic() + within_s, ""
         while time.monotonic() < deadline_s:

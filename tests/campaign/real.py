@@ -15,6 +15,7 @@ from pathlib import Path
 from random import Random
 
 from tests.campaign.peers import NotThereError, unit_and_tracker
+from tests.support import PATIENCE_S
 
 LOOK_EVERY_S = 0.03
 STATE_EVERY_S = 0.2
@@ -117,7 +118,7 @@ class Attack:
             self._look_at_service()
         finally:
             for thread in self._threads:
-                thread.join(60)
+                thread.join(PATIENCE_S)
             self._looker.close()
         return self._looker.broken
 
@@ -171,7 +172,7 @@ class Attack:
             looker.stop_s = None
         if way == "shell":
             with self._tracker.shell(name, *(f"{value:.2f}" for value in degrees.values())) as process:
-                said = process.communicate(timeout=60)[0]
+                said = process.communicate(timeout=PATIENCE_S)[0]
             self._look_at_words(name, said)
             return
         with contextlib.suppress(OSError):

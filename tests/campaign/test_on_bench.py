@@ -6,7 +6,7 @@ import time
 import pytest
 
 from tests.campaign.peers import unit_and_tracker
-from tests.support import forks
+from tests.support import PATIENCE_S, forks
 
 MOVED_DEG = 0.05
 IN_THE_SHELL = (("goto", "10", "60"), ("stow", "--why", "two\nlines"), ("stow", "--why", "x" * 300), ("clear",))
@@ -25,7 +25,7 @@ def turned(one, other):
 
 
 def until_it_moves(unit):
-    deadline_s, before = time.monotonic() + 60, unit.truth()
+    deadline_s, before = time.monotonic() + PATIENCE_S, unit.truth()
     while turned(before, unit.truth()) < 2.0:
         assert time.monotonic() < deadline_s, "the tracker does not move"
         time.sleep(0.05)
@@ -33,7 +33,7 @@ def until_it_moves(unit):
 
 def until_connected(tracker):
     """Wait until the service has the positioner again and return its mode."""
-    deadline_s = time.monotonic() + 60
+    deadline_s = time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline_s:
         with contextlib.suppress(OSError):
             mode = tracker.state()["mode"]

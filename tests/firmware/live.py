@@ -12,6 +12,7 @@ from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
 from drivers.positioners.pozsol.link import SerialLine, open_port
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from tests.firmware.peer import BUILD, COUNTS_PER_MM, FIRMWARE
+from tests.support import PATIENCE_S
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
@@ -97,7 +98,7 @@ class LiveFirmware:
         """End the process."""
         self._process.stdin.close()
         try:
-            self._process.wait(60.0)
+            self._process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -141,7 +142,7 @@ def driver_on(firmware, a=A, b=B, **options):
     return PozsolPositioner(line, time.monotonic, a, b, **{"stale_s": 30.0} | options)
 
 
-async def opened(positioner, within_s=120.0):
+async def opened(positioner, within_s=PATIENCE_S):
     """Open, and return who it is; once more where a busy machine lets the emulator print its screens too slowly."""
     deadline_s = time.monotonic() + within_s
     while True:
@@ -152,7 +153,7 @@ async def opened(positioner, within_s=120.0):
                 raise
 
 
-async def until(condition, within_s=150.0):
+async def until(condition, within_s=PATIENCE_S):
     """Wait for what must come; the limit is for a broken program, not for a slow machine."""
     async with asyncio.timeout(within_s):
         done = await condition()

@@ -9,14 +9,14 @@ import urllib.request
 import pytest
 
 from daemon.base.errors import ExitCode
-from tests.support import forks
+from tests.support import PATIENCE_S, forks
 from tests.support.addresses import free_port
 
 TOKEN = "0123456789abcdef0123456789abcdef"
 
 
 def heliocube(*arguments):
-    return forks.run(*arguments, timeout=120)
+    return forks.run(*arguments)
 
 
 def configure(firmware, folder, more=""):
@@ -73,14 +73,14 @@ def tracker(firmware, folder, for_s):
         yield config, address
     finally:
         service.terminate()
-        service.wait(60.0)
+        service.wait(PATIENCE_S)
     assert service.returncode == 0, (folder / "log").read_text(encoding="utf-8")
 
 
 def state(address):
     """Return what the service shows, None while it does not answer."""
     try:
-        with urllib.request.urlopen(f"http://{address}/api/state", timeout=30) as reply:
+        with urllib.request.urlopen(f"http://{address}/api/state", timeout=PATIENCE_S) as reply:
             return json.load(reply)
     except OSError:
         return None

@@ -12,8 +12,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from daemon.bridge.signing import generate_key, write_key
+from tests.support import PATIENCE_S
 
-WITHIN_S = 60.0
 SPEED = 20.0
 _LINK = Path(__file__).with_name("bad_link.py")
 _CONFIG = """
@@ -54,6 +54,7 @@ for url in sys.stdin:
 """
 _MANY_CONNECTIONS = """
 import socket, sys
+
 held = [socket.create_connection(("10.77.0.2", 20572), 9) for _ in range(int(sys.argv[1]))]
 still = 0
 for one in held:
@@ -170,14 +171,16 @@ class BadNetwork:
             except OSError:
                 pass
             waited_s = time.monotonic() - began_s
-            assert waited_s < WITHIN_S, f"not {mode} within {WITHIN_S:g} s:\n{self.log('tracker')}\n{self.log('cube')}"
+            assert waited_s < PATIENCE_S, (
+                f"not {mode} within {PATIENCE_S:g} s:\n{self.log('tracker')}\n{self.log('cube')}"
+            )
             time.sleep(0.2)
 
     def stop(self) -> dict[str, int]:
         """End both processes as systemd does; return their exit codes."""
         for process in self._processes.values():
             process.send_signal(signal.SIGTERM)
-        return {role: process.wait(60) for role, process in self._processes.items()}
+        return {role: process.wait(PATIENCE_S) for role, process in self._processes.items()}
 
     def _log(self, role: str) -> Path:
         return self._folder / f"{role}.log"

@@ -12,7 +12,7 @@ import sys
 import time
 from pathlib import Path
 
-from tests.support import ROOT
+from tests.support import PATIENCE_S, ROOT
 from tests.support.addresses import free_port
 
 _PATHS = os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin", "/usr/local/sbin"])
@@ -77,7 +77,7 @@ class Broker:
     def start(self):
         with (self._folder / "broker.log").open("a") as log:
             self.process = subprocess.Popen(self._arguments, cwd=ROOT, stdout=log, stderr=log)
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
             with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1):
                 return self

@@ -23,6 +23,8 @@ import threading
 import time
 from pathlib import Path
 
+from tests.support import PATIENCE_S
+
 IMPORTED = (
     *(
         "daemon.entry",
@@ -239,7 +241,7 @@ def _number(file):
     return file if isinstance(file, int) else file.fileno()
 
 
-def run(*arguments, timeout=90, env=None, cwd=None):
+def run(*arguments, timeout=PATIENCE_S, env=None, cwd=None):
     """Run `heliocube` to its end, and return what subprocess.run with capture_output and text does."""
     with contextlib.ExitStack() as stack:
         out, err = (stack.enter_context(_memory(name)) for name in ("out", "err"))

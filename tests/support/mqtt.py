@@ -19,12 +19,12 @@ from daemon.service.recent import Recent
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from daemon.service.service import Service
 from daemon.service.snapshot import snapshot
+from tests.support import PATIENCE_S
 from tests.support.broker import LEFT_OUT, MOSQUITTO, Broker
 from tests.support.rig import KEY, HandWeather, ServiceRig
 
 # Fast enough for minutes to pass in seconds, slow enough for a busy machine to answer in time.
 SPEED = 20.0
-WITHIN_S = 60.0
 
 needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason=f"amqtt has no {LEFT_OUT}")
 
@@ -72,7 +72,7 @@ class Observer:
     def on(self, topic):
         return [message for message in self.heard if message.topic.value == topic]
 
-    async def until(self, topic, holds=lambda _: True, after=0, within_s=WITHIN_S):
+    async def until(self, topic, holds=lambda _: True, after=0, within_s=PATIENCE_S):
         """Return the first payload on a topic, as JSON if it is any, for which `holds`."""
 
         def found():
@@ -91,7 +91,7 @@ def _read(payload):
         return payload.decode()
 
 
-async def until(condition, what, within_s=WITHIN_S):
+async def until(condition, what, within_s=PATIENCE_S):
     """Wait for a condition, in the machine's time, and return what it found."""
     loop = asyncio.get_running_loop()
     deadline = loop.time() + within_s * getattr(loop, "speed", 1.0)

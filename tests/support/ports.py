@@ -18,7 +18,7 @@ from sim_drivers.pozsol.setup import AxisDrive, Setup
 from sim_drivers.pv_source import SourceLight
 from sim_drivers.voltmeter.core import VoltmeterCore
 from solar.pv_module import Q_PEAK_G4_1_305, single_diode
-from tests.support import ROOT
+from tests.support import PATIENCE_S, ROOT
 from tests.support.rotctld import LEFT_OUT, ROTCTLD, Rotctld
 
 TRANSCRIPTS = ROOT / "tests" / "drivers" / "transcripts"
@@ -55,7 +55,7 @@ class Player(threading.Thread):
                 return
 
     def end(self):
-        self.join(60.0)
+        self.join(PATIENCE_S)
         os.close(self._slave)
         os.close(self._master)
 

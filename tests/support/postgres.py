@@ -11,6 +11,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from tests.support import PATIENCE_S
 from tests.support.addresses import free_port
 
 _FOUND = [Path(found) for found in [shutil.which("initdb")] if found]
@@ -56,7 +57,7 @@ class Postgres:
     def start(self):
         """Start, and return when it answers."""
         (self.folder / "down").unlink(missing_ok=True)
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
             with contextlib.suppress(Exception):
                 self.sql("SELECT 1")

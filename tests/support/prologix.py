@@ -8,6 +8,8 @@ import time
 import tty
 from collections import deque
 
+from tests.support import PATIENCE_S
+
 
 class Prologix(threading.Thread):
     """A GPIB-USB adapter with a simulated meter at address 16: a controller that talks when it is told to.
@@ -62,6 +64,6 @@ class Prologix(threading.Thread):
 
     def end(self):
         os.write(self._slave, b"end\n")
-        self.join(60.0)
+        self.join(PATIENCE_S)
         os.close(self._slave)
         os.close(self._master)

@@ -7,11 +7,11 @@ import subprocess
 import time
 from pathlib import Path
 
+from tests.support import PATIENCE_S
 from tests.support.addresses import free_port
 
 ROTCTLD = shutil.which("rotctld")
 LEFT_OUT = "rotctld is not here (libhamlib-utils): the tests against Hamlib's own server are left out"
-_STARTS_WITHIN_S = 20.0
 
 
 class Rotctld:
@@ -30,7 +30,7 @@ class Rotctld:
         """Start it, at azimuth 0, elevation 0, and wait until it answers."""
         arguments = [ROTCTLD, "-m", "1", "-T", "127.0.0.1", "-t", str(self.port), *self.options]
         self.process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        deadline_s = time.monotonic() + _STARTS_WITHIN_S
+        deadline_s = time.monotonic() + PATIENCE_S
         while True:
             try:
                 self.ask("+p\n", b"RPRT")
@@ -42,7 +42,7 @@ class Rotctld:
 
     def ask(self, text, until=None):
         """Send text as another client, and return what comes up to a mark, or until it has answered all."""
-        with socket.create_connection(("127.0.0.1", self.port), timeout=20.0) as peer:
+        with socket.create_connection(("127.0.0.1", self.port), timeout=PATIENCE_S) as peer:
             peer.sendall(text.encode())
             if until is None:
                 # Who says no more is left when all is answered.
@@ -71,7 +71,7 @@ class Rotctld:
     def hang(self):
         """Freeze it, and return when every thread of it has stopped: until then it may still answer."""
         self.process.send_signal(signal.SIGSTOP)
-        deadline_s = time.monotonic() + _STARTS_WITHIN_S
+        deadline_s = time.monotonic() + PATIENCE_S
         while any(_state(stat) != "T" for stat in Path(f"/proc/{self.process.pid}/task").glob("*/stat")):
             assert time.monotonic() < deadline_s, "rotctld does not stop"
             time.sleep(0.005)

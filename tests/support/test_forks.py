@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support import forks
+from tests.support import PATIENCE_S, forks
 
 pytestmark = pytest.mark.live
 WORDS = (["--version"], ["config", "check", "nowhere.toml"], ["config", "--help"])
@@ -36,14 +36,14 @@ def test_a_copy_is_ended_by_signals_and_waited_for(tmp_path):
     with pytest.raises(subprocess.TimeoutExpired):
         running.wait(0.1)
     running.kill()
-    assert running.wait(60) == -signal.SIGKILL
+    assert running.wait(PATIENCE_S) == -signal.SIGKILL
 
 
 def test_what_is_read_at_the_start_of_an_interpreter_is_read_by_one(tmp_path):
     (tmp_path / "sitecustomize.py").write_text("print('begun')")
     with (tmp_path / "said").open("wb") as said:
         begun = forks.start(["--version"], said, env=os.environ | {"PYTHONPATH": str(tmp_path)})
-    assert begun.wait(60) == 0
+    assert begun.wait(PATIENCE_S) == 0
     assert (tmp_path / "said").read_text().startswith("begun\n")
 
 
@@ -60,12 +60,12 @@ def test_another_process_of_tests_has_copies_of_the_same_one_which_end_with_it(t
         assert (list(forks.running()), list(other.running())) == ([own.pid], [its])
         # It leaves without having heard of an end.
         other.start(["--version"], dict(os.environ), str(tmp_path), [said.fileno()] * 3)
-    assert select.select([other], [], [], 60)[0]
+    assert select.select([other], [], [], PATIENCE_S)[0]
     watched = os.pidfd_open(its)
     other.close()
-    ended, _, _ = select.select([watched], [], [], 60)
+    ended, _, _ = select.select([watched], [], [], PATIENCE_S)
     os.close(watched)
     assert ended
     assert own.poll() is None
     own.kill()
-    assert own.wait(60) == -signal.SIGKILL
+    assert own.wait(PATIENCE_S) == -signal.SIGKILL

@@ -7,7 +7,7 @@ from collections import defaultdict
 
 import pytest
 
-from tests.support import ROOT
+from tests.support import PATIENCE_S, ROOT
 
 pytestmark = [pytest.mark.slow, pytest.mark.live]
 
@@ -87,7 +87,7 @@ def outcomes(tmp_path_factory):
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     assert done.returncode == 1, done.stdout
     _, _, summary = done.stdout.partition("short test summary info")

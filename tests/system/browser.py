@@ -10,6 +10,7 @@ from pathlib import Path
 import httpx
 from playwright.sync_api import expect, sync_playwright
 
+from tests.support import PATIENCE_S
 from tests.support.addresses import free_port
 from tests.system.processes import BenchProcess, Process, wait_until
 from tests.system.rig import BRISK, HIGH_SUN
@@ -21,10 +22,10 @@ PHONE = {"width": 390, "height": 844}
 TABLET = {"width": 820, "height": 1180}
 DESKTOP = {"width": 1440, "height": 900}
 # For a program that hangs, not for a machine that is slow.
-WITHIN_MS = 60_000
+WITHIN_MS = 1000 * PATIENCE_S
 expect.set_options(timeout=WITHIN_MS)
 # Without the certificates, which take longer to read than a service to answer, and with no connection that stays.
-WEB = httpx.Client(timeout=30, trust_env=False, verify=False, headers={"Connection": "close"})
+WEB = httpx.Client(timeout=PATIENCE_S, trust_env=False, verify=False, headers={"Connection": "close"})
 
 SIMULATED = """
 [site]
@@ -119,7 +120,7 @@ class Site:
         self.service = run_service(self.config)
 
     def until_mode(self, mode):
-        wait_until(lambda: self.mode() == mode, 60, lambda: f"mode {mode}, but {self.mode()}; {self.service.log()}")
+        wait_until(lambda: self.mode() == mode, lambda: f"mode {mode}, but {self.mode()}; {self.service.log()}")
 
     def mode(self):
         try:
@@ -141,7 +142,7 @@ def run_dashboard(folder, *services):
     given = [word for service in services for word in ("--api", service)]
     with output.open("ab") as stream:
         process = Process(["dashboard", *given, "--listen", f"127.0.0.1:{port}"], output, stdout=stream)
-    wait_until(lambda: "dashboard at" in process.log() or process.exit_code is not None, 60, process.log)
+    wait_until(lambda: "dashboard at" in process.log() or process.exit_code is not None, process.log)
     return process, f"http://127.0.0.1:{port}"
 
 

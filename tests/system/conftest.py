@@ -9,7 +9,7 @@ import time
 import pytest
 
 from daemon.bridge.signing import generate_key, write_key
-from tests.support import ROOT, forks
+from tests.support import PATIENCE_S, ROOT, forks
 from tests.support.addresses import free_port
 from tests.system.processes import BenchProcess, Process
 from tests.system.rig import HIGH_SUN, Rig, brisk
@@ -52,7 +52,7 @@ class Unit:
                 return message
         return None
 
-    def end(self, number, within_s=20):
+    def end(self, number, within_s=PATIENCE_S):
         """Send a signal and return the exit status."""
         self.process.send_signal(number)
         self.process.send_signal(signal.SIGCONT)

@@ -27,13 +27,13 @@ from daemon.config.settings import Settings
 from daemon.service.rig import Role
 from daemon.store.schema import FILE_NAME, StoreError, open_for_reading, open_for_writing
 from daemon.store.tables import COLUMNS
+from tests.support import PATIENCE_S
 
 SPEED = 200.0
 BATCH_S = 0.2
 START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
 # What a slow disk may add between a record and its batch's commit; less than the default of a batch, 5 s.
 MARGIN_S = 4.0
-STORES_WITHIN_S = 90.0
 
 
 def main(folder, restarts, seed):
@@ -88,13 +88,13 @@ inspected = {"run": 0}
 
 
 def wait_for_records(path):
-    deadline_s = time.monotonic() + STORES_WITHIN_S
+    deadline_s = time.monotonic() + PATIENCE_S
     while True:
         # It may not be there yet, or be taken up just now.
         with contextlib.suppress(StoreError, sqlite3.Error), closing(open_for_reading(path)) as connection:
             if connection.execute("SELECT 1 FROM scans WHERE run > ? LIMIT 1", (inspected["run"],)).fetchone():
                 return
-        assert time.monotonic() < deadline_s, f"no scan in the store within {STORES_WITHIN_S:g} s"
+        assert time.monotonic() < deadline_s, f"no scan in the store within {PATIENCE_S:g} s"
         time.sleep(0.02)
 
 

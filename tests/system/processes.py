@@ -11,22 +11,20 @@ from pathlib import Path
 import pytest
 
 from sim_drivers.bench.client import request
-from tests.support import forks
+from tests.support import PATIENCE_S, forks
 
 HELIOCUBE = Path(sys.executable).with_name("heliocube")
-READY_WITHIN_S = 90.0
-ENDS_WITHIN_S = 40.0
 
 
-def wait_until(condition, within_s, what):
-    """Look until `condition()` is true and return it; the limit is for a broken program, not for a slow machine."""
-    deadline_s = time.monotonic() + within_s
+def wait_until(condition, what):
+    """Look until `condition()` is true and return it."""
+    deadline_s = time.monotonic() + PATIENCE_S
     while True:
         found = condition()
         if found:
             return found
         if time.monotonic() > deadline_s:
-            pytest.fail(f"not within {within_s:g} s: {what() if callable(what) else what}")
+            pytest.fail(f"not within {PATIENCE_S:g} s: {what() if callable(what) else what}")
         time.sleep(0.1)
 
 
@@ -46,7 +44,7 @@ class Process:
     def exit_code(self):
         return self._process.poll()
 
-    def wait(self, within_s=ENDS_WITHIN_S):
+    def wait(self, within_s=PATIENCE_S):
         return self._process.wait(within_s)
 
     def ask_to_stop(self):
@@ -62,7 +60,7 @@ class Process:
         if self._process.poll() is None:
             self._process.send_signal(number)
         try:
-            return self._process.wait(ENDS_WITHIN_S)
+            return self._process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -80,7 +78,7 @@ class BenchProcess(Process):
         self._said = os.fdopen(told, encoding="utf-8")
         with os.fdopen(tells, "wb") as stream:
             super().__init__(["bench", "--dir", directory, *options], directory / "bench.log", stream)
-        readable, _, _ = select.select([self._said], [], [], READY_WITHIN_S)
+        readable, _, _ = select.select([self._said], [], [], PATIENCE_S)
         line = self._said.readline() if readable else ""
         if line != "ready\n":
             self.stop()

@@ -30,7 +30,7 @@ def page(browser, site):
         found.log_in()
         yield found
         assert found.complaints == []
-    wait_until(lambda: site.order("auto").get("accepted"), 60, site.service.log)
+    wait_until(lambda: site.order("auto").get("accepted"), site.service.log)
     site.until_mode("tracking")
 
 

@@ -20,7 +20,7 @@ from daemon.rigs.real import build_cube
 from drivers.errors import DeviceError
 from drivers.positioners.pozsol.wire import TokenStream
 from sim_drivers.bench.client import BenchError
-from tests.support import forks
+from tests.support import PATIENCE_S, forks
 from tests.system.processes import wait_until
 
 pytestmark = pytest.mark.system
@@ -123,7 +123,7 @@ def test_a_plug_that_is_pulled_again_stays_out_whatever_time_was_said_before(sta
     assert [state[device]["plugged"] for device in ("voltmeter", "load", "positioner")] == [False] * 3
     bench.ask("replug", "positioner")
     bench.ask("power-cycle", "positioner")
-    wait_until(lambda: bench.state()["positioner"]["plugged"], 30.0, "the positioner's port")
+    wait_until(lambda: bench.state()["positioner"]["plugged"], "the positioner's port")
 
 
 def test_the_positioner_streams_all_its_screens_and_comes_back_under_the_same_name(start_bench):
@@ -162,7 +162,7 @@ def test_a_port_left_in_its_default_mode_harms_the_positioner_and_raw_mode_does_
         assert termios.tcgetattr(naive)[3] & termios.ECHO
         # It is told to go where it stands, to forget its status, to store its settings anew.
         harm = {"44", "48", "70", "96", "136"}
-        wait_until(lambda: harm <= set(bench.state()["positioner"]["received"]), 60, "the echo of all screens")
+        wait_until(lambda: harm <= set(bench.state()["positioner"]["received"]), "the echo of all screens")
         assert bench.state()["positioner"]["destination"] != before["destination"]
     finally:
         os.close(naive)
@@ -251,7 +251,11 @@ def select(bench, channel):
 def run_python(program, fails=False):
     """Run a program of its own: these libraries keep threads and descriptors for as long as a process lives."""
     done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", textwrap.dedent(program)],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
     )
     assert (done.returncode != 0) is fails, done.stderr
     return done.stderr if fails else done.stdout

@@ -48,7 +48,7 @@ def site(the_site):
     the_site.until_mode("tracking")
     yield the_site
     if the_site.mode() != "tracking":
-        wait_until(lambda: the_site.order("auto").get("accepted"), 60, the_site.service.log)
+        wait_until(lambda: the_site.order("auto").get("accepted"), the_site.service.log)
 
 
 @pytest.fixture
@@ -121,7 +121,7 @@ def test_goto_is_held_to_the_limits_and_says_who_holds(site, open_page):
     page.sees(".outcome", "Goto for tracker, SIRTA: ")
     page.sees(".wish", "Held by ana")
     page.sees(".control .big", "Both axes stand still")
-    wait_until(lambda: abs(site.state()["tracker"]["pose"]["a_deg"] + 6) < 0.5, 60, "the tracker there")
+    wait_until(lambda: abs(site.state()["tracker"]["pose"]["a_deg"] + 6) < 0.5, "the tracker there")
     page.sees(".control .card .hint", "A −6.")
 
 
@@ -134,7 +134,7 @@ def test_on_the_bench_stow_moves_the_axes_and_what_fails_is_said_and_comes_back_
         page.log_in()
         page.page.get_by_role("button", name="Stow now").click()
         page.sees(".hero h1", "Stow")
-        wait_until(lambda: bench.state()["pose"]["b_deg"] > 89.5, 60, "the bench's tracker in its stow position")
+        wait_until(lambda: bench.state()["pose"]["b_deg"] > 89.5, "the bench's tracker in its stow position")
         page.sees(".gauge:nth-child(2) .value", re.compile(r"(89\.9|90\.0)°"))
         bench.ask("unplug", "positioner")
         page.sees(".hero h1", "Fault")
@@ -368,7 +368,7 @@ def test_what_the_page_shows_is_what_the_interface_says(site, open_page):
         pairs.append((said(), shown()))
         return close(*pairs[-1])
 
-    wait_until(agree, 60, lambda: f"the same figures: {pairs[-1]}")
+    wait_until(agree, lambda: f"the same figures: {pairs[-1]}")
     assert page.text(".simulated").startswith("SIMULATED")
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.support import forks
 from tests.system.processes import Process, wait_until
-from tests.system.rig import HIGH_SUN, SETTLES_WITHIN_S, Rig, brisk
+from tests.system.rig import HIGH_SUN, Rig, brisk
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
@@ -38,7 +38,7 @@ def stored(rig, tmp_path):
 def steady(rig):
     """Return what the module gives if that has stayed the same for five curves, or None."""
     before, count = rig.bench.state()["load"]["truth"], sweeps(rig)
-    wait_until(lambda: sweeps(rig) >= count + 5, SETTLES_WITHIN_S, rig.service.log)
+    wait_until(lambda: sweeps(rig) >= count + 5, rig.service.log)
     after = rig.bench.state()["load"]["truth"]
     return after if after["pmpp_w"] == pytest.approx(before["pmpp_w"], rel=0.005) else None
 
@@ -51,7 +51,7 @@ def sweeps(rig):
 def test_stored_curves_say_what_the_module_truly_gives(tmp_path, start_bench, start_service, make):
     rig = start(tmp_path, start_bench, start_service, make)
     rig.settle()
-    truth = wait_until(lambda: steady(rig), SETTLES_WITHIN_S, rig.service.log)
+    truth = wait_until(lambda: steady(rig), rig.service.log)
     assert rig.service.stop() == 0
     state = rig.bench.state()["load"]
     assert not state["input_on"]
@@ -78,21 +78,21 @@ def test_an_unplugged_load_is_told_once_and_leaves_tracking_alone(tmp_path, star
     rig = start(tmp_path, start_bench, start_service, "chroma63600")
     rig.settle()
     rig.bench.ask("unplug", "load")
-    wait_until(lambda: rig.lines("the load is down") == 1, SETTLES_WITHIN_S, rig.service.log)
+    wait_until(lambda: rig.lines("the load is down") == 1, rig.service.log)
     rig.new_sky()
     rig.settle()
     assert rig.last_mode() == "tracking"
     assert rig.lines(" is down: ") == 1, rig.service.log()
     count = sweeps(rig)
     rig.bench.ask("replug", "load")
-    wait_until(lambda: rig.lines("the load is back") == 1 and sweeps(rig) > count, SETTLES_WITHIN_S, rig.service.log)
+    wait_until(lambda: rig.lines("the load is back") == 1 and sweeps(rig) > count, rig.service.log)
     assert rig.lines("the load is down") == 1, rig.service.log()
 
 
 @pytest.mark.long
 def test_a_hanging_load_a_tripped_one_and_another_instrument_are_survived(tmp_path, start_bench, start_service):
     rig = start(tmp_path, start_bench, start_service, "agilent6063b")
-    wait_until(lambda: sweeps(rig) >= 1, SETTLES_WITHIN_S, rig.service.log)
+    wait_until(lambda: sweeps(rig) >= 1, rig.service.log)
     for make_trouble, end_it in (
         (("freeze", "load"), ("thaw", "load")),
         (("delay", "load", 3), ("delay", "load", 0)),
@@ -105,16 +105,16 @@ def test_a_hanging_load_a_tripped_one_and_another_instrument_are_survived(tmp_pa
             time.sleep(2.0)
             rig.bench.ask(*end_it)
         count = sweeps(rig)
-        wait_until(lambda before=count: sweeps(rig) >= before + 2, SETTLES_WITHIN_S, rig.service.log)
+        wait_until(lambda before=count: sweeps(rig) >= before + 2, rig.service.log)
     rig.bench.ask("identity", "load", "SOMETHING,ELSE,0,0")
     down = rig.lines("the load is down")
     rig.bench.ask("unplug", "load", 1)
-    wait_until(lambda: rig.lines("the load is down") > down, SETTLES_WITHIN_S, rig.service.log)
+    wait_until(lambda: rig.lines("the load is down") > down, rig.service.log)
     count = sweeps(rig)
     time.sleep(4.0)
     assert sweeps(rig) == count
     rig.bench.ask("identity", "load", "HEWLETT-PACKARD,6063B,0,A.02.01")
-    wait_until(lambda: sweeps(rig) > count, SETTLES_WITHIN_S, rig.service.log)
+    wait_until(lambda: sweeps(rig) > count, rig.service.log)
     assert rig.service.exit_code is None
 
 
@@ -123,10 +123,10 @@ def test_a_service_that_is_killed_in_the_middle_of_a_curve_is_followed_by_one_th
 ):
     bench = start_bench("--config", brisk(tmp_path), *HIGH_SUN)
     killed = Process(["run", "--config", bench.config], tmp_path / "killed.log")
-    wait_until(lambda: bench.state()["load"]["input_on"], SETTLES_WITHIN_S, killed.log)
+    wait_until(lambda: bench.state()["load"]["input_on"], killed.log)
     assert killed.stop(signal.SIGKILL) == -signal.SIGKILL
     assert bench.state()["load"]["input_on"]
     follower = start_service(bench.config)
-    wait_until(lambda: not bench.state()["load"]["input_on"], SETTLES_WITHIN_S, follower.log)
+    wait_until(lambda: not bench.state()["load"]["input_on"], follower.log)
     assert follower.stop() == 0
     assert not bench.state()["load"]["input_on"]

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from daemon.api.token import generate_token, write_token
-from tests.support import ROOT, forks
+from tests.support import PATIENCE_S, ROOT, forks
 from tests.system.processes import wait_until
 
 pytestmark = pytest.mark.system
@@ -78,7 +78,7 @@ def test_a_person_at_a_terminal_sees_and_commands_the_service(service, tmp_path)
     assert json.loads(heliocube("status", "--json", *at)[1])["simulated"] is True
 
     # It refuses a goto until it knows where it stands and what the cube sees.
-    wait_until(lambda: json.loads(heliocube("status", "--json", *at)[1])["mode"]["name"] != "starting", 60, "started")
+    wait_until(lambda: json.loads(heliocube("status", "--json", *at)[1])["mode"]["name"] != "starting", "started")
     code, out, err = heliocube("goto", "-30", "60", *at, *token, "--why", "shading test")
     assert (code, out[:26], err) == (0, "moving to A -30.0, B 60.0 ", "")
     code, out, err = heliocube("goto", "-70", "60", *at, *token)
@@ -86,7 +86,7 @@ def test_a_person_at_a_terminal_sees_and_commands_the_service(service, tmp_path)
     assert err == "heliocube: A -70, B 60 deg is outside the limits (A -50..50 deg, B 15..90 deg)\n"
 
     wait_until(
-        lambda: json.loads(heliocube("status", "--json", *at)[1])["tracker"]["pose"]["a_deg"] < -25.0, 60, "turned away"
+        lambda: json.loads(heliocube("status", "--json", *at)[1])["tracker"]["pose"]["a_deg"] < -25.0, "turned away"
     )
 
     config.write_text(config.read_text().replace("[api]\nlisten = '127.0.0.1:0'", f"[api]\nlisten = '{address}'"))
@@ -132,7 +132,7 @@ def test_a_person_at_a_terminal_sees_and_commands_the_service(service, tmp_path)
     assert (code, err) == (0, "")
 
     process.send_signal(signal.SIGTERM)
-    assert process.wait(timeout=60) == 0
+    assert process.wait(timeout=PATIENCE_S) == 0
     code, out, err = heliocube("status", "--check", *at)
     assert (code, out) == (5, "")
     assert err == (
@@ -150,7 +150,7 @@ def no_store(tmp_path):
 def test_a_service_that_finds_no_store_in_its_place_starts_and_shows_what_it_moved(no_store, service):
     _, _, address = service
     # The store's thread moves it while the service starts.
-    out = wait_until(lambda: "moved aside" in (out := heliocube("status", "--api", address)[1]) and out, 60, "alarm")
+    out = wait_until(lambda: "moved aside" in (out := heliocube("status", "--api", address)[1]) and out, "alarm")
     assert re.search(
         r"^alarm +a file that is no store of heliocube, or one with a damaged beginning, was moved aside as ",
         out,
@@ -158,7 +158,7 @@ def test_a_service_that_finds_no_store_in_its_place_starts_and_shows_what_it_mov
     ), out
     (aside,) = no_store.glob("heliocube.*.foreign.sqlite")
     assert aside.read_bytes() == b"SQLite format 3\0" + bytes(5000)
-    wait_until(lambda: json.loads(heliocube("status", "--json", "--api", address)[1])["store"]["written"], 60, "rows")
+    wait_until(lambda: json.loads(heliocube("status", "--json", "--api", address)[1])["store"]["written"], "rows")
 
 
 def test_a_file_with_a_mistake_elsewhere_still_stops_the_tracker(service, tmp_path):

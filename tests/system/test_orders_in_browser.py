@@ -30,7 +30,7 @@ def site(tmp_path_factory):
 def back_to_tracking(site):
     """Whatever a test orders ends with it."""
     yield
-    wait_until(lambda: site.order("auto").get("accepted"), 60, site.service.log)
+    wait_until(lambda: site.order("auto").get("accepted"), site.service.log)
     site.until_mode("tracking")
 
 
@@ -370,7 +370,7 @@ def test_a_stow_that_fails_does_not_stand_stowed_between_two_tries(browser, tmp_
     with browsers.site_on_bench(tmp_path) as (site, bench), browser.new_context() as context:
         page = browsers.Page(context, site.url, "fleet")
         # At the start it stands stowed, and would be found so.
-        wait_until(lambda: stands_at_b_deg(site) < 85.0, 60, site.service.log)
+        wait_until(lambda: stands_at_b_deg(site) < 85.0, site.service.log)
         bench.ask("inject", "b_ignores_targets")
         page.page.get_by_role("button", name="Stow all").click()
         page.log_in()

@@ -14,7 +14,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from tests.support import ROOT
+from tests.support import PATIENCE_S, ROOT
 
 pytestmark = pytest.mark.system
 
@@ -97,7 +97,9 @@ def python_without(modules, *parts):
 
 def without(modules, code):
     """Run code in a process of its own in which these modules cannot be imported."""
-    return subprocess.run(python_without(modules, code), capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(
+        python_without(modules, code), capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.voltmeter.core import VoltmeterCore
 from tests.daemon.store.test_full_disk import fill, small_disk
-from tests.support import forks
+from tests.support import PATIENCE_S, forks
 from tests.support.addresses import free_port
 from tests.system.processes import wait_until
 
@@ -121,9 +121,9 @@ def test_the_order_to_end_stops_the_move(start_bench, tmp_path):
     with (tmp_path / "told").open("w+") as told:
         words = ["probe", "positioner", "-c", bench.config, "--seconds", "1", "--move-deg", "20"]
         process = forks.start(words, told, told)
-        wait_until(lambda: abs(bench.state()["pose"]["a_deg"] - begin_deg) > 0.5, 90.0, "A to move")
+        wait_until(lambda: abs(bench.state()["pose"]["a_deg"] - begin_deg) > 0.5, "A to move")
         process.send_signal(signal.SIGTERM)
-        code = process.wait(90)
+        code = process.wait(PATIENCE_S)
         told.seek(0)
         assert code == 130, told.read()
     pose = bench.state()["pose"]

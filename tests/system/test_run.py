@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support import ROOT, forks
+from tests.support import PATIENCE_S, ROOT, forks
 
 pytestmark = pytest.mark.system
 
@@ -35,7 +35,7 @@ def test_the_embedded_default_runs_ends_by_itself_and_shows_that_it_is_simulated
         [sys.executable, "-m", "daemon.commands.main", "run", "--for", "6"],
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=PATIENCE_S,
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
@@ -60,7 +60,7 @@ def test_a_signal_stops_motion_and_ends_with_0(number):
         if "moving" in line:
             break
     process.send_signal(number)
-    out, err = process.communicate(timeout=240)
+    out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     assert "motion stopped" in err
     assert "Traceback" not in err
@@ -80,7 +80,7 @@ def test_ctrl_c_again_and_again_takes_nothing_from_the_end_that_the_first_one_be
         process.send_signal(signal.SIGINT)
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(0.005)
-    out, err = process.communicate(timeout=240)
+    out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     assert out.splitlines()[-1].endswith("; motion is stopped")
     assert "interrupted" not in err
@@ -99,7 +99,7 @@ def test_a_signal_while_the_service_ends_by_itself_takes_nothing_from_its_end():
             process.send_signal(number)
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(0.005)
-    _, err = process.communicate(timeout=240)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     assert "interrupted" not in err
     assert "Traceback" not in err
@@ -121,7 +121,7 @@ def test_a_terminal_that_is_closed_ends_the_service_in_good_order():
     while b"tracking" not in shown:
         shown += os.read(ours, 65536)
     os.close(ours)
-    _, err = process.communicate(timeout=240)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     assert "Traceback" not in err
 
@@ -139,7 +139,7 @@ def test_under_nohup_the_service_outlives_its_terminal():
         process.send_signal(signal.SIGHUP)
         assert any("moving" in line for line in process.stderr)
         process.send_signal(signal.SIGTERM)
-        _, err = process.communicate(timeout=240)
+        _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     assert "motion stopped" in err
 
@@ -147,7 +147,7 @@ def test_under_nohup_the_service_outlives_its_terminal():
 def test_where_nothing_can_be_printed_the_service_works_all_the_same(tmp_path):
     told = tmp_path / "told"
     with Path("/dev/full").open("w") as full, told.open("w") as err:
-        code = forks.start(["run", "--speed", "30", "--for", "5"], full, err, cwd=tmp_path).wait(240)
+        code = forks.start(["run", "--speed", "30", "--for", "5"], full, err, cwd=tmp_path).wait(PATIENCE_S)
     assert code == 7
     assert "motion stopped" in told.read_text()
     assert "Traceback" not in told.read_text()
@@ -198,7 +198,7 @@ def test_the_service_manager_hears_of_start_work_and_end(tmp_path):
     address = str(tmp_path / "notify")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(address)
-        manager.settimeout(120)
+        manager.settimeout(PATIENCE_S)
         environment = {**os.environ, "NOTIFY_SOCKET": address, "WATCHDOG_USEC": "1000000"}
         process = subprocess.Popen(
             [sys.executable, "-m", "daemon.commands.main", "run", "--speed", "1", "--start", "2022-10-12T10:00Z"],
@@ -222,16 +222,16 @@ def test_the_service_manager_hears_of_start_work_and_end(tmp_path):
         process.send_signal(signal.SIGCONT)
 
         process.send_signal(signal.SIGTERM)
-        manager.settimeout(60)
+        manager.settimeout(PATIENCE_S)
         while "STOPPING=1" not in heard:
             heard += manager.recv(4096).decode().split("\n")
-        assert process.wait(timeout=60) == 0
+        assert process.wait(timeout=PATIENCE_S) == 0
 
 
 @pytest.mark.parametrize("needed", ["daemon.commands.main", "daemon.config.file, daemon.config.stuck_lines"])
 def test_help_and_a_refused_configuration_do_not_wait_for_the_science(needed):
     program = f"import sys, {needed}; print('pvlib' in sys.modules, 'pandas' in sys.modules)"
-    imported = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=240)
+    imported = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=PATIENCE_S)
     assert imported.stdout.split() == ["False", "False"]
 
 

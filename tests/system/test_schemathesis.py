@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.support import PATIENCE_S
 from tests.system.processes import Process, wait_until
 
 TOKEN = "t" * 43
-ENDS_WITHIN_S = 280
 CONFIG = """
 [api]
 listen = "127.0.0.1:0"
@@ -35,13 +35,13 @@ def url(tmp_path):
     with (tmp_path / "out").open("wb") as out:
         service = Process(["run", "--config", config], tmp_path / "log", stdout=out)
     try:
-        said = wait_until(lambda: re.search(r"http://\S+:\d+", (tmp_path / "out").read_text()), 60, service.log)
+        said = wait_until(lambda: re.search(r"http://\S+:\d+", (tmp_path / "out").read_text()), service.log)
         yield f"{said[0]}/api/openapi.json"
         assert service.exit_code is None
         assert "Traceback" not in service.log()
     finally:
         service.ask_to_stop()
-        service.wait(30)
+        service.wait()
 
 
 @pytest.mark.long
@@ -57,7 +57,7 @@ def test_the_interface_keeps_to_its_description(url, tmp_path):
         env=os.environ | {"CONFIGURATION": str(tmp_path / "heliocube.toml"), "COLUMNS": "200", "NO_COLOR": "1"},
         capture_output=True,
         text=True,
-        timeout=ENDS_WITHIN_S,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-1000:]

@@ -10,8 +10,9 @@ import serial
 
 from daemon.base.records import FACES, Quality
 from daemon.bridge import senml
+from tests.support import PATIENCE_S
 from tests.system.processes import wait_until
-from tests.system.rig import BACK_WITHIN_S, HIGH_SUN, PHASES, ROLES, SETTLES_WITHIN_S, Rig, brisk
+from tests.system.rig import HIGH_SUN, PHASES, ROLES, Rig, brisk
 
 # Destinations, tracking off, stop and homing, clearing of faults.
 ALLOWED = {44, 46, 48, 50, 56, 57, 136}
@@ -81,7 +82,7 @@ def test_plugs_that_are_out_before_the_start_are_waited_for_at_rest(tmp_path, st
     def count(what):
         return sum(rig.lines(f"the {one} is {what}") for one in ("cube", "positioner"))
 
-    wait_until(lambda: count("down: ") == 2, SETTLES_WITHIN_S, rig.service.log)
+    wait_until(lambda: count("down: ") == 2, rig.service.log)
     assert rig.load(3.0) < 0.2
     for device in ("multiplexer", "positioner", "voltmeter"):
         bench.ask("replug", device)
@@ -89,7 +90,6 @@ def test_plugs_that_are_out_before_the_start_are_waited_for_at_rest(tmp_path, st
     # That the positioner is back is said a moment after the mode that it makes possible.
     wait_until(
         lambda: rig.last_mode() == "tracking" and count("back") == 2,
-        BACK_WITHIN_S,
         lambda: f"both back and tracking, but it is {rig.service.log()}",
     )
     assert count("down: ") == 2, rig.service.log()
@@ -107,31 +107,31 @@ def test_a_board_that_restarts_at_open_or_in_mid_run_is_waited_for_homed_and_use
     bench = start_bench("--config", config, *HIGH_SUN)
     bench.ask("boots-at-open", 3)
     rig = Rig(bench, start_service(bench.config))
-    wait_until(lambda: rig.lines("homing finished") == 1 and rig.last_mode() == "tracking", 150, rig.service.log)
+    wait_until(lambda: rig.lines("homing finished") == 1 and rig.last_mode() == "tracking", rig.service.log)
     assert rig.outages("it prints its banner") == 0, rig.service.log()
     bench.ask("boots-at-open", "never")
     bench.ask("restart", 0.5)
-    wait_until(lambda: rig.outages("it prints its banner") == 1, SETTLES_WITHIN_S, rig.service.log)
-    wait_until(lambda: rig.lines("homing finished") == 2 and rig.last_mode() == "tracking", 150, rig.service.log)
+    wait_until(lambda: rig.outages("it prints its banner") == 1, rig.service.log)
+    wait_until(lambda: rig.lines("homing finished") == 2 and rig.last_mode() == "tracking", rig.service.log)
     rig.settle()
     # A busy machine may let the line fall silent for a moment besides.
-    wait_until(lambda: rig.lines(" is down: ") == rig.lines(" is back"), SETTLES_WITHIN_S, rig.service.log)
+    wait_until(lambda: rig.lines(" is down: ") == rig.lines(" is back"), rig.service.log)
     assert rig.outages("it prints its banner") == 1
 
 
 def test_plugs_that_are_pulled_at_the_start_are_survived(start_rig):
     rig = start_rig()
-    wait_until(lambda: "real instruments" in rig.service.log(), SETTLES_WITHIN_S, rig.service.log)
+    wait_until(lambda: "real instruments" in rig.service.log(), rig.service.log)
     for device in ROLES:
         rig.bench.ask("unplug", device, 1)
     rig.settle()
-    wait_until(lambda: rig.last_mode() == "tracking", BACK_WITHIN_S, rig.service.log)
+    wait_until(lambda: rig.last_mode() == "tracking", rig.service.log)
 
 
 def test_a_late_reply_is_never_credited_to_another_face(tmp_path, start_bench, start_service):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         listener.bind(("127.0.0.1", 0))
-        listener.settimeout(30)
+        listener.settimeout(PATIENCE_S)
         config = brisk(tmp_path, send_to=f"127.0.0.1:{listener.getsockname()[1]}")
         config.write_text(config.read_text().replace("reading_deadline_s = 1.5", "reading_deadline_s = 0.5"))
         bench = start_bench("--config", config, "--weather", "clear")
@@ -173,7 +173,7 @@ def test_wrong_and_silent_instruments_are_told_in_one_sentence_and_waited_for(tm
     bench.ask("freeze", "positioner")
     rig = Rig(bench, start_service(bench.config))
     for sentence in ("MODEL 2700", "in its bootloader"):
-        wait_until(lambda sentence=sentence: rig.outages(sentence) == 1, SETTLES_WITHIN_S, rig.service.log)
+        wait_until(lambda sentence=sentence: rig.outages(sentence) == 1, rig.service.log)
     bench.ask("identity", "voltmeter", "KEITHLEY INSTRUMENTS INC.,MODEL 2000,1234567,A20  /A02")
     bench.ask("thaw", "positioner")
     rig.settle()
@@ -213,17 +213,17 @@ def test_a_library_whose_calls_do_not_return_is_told_waited_for_and_does_not_kee
     rig.settle()
     mark.touch()
     told = "the cube is down: multiplexer: a call of its driver did not return within"
-    wait_until(lambda: rig.lines(told) == 1, SETTLES_WITHIN_S, rig.service.log)
+    wait_until(lambda: rig.lines(told) == 1, rig.service.log)
     # Hung again while it is being opened.
     assert rig.load(12.0) < 0.2
     assert rig.lines("the cube is back") == 0
     mark.unlink()
-    wait_until(lambda: rig.lines("the cube is back") == 1, BACK_WITHIN_S, rig.service.log)
-    wait_until(lambda: rig.last_mode() == "tracking", BACK_WITHIN_S, rig.service.log)
+    wait_until(lambda: rig.lines("the cube is back") == 1, rig.service.log)
+    wait_until(lambda: rig.last_mode() == "tracking", rig.service.log)
     mark.touch()
-    wait_until(lambda: rig.lines(told) == 2, SETTLES_WITHIN_S, rig.service.log)
+    wait_until(lambda: rig.lines(told) == 2, rig.service.log)
     rig.service.ask_to_stop()
-    assert rig.service.wait(20.0) == 0
+    assert rig.service.wait() == 0
 
 
 def test_a_port_held_by_another_program_and_a_missing_ni_driver_are_told_and_waited_for(
@@ -238,7 +238,7 @@ def test_a_port_held_by_another_program_and_a_missing_ni_driver_are_told_and_wai
         rig = Rig(bench, start_service(config))
         for sentence in (f"is held by another program ({psutil.Process().name()}, process {os.getpid()})", "NI-DAQmx"):
             # The lines to look at in between have every reason; the outage, which may have had another, is told once.
-            wait_until(lambda sentence=sentence: sentence in rig.service.log(), SETTLES_WITHIN_S, rig.service.log)
+            wait_until(lambda sentence=sentence: sentence in rig.service.log(), rig.service.log)
         assert rig.lines("the positioner is down") == 1
-    wait_until(lambda: rig.lines("the positioner is back") == 1, SETTLES_WITHIN_S, rig.service.log)
+    wait_until(lambda: rig.lines("the positioner is back") == 1, rig.service.log)
     assert rig.service.exit_code is None

@@ -10,12 +10,11 @@ import tomllib
 
 import pytest
 
-from tests.support import forks
+from tests.support import PATIENCE_S, forks
 from tests.system.processes import wait_until
 
 pytestmark = pytest.mark.system
 
-WITHIN_S = 90.0
 ACTIONS = "57"
 COLOURS = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
@@ -34,14 +33,14 @@ class Terminal:
     def until(self, words):
         """Wait for words behind those of the last time, whatever spaces the lines were broken at."""
         wanted = re.compile(r"\s+".join(map(re.escape, words.split())))
-        deadline_s = time.monotonic() + WITHIN_S
+        deadline_s = time.monotonic() + PATIENCE_S
         while (found := wanted.search(self.text, self._read)) is None:
             if time.monotonic() > deadline_s or not self._more():
                 pytest.fail(f"no {words!r} in: {self.text[self._read :]}")
         self._read = found.end()
 
     def _more(self):
-        if not select.select([self._screen], [], [], WITHIN_S)[0]:
+        if not select.select([self._screen], [], [], PATIENCE_S)[0]:
             return False
         try:
             self.text += COLOURS.sub("", os.read(self._screen, 65536).decode())
@@ -63,7 +62,7 @@ class Terminal:
         while self._more():
             pass
         os.close(self._screen)
-        return self._process.wait(WITHIN_S)
+        return self._process.wait(PATIENCE_S)
 
 
 def test_a_rig_is_set_up_left_taken_up_again_moved_stopped_and_written(start_bench, tmp_path):
@@ -122,7 +121,7 @@ def test_a_rig_is_set_up_left_taken_up_again_moved_stopped_and_written(start_ben
     second.say("move\r", "move, or skip]:")
     second.until("PRESS ANY KEY on the way")
     at_deg = bench.state()["pose"]["a_deg"]
-    wait_until(lambda: abs(bench.state()["pose"]["a_deg"] - at_deg) > 0.5, WITHIN_S, "A to move")
+    wait_until(lambda: abs(bench.state()["pose"]["a_deg"] - at_deg) > 0.5, "A to move")
     second.press(" ")
     second.until("stopped by the key")
     pose = bench.state()["pose"]

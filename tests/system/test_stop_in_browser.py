@@ -38,7 +38,7 @@ def auto(site):
     """End what was ordered; it is ended with the test, too."""
 
     def end():
-        wait_until(lambda: site.order("auto").get("accepted"), 60, site.service.log)
+        wait_until(lambda: site.order("auto").get("accepted"), site.service.log)
         site.until_mode("tracking")
 
     yield end

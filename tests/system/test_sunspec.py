@@ -8,6 +8,7 @@ import pytest
 import sunspec2.modbus.client as sunspec
 from sunspec2.modbus.modbus import ModbusClientError
 
+from tests.support import PATIENCE_S
 from tests.support.addresses import free_port
 from tests.system.processes import wait_until
 
@@ -29,7 +30,7 @@ def client(tmp_path, port, start_service):
         f"[sunspec]\nenabled = true\nmanual = true\nlisten = '127.0.0.1:{port}'\n"
     )
     start_service(config)
-    wait_until(lambda: listens(port), 30, "the service to be there")
+    wait_until(lambda: listens(port), "the service to be there")
     found = sunspec.SunSpecModbusClientDeviceTCP(slave_id=1, ipaddr="127.0.0.1", ipport=port, timeout=10)
     found.connect()
     yield found
@@ -66,12 +67,12 @@ def test_pysunspec2_scans_while_the_tracker_moves_and_sets_it_to_manual(client, 
         irradiance.read()
         return tracker.tracker[0].ElPos.cvalue is not None and (irradiance.repeating[0].GHI.value or 0) > 500
 
-    wait_until(known, 30, "pose and irradiance")
+    wait_until(known, "pose and irradiance")
     assert tracker.Typ.value == 5
     assert irradiance.repeating[2].OTI.value > irradiance.repeating[1].OTI.value
 
     # Before the first decision a goto is refused, whoever asks: then once more.
-    wait_until(lambda: manual(client, 33.83, 217.01), 30, "the first decision")
+    wait_until(lambda: manual(client, 33.83, 217.01), "the first decision")
     seen = []
 
     def arrived():
@@ -80,7 +81,7 @@ def test_pysunspec2_scans_while_the_tracker_moves_and_sets_it_to_manual(client, 
         seen.append((position.ElPos.cvalue, position.AzPos.cvalue))
         return seen[-1] == pytest.approx((33.83, 217.01), abs=1.0)
 
-    wait_until(arrived, 60, lambda: seen)
+    wait_until(arrived, lambda: seen)
     assert client.models[601][0].GlblCtl.value == 1
     assert len(set(seen)) > 2, "it was scanned on its way"
 
@@ -89,11 +90,11 @@ def test_pysunspec2_scans_while_the_tracker_moves_and_sets_it_to_manual(client, 
     client.scan()
     client.models[601][0].GlblCtl.value = 0
     client.models[601][0].write()
-    wait_until(lambda: client.models[601][0].read() or client.models[601][0].GlblCtl.value == 0, 20, "automatic")
+    wait_until(lambda: client.models[601][0].read() or client.models[601][0].GlblCtl.value == 0, "automatic")
 
     if shutil.which("mbpoll"):
         command = ["mbpoll", "-m", "tcp", "-p", str(port), "-a", "1", "-0", "-r", "40000", "-c", "4", "-t", "4", "-1"]
-        done = subprocess.run([*command, "127.0.0.1"], capture_output=True, text=True, timeout=30, check=True)
+        done = subprocess.run([*command, "127.0.0.1"], capture_output=True, text=True, timeout=PATIENCE_S, check=True)
         assert [line.split("\t")[1] for line in done.stdout.splitlines() if line.startswith("[")] == [
             "21365",
             "28243",

@@ -31,7 +31,7 @@ def the_site(tmp_path_factory):
 def site(the_site):
     """The site, tracking."""
     if the_site.mode() != "tracking":
-        wait_until(lambda: the_site.order("auto").get("accepted"), 60, the_site.service.log)
+        wait_until(lambda: the_site.order("auto").get("accepted"), the_site.service.log)
     the_site.until_mode("tracking")
     return the_site
 
@@ -54,9 +54,9 @@ def test_seven_tabs_of_one_browser_are_all_live_over_one_stream(context, site):
     for tab in tabs:
         tab.sees(".hero h1", "Tracking")
     before = [tab.text("#clock") for tab in tabs]
-    wait_until(lambda: all(tab.text("#clock") != old for tab, old in zip(tabs, before, strict=True)), 60, "all go on")
+    wait_until(lambda: all(tab.text("#clock") != old for tab, old in zip(tabs, before, strict=True)), "all go on")
     # That of a page which another test has closed may end late.
-    wait_until(lambda: listeners(site) in (1, 2), 60, "one stream for seven tabs")
+    wait_until(lambda: listeners(site) in (1, 2), "one stream for seven tabs")
 
 
 def test_who_has_logged_in_or_out_in_one_tab_has_in_the_others(context, site):
@@ -94,7 +94,7 @@ def test_a_tab_shows_nothing_that_an_older_one_heard_before_it_was_hidden(contex
     older.sees(".hero h1", "Tracking")
     before = listeners(site)
     older.page.evaluate(HIDE, "hidden")
-    wait_until(lambda: listeners(site) < before, 60, "no stream for a hidden tab")
+    wait_until(lambda: listeners(site) < before, "no stream for a hidden tab")
     site.order("stop")
     with context.browser.new_context() as elsewhere:
         # The dashboard hears of it a moment after the service.

@@ -8,11 +8,10 @@ from datetime import UTC, datetime
 import pytest
 
 from daemon.bridge.signing import generate_key, write_key
-from tests.support import forks
+from tests.support import PATIENCE_S, forks
 
 pytestmark = pytest.mark.system
 
-WITHIN_S = 100.0
 
 CONFIG = """
 [simulation]
@@ -49,18 +48,18 @@ class Process:
 
     def wait_for(self, pattern, after=0):
         """Wait until a line matches; return the end of the match."""
-        deadline = time.monotonic() + WITHIN_S
+        deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
             match = re.compile(pattern).search(self.text(), after)
             if match:
                 return match.end()
             assert self.process.poll() is None, self.text()
             time.sleep(0.05)
-        raise AssertionError(f"no line matched {pattern!r} within {WITHIN_S} s:\n{self.text()}")
+        raise AssertionError(f"no line matched {pattern!r} within {PATIENCE_S} s:\n{self.text()}")
 
     def end(self, number):
         self.process.send_signal(number)
-        code = self.process.wait(timeout=40)
+        code = self.process.wait(timeout=PATIENCE_S)
         self._file.close()
         return code
 

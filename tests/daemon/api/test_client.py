@@ -12,6 +12,7 @@ from daemon.api.client import Client, CommandRefusedError, NoServiceError, find,
 from daemon.base.addresses import parse_address
 from daemon.base.errors import UserError
 from daemon.base.records import Mode
+from tests.support import PATIENCE_S
 from tests.support.api import TOKEN
 from tests.support.bad_network import without_namespaces
 from tests.support.phases import tracking
@@ -49,7 +50,7 @@ def test_a_stop_gets_through_where_a_flood_from_this_machine_has_used_up_all_por
     if why:
         pytest.skip(why)
     command = ["unshare", "--net", sys.executable, "-c", ALL_TAKEN]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.stdout.splitlines() == ["Cannot assign requested address", "it stands"], done.stderr
 
 
@@ -64,7 +65,7 @@ def test_an_order_that_was_given_up_is_not_sent_on_once_the_network_is_back_unle
             Client(address, "t" * 43).command(name)
         asking, _ = service.accept()
         with asking:
-            asking.settimeout(60.0)
+            asking.settimeout(PATIENCE_S)
             try:
                 while asking.recv(4096):
                     pass

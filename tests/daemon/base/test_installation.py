@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from tests.support import ROOT
+from tests.support import PATIENCE_S, ROOT
 
 PACKAGES = ("daemon", "solar", "drivers", "sim_drivers", "heliocube")
 RUN = """
@@ -57,7 +57,7 @@ def heliocube(site, *words):
         cwd=site.parent,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
 

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from daemon.base.process import Notifier
+from tests.support import PATIENCE_S
 
 
 @pytest.fixture
@@ -16,7 +17,7 @@ def manager(tmp_path):
     path = tmp_path / "notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
         receiver.bind(str(path))
-        receiver.settimeout(60.0)
+        receiver.settimeout(PATIENCE_S)
         yield receiver, str(path)
 
 
@@ -35,7 +36,7 @@ def test_an_abstract_socket_is_meant_by_a_leading_at(tmp_path):
     name = f"heliocube-{tmp_path.name}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
         receiver.bind("\0" + name)
-        receiver.settimeout(60.0)
+        receiver.settimeout(PATIENCE_S)
         Notifier({"NOTIFY_SOCKET": "@" + name}, pid=7).ready()
         assert receiver.recv(100) == b"READY=1"
 

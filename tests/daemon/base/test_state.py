@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from daemon.base.files import replace_file
 from daemon.base.state import ROOM_BYTES, StateFile, StateFolder, UnreadableStateError, replace_kept, spare_of
 from tests.daemon.store.test_full_disk import fill, small_disk
+from tests.support import PATIENCE_S
 
 __all__ = ["small_disk"]
 
@@ -102,7 +103,7 @@ class SlowDisk:
 
     def replace(self, path, text):
         self.begun.release()
-        assert self.let.acquire(timeout=60)
+        assert self.let.acquire(timeout=PATIENCE_S)
         self.written.append((path.name, text))
         replace_file(path, text)
 
@@ -112,7 +113,7 @@ def test_a_slow_disk_is_not_waited_for_and_gets_the_newest_of_each_file_in_order
     folder = StateFolder(tmp_path, behind=True, replace=disk.replace, now_s=lambda: now_s[0])
     first, second = (StateFile(folder, name, Kept, LOG, f"the {name}") for name in ("a.json", "b.json"))
     first.save(Kept(count=1))
-    assert disk.begun.acquire(timeout=60)
+    assert disk.begun.acquire(timeout=PATIENCE_S)
     second.save(Kept(count=2))
     for count in (3, 4, 5):
         first.save(Kept(count=count))

@@ -9,6 +9,7 @@ from daemon.base.records import FaceReading, Quality, Scan
 from daemon.bridge import senml, signing
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.config.links import BridgeSettings
+from tests.support import PATIENCE_S
 
 KEY = bytes(range(1, 33))
 UTC_S = 1665742815.0
@@ -85,7 +86,7 @@ class Desk:
 
 async def until_examined(receiver, expected):
     """Let the loop run until the receiver has examined so many datagrams."""
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(PATIENCE_S):
         while True:
             counts = receiver.statistics
             if counts.accepted + counts.refused >= expected:

@@ -16,6 +16,7 @@ from daemon.base.timeloop import ScaledTimeLoop
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.config.links import BridgeSettings
 from tests.daemon.bridge.desk import KEY, HandClock, place_of, port, scan, signed
+from tests.support import PATIENCE_S
 
 SO_TIMESTAMPNS = 35
 only_linux = pytest.mark.skipif(
@@ -24,7 +25,7 @@ only_linux = pytest.mark.skipif(
 
 
 async def until_accepted(receiver, number):
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(PATIENCE_S):
         while receiver.statistics.accepted < number:  # noqa: ASYNC110 - the loop has to go round
             await asyncio.sleep(0)
 

@@ -15,6 +15,7 @@ from daemon.base.records import FaceReading, Quality, Scan
 from daemon.bridge import senml, signing
 from daemon.bridge.sender import BridgeSender
 from daemon.config.links import BridgeSettings
+from tests.support import PATIENCE_S
 
 KEY = bytes(range(1, 33))
 
@@ -40,7 +41,7 @@ def scan(sequence=0):
 @contextmanager
 def listening(port=0, family=socket.AF_INET, host="127.0.0.1"):
     with socket.socket(family, socket.SOCK_DGRAM) as listener:
-        listener.settimeout(60)
+        listener.settimeout(PATIENCE_S)
         listener.bind((host, port))
         yield listener
 

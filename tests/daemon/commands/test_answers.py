@@ -15,7 +15,7 @@ from typer.main import get_command
 
 from daemon.commands.answers import print_json, wrapped
 from daemon.commands.main import app
-from tests.support import ROOT, forks
+from tests.support import PATIENCE_S, ROOT, forks
 
 # What runs until it is ended, leads a person through something, writes files of known names, or answers in JSON anyway.
 WITHOUT = {
@@ -173,7 +173,7 @@ def test_a_path_that_is_too_long_for_its_line_is_shown_whole_by_a_check(tmp_path
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 60, 0, 0))
     environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
     with os.fdopen(ours, "rb"), os.fdopen(theirs, "wb") as terminal:
-        code = forks.start(["config", "check", file], terminal, env=environment).wait(90)
+        code = forks.start(["config", "check", file], terminal, env=environment).wait(PATIENCE_S)
         said = os.read(ours, 100_000).decode()
     assert code == 0
     assert str(records) in said
@@ -189,7 +189,7 @@ def test_an_answer_that_cannot_be_written_is_one_sentence(tmp_path, words):
     file.touch()
     given = [file if word == "FILE" else word for word in words.split()]
     with Path("/dev/full").open("w") as full, told.open("w") as err:
-        code = forks.start(given, full, err).wait(90)
+        code = forks.start(given, full, err).wait(PATIENCE_S)
     why = "heliocube: the answer cannot be written to standard output: No space left on device\n"
     assert (code, told.read_text()) == (7, why)
 
@@ -201,7 +201,7 @@ def test_a_reader_that_has_gone_is_no_defect_of_the_program(tmp_path, words):
     reader, writer = os.pipe()
     os.close(reader)
     with os.fdopen(writer, "w") as pipe, told.open("w") as err:
-        code = forks.start([file if word == "FILE" else word for word in words], pipe, err).wait(90)
+        code = forks.start([file if word == "FILE" else word for word in words], pipe, err).wait(PATIENCE_S)
     assert (code, told.read_text()) == (7, "")
 
 
@@ -209,7 +209,7 @@ def test_a_standard_output_that_is_closed_is_one_that_nobody_reads():
     program = "from daemon.entry import main; main()"
     words = [sys.executable, "-c", program, "gain", "--lat", "45", "--format", "csv"]
     done = subprocess.run(
-        ["sh", "-c", 'exec "$@" >&-', "sh", *words], stderr=subprocess.PIPE, text=True, timeout=90, cwd=ROOT
+        ["sh", "-c", 'exec "$@" >&-', "sh", *words], stderr=subprocess.PIPE, text=True, timeout=PATIENCE_S, cwd=ROOT
     )
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -241,7 +241,9 @@ class CtrlC:
 sys.meta_path.insert(0, CtrlC())
 from daemon.entry import main; main()
 """
-    done = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, timeout=90, cwd=ROOT)
+    done = subprocess.run(
+        [sys.executable, "-c", program, *words], capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT
+    )
     assert (done.returncode, done.stdout, done.stderr) == (130, "", f"heliocube: {sentence}\n")
 
 
@@ -250,7 +252,7 @@ def test_no_room_for_what_draws_the_pictures_is_a_sentence_and_no_defect(tmp_pat
     words = ["gain", "--lat", "48", "--plot", str(tmp_path / "gain.png")]
     without_home = os.environ | {"MPLCONFIGDIR": "/dev/null/y"}
     command = [sys.executable, "-c", program, *words]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=90, cwd=ROOT, env=without_home)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT, env=without_home)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
     assert done.stderr.splitlines()[-1].startswith("heliocube: what draws the pictures needs a folder of its own, and")
@@ -261,5 +263,5 @@ def test_a_home_that_cannot_be_written_to_is_no_word_more_about_a_picture(tmp_pa
     command = [sys.executable, "-m", "daemon.commands.main", "gain", "--lat", "48", "--plot", str(figure)]
     without_home = {name: text for name, text in os.environ.items() if not name.startswith("XDG_")}
     without_home |= {"HOME": "/dev/null", "MPLCONFIGDIR": "/dev/null/y"}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=90, cwd=ROOT, env=without_home)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT, env=without_home)
     assert (done.returncode, done.stderr) == (0, f"figure in {figure}\n")

@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+from tests.support import PATIENCE_S
+
 # Half a second each on a quick machine, several on a Raspberry Pi.
 HEAVY = ("matplotlib", "pandas", "pvlib", "pyarrow", "scipy")
 IN_ONE_PROCESS = """
@@ -133,7 +135,7 @@ def refused(tmp_path_factory):
         input=words,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=PATIENCE_S,
         check=True,
         cwd=folder,
     )

@@ -10,6 +10,7 @@ from daemon.base.timeloop import VirtualTimeLoop
 from daemon.dashboard.app import Dashboard
 from daemon.dashboard.upstream import Fleet
 from tests.daemon.dashboard.house import PAGE, TOKEN
+from tests.support import PATIENCE_S
 from tests.support.endless import ACCEPTED, TAKEN, sent_to
 
 
@@ -69,7 +70,7 @@ def test_an_order_is_given_up_though_its_answer_trickles_on_for_ever():
             transport = httpx.ASGITransport(app)
             async with httpx.AsyncClient(transport=transport, base_url=PAGE, headers={"Origin": PAGE}) as browser:
                 assert (await browser.post("/login", json={"token": TOKEN, "by": "ana"})).status_code == 200
-                async with asyncio.timeout(60.0):
+                async with asyncio.timeout(PATIENCE_S):
                     found = (await browser.post("/stow-all", json={})).json()["results"]
             await asyncio.gather(*answering)
             assert [(each["status"], each["text"]) for each in found] == [(502, "the service does not answer")]

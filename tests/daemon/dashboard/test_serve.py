@@ -19,7 +19,7 @@ from daemon.base.process import Notifier
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.dashboard.app import STATIC
 from daemon.dashboard.serve import bind, serve
-from tests.support import ROOT
+from tests.support import PATIENCE_S, ROOT
 from tests.support.endless import ACCEPTED
 
 PAGE = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
@@ -55,7 +55,7 @@ async def statuses(answer, name, times=1):
         service = "{}:{}".format(*server.sockets[0].getsockname())
         async with served(service) as address:
             page = "http://{}:{}".format(*address)
-            async with httpx.AsyncClient(base_url=page, headers={"Origin": page}, timeout=60.0) as browser:
+            async with httpx.AsyncClient(base_url=page, headers={"Origin": page}, timeout=PATIENCE_S) as browser:
                 await browser.post("/login", json={"token": "t" * 43, "by": "ana"})
                 order = {"name": name, "service": service, "why": "a test"}
                 return [(await browser.post("/command", json=order)).status_code for _ in range(times)]
@@ -115,7 +115,7 @@ def test_connections_on_which_no_whole_request_comes_keep_nobody_out_for_long(fi
             if first:
                 await reader.readuntil(b"\r\n\r\n")
             writer.write(content)
-        async with asyncio.timeout(20.0):
+        async with asyncio.timeout(PATIENCE_S):
             await asyncio.gather(*(until_its_end(reader) for reader, _ in held))
         reader, writer = await asyncio.open_connection(*address)
         writer.write(PAGE + b"Connection: close\r\n\r\n")
@@ -261,7 +261,7 @@ def test_however_many_browsers_ask_at_once_it_needs_no_more_threads_than_its_uni
         nonlocal most
         # As many connections as a browser has.
         limits = httpx.Limits(max_connections=6)
-        async with httpx.AsyncClient(base_url=page, limits=limits, timeout=60.0) as browser:
+        async with httpx.AsyncClient(base_url=page, limits=limits, timeout=PATIENCE_S) as browser:
             for answer in asyncio.as_completed([browser.get(f"/static/{name}") for name in files]):
                 assert (await answer).status_code == 200
                 most = max(most, threading.active_count() - before)

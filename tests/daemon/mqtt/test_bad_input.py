@@ -11,7 +11,7 @@ from daemon.base.records import Decision, Event, Mode
 from daemon.commands.file_check import check_file
 from daemon.config.file import ConfigError, load_settings
 from daemon.service.rig import Role
-from tests.support import forks
+from tests.support import PATIENCE_S, forks
 from tests.support.addresses import free_port
 from tests.support.broker import CERTIFICATES
 from tests.support.mqtt import SPEED, BrokerRig, needs_mosquitto, observer, serving, settings_for, until
@@ -211,7 +211,7 @@ def test_the_program_starts_with_wrong_topics_and_says_so_in_api_and_status_and_
     async def scenario():
         async with observer(broker.port, f"{BASE}/#") as lab:
             state = await lab.until(
-                f"{BASE}/state", lambda found: "waiting for the first message" in found["mode"]["why"], within_s=60
+                f"{BASE}/state", lambda found: "waiting for the first message" in found["mode"]["why"]
             )
             assert state["mqtt"]["troubles"] == sentences
             for sentence in sentences:
@@ -223,7 +223,7 @@ def test_the_program_starts_with_wrong_topics_and_says_so_in_api_and_status_and_
         asyncio.run(scenario())
         shown = forks.run("status", "--config", config, env=os.environ | {"COLUMNS": "400"}).stdout
         process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == 0
+        assert process.wait(PATIENCE_S) == 0
     finally:
         if process.poll() is None:
             process.kill()

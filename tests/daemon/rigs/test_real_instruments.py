@@ -11,6 +11,7 @@ from daemon.base.errors import UserError
 from daemon.config.file import ConfigError, load_settings
 from daemon.rigs.real import build_real_rig
 from daemon.service.rig import Role
+from tests.support import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 
@@ -129,7 +130,7 @@ def test_what_cannot_be_done_with_real_instruments_ends_with_one_sentence_and_2(
         [str(HELIOCUBE), "run", "--config", str(tmp_path / "heliocube.toml"), *arguments],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 2
@@ -145,7 +146,7 @@ def test_a_service_on_the_roof_has_no_simulator_in_it_and_none_of_the_libraries_
         [sys.executable, "-X", "importtime", str(HELIOCUBE), "run", "--config", str(file), "--for", "1"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr[-1000:]

@@ -13,6 +13,7 @@ from daemon.base.state import StateFolder
 from daemon.service.operator import CommandError, Operator, Seen
 from daemon.tracker.wishes import WishFile
 from tests.daemon.store.test_full_disk import fill, small_disk
+from tests.support import PATIENCE_S
 from tests.support.api import serve
 from tests.support.phases import under_way
 from tests.support.rig import ServiceRig
@@ -34,7 +35,7 @@ def stuck_disk(monkeypatch):
     released = threading.Event()
 
     def replace(path, text):
-        assert released.wait(60)
+        assert released.wait(PATIENCE_S)
         replace_file(path, text)
 
     hours_s = itertools.count(0.0, 3600.0)

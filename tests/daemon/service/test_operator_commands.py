@@ -22,7 +22,7 @@ from daemon.service.operator import CommandError, Operator, Seen
 from daemon.service.operator_commands import NAMES, URGENT, BodyError, Operators, TooManyError, parse
 from daemon.service.recent import Recent
 from daemon.service.state import state_json
-from tests.support import ROOT
+from tests.support import PATIENCE_S, ROOT
 from tests.support.motion import commands_sent
 from tests.support.phases import tracking, under_way
 
@@ -229,12 +229,12 @@ def test_ctrl_c_while_a_service_hangs_says_that_the_command_may_have_been_taken(
             env={"HELIOCUBE_TOKEN": "t" * 43, "PATH": "", "LOGNAME": "ana"},
         )
         with process:
-            hanging.settimeout(60)
+            hanging.settimeout(PATIENCE_S)
             connection, _ = hanging.accept()
             with connection:
                 assert connection.recv(1)
                 process.send_signal(signal.SIGINT)
-                out, err = process.communicate(timeout=60)
+                out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
     assert (out, err) == ("", "heliocube: interrupted: the command may have been taken; see 'heliocube status'\n")
 
@@ -261,7 +261,7 @@ def test_a_stop_that_was_cut_off_without_an_answer_is_asked_for_again_and_a_goto
             f"the service at {client.address} does not answer: the connection was cut off before the end of the answer;"
             " it may have taken the command all the same: see 'heliocube status'"
         )
-        serving.join(60)
+        serving.join(PATIENCE_S)
     assert heard == ["/api/stop"] * 3 + ["/api/goto"]
 
 
@@ -283,7 +283,7 @@ def _program(tmp_path, listener, *command, stdout=subprocess.PIPE, **environment
         text=True,
         cwd=ROOT,
         env={"HELIOCUBE_CONFIG": str(config), "HELIOCUBE_TOKEN": "t" * 43, "PATH": ""} | environment,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
 
 

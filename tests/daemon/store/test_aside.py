@@ -23,13 +23,13 @@ from daemon.store.schema import FILE_NAME, VERSION, open_for_reading
 from daemon.store.store import Store
 from tests.daemon.store.test_store import ORIGIN, keep
 from tests.daemon.store.test_tables import T0, scan
-from tests.support import ROOT
+from tests.support import PATIENCE_S, ROOT
 
 __all__ = ["keep"]
 PAGE = 4096
 
 
-def until(condition, within_s=60.0):
+def until(condition, within_s=PATIENCE_S):
     """Wait for another thread; the limit is for a broken program."""
     deadline_s = time.monotonic() + within_s
     while not condition():
@@ -264,7 +264,7 @@ def test_a_file_of_another_user_is_moved_aside_where_the_folder_is_ours(keep, ow
         for path, mode in ((Path(name), 0o755), (folder, 0o777 if own_folder else 0o755), (folder / FILE_NAME, 0o600)):
             path.chmod(mode)
         found = subprocess.run(
-            [sys.executable, "-c", AS_NOBODY, folder], capture_output=True, text=True, cwd=ROOT, timeout=120
+            [sys.executable, "-c", AS_NOBODY, folder], capture_output=True, text=True, cwd=ROOT, timeout=PATIENCE_S
         )
         assert found.returncode == 0, found.stderr
         if own_folder:

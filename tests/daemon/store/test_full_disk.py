@@ -16,6 +16,7 @@ from daemon.store.store import Store
 from daemon.store.tables import TableError, TableWriter
 from tests.daemon.store.test_store import ORIGIN, count
 from tests.daemon.store.test_tables import scan
+from tests.support import PATIENCE_S
 from tests.support.phases import tracking
 
 
@@ -62,15 +63,15 @@ def test_a_full_disk_is_told_once_costs_nothing_and_is_over_by_itself(small_disk
     fill(filler)
     for n in range(1, 3000):
         store.keep(scan(n))
-    assert clock.enough.wait(20)
-    event = told.get(timeout=20)
+    assert clock.enough.wait(PATIENCE_S)
+    event = told.get(timeout=PATIENCE_S)
     full = f"the disk of {small_disk} is full"
     assert (event.subject, event.text) == ("store", f"cannot write: {full}; records wait in memory")
     assert store.status.down_why == full
     filler.unlink()
     # The disk is still too small for everything: what fits is written, the rest waits.
     subprocess.run(["mount", "-o", "remount,size=8m", small_disk], check=True)
-    assert told.get(timeout=20).text == "writes again; nothing was lost"
+    assert told.get(timeout=PATIENCE_S).text == "writes again; nothing was lost"
     store.close()
     assert told.empty()
     assert store.status.written == 3000
@@ -88,9 +89,9 @@ def test_a_service_starts_on_a_full_disk_and_writes_when_there_is_room(small_dis
     told = queue.Queue()
     store = Store(small_disk, 0.1, 400, ORIGIN, SystemClock(), told.put)
     store.keep(scan(0))
-    assert "cannot write" in told.get(timeout=20).text
+    assert "cannot write" in told.get(timeout=PATIENCE_S).text
     filler.unlink()
-    assert told.get(timeout=20).text == "writes again; nothing was lost"
+    assert told.get(timeout=PATIENCE_S).text == "writes again; nothing was lost"
     store.close()
     assert count(small_disk, "scans") == 1
 
@@ -108,11 +109,13 @@ def test_a_full_disk_does_not_stop_control_and_no_record_is_lost(run_rig, small_
 
     rig = run_rig(scenario)
     assert len(rig.of(Decision)) >= 6
-    assert told.get(timeout=20).text == f"cannot write: the disk of {small_disk} is full; records wait in memory"
+    assert (
+        told.get(timeout=PATIENCE_S).text == f"cannot write: the disk of {small_disk} is full; records wait in memory"
+    )
     (small_disk / "filler").unlink()
     subprocess.run(["mount", "-o", "remount,size=8m", small_disk], check=True)
     store.close()
-    assert told.get(timeout=20).text == "writes again; nothing was lost"
+    assert told.get(timeout=PATIENCE_S).text == "writes again; nothing was lost"
     assert told.empty()
     assert count(small_disk, "scans") == len(rig.of(Scan))
 

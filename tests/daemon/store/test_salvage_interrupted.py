@@ -11,7 +11,7 @@ from daemon.store.schema import FILE_NAME, open_for_writing
 from tests.daemon.store.test_aside import until
 from tests.daemon.store.test_store import keep
 from tests.daemon.store.test_tables import scan
-from tests.support import forks
+from tests.support import PATIENCE_S, forks
 
 pytestmark = pytest.mark.slow
 
@@ -32,7 +32,7 @@ def test_its_copy_of_the_store_does_not_stay(keep, tmp_path, by):
         until(lambda: list(into.glob(".salvage-*/copy.sqlite-shm")))
         salvaging.send_signal(by)
         service.rollback()
-    assert salvaging.wait(60) == 130
+    assert salvaging.wait(PATIENCE_S) == 130
     assert list(into.glob(".salvage-*")) == []
     told = f"interrupted: what was read so far is in {into}; give the command again for the rest"
     assert told in (tmp_path / "said").read_text()

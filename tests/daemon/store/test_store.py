@@ -11,6 +11,7 @@ from daemon.base.records import Event
 from daemon.store.schema import FILE_NAME, open_for_reading
 from daemon.store.store import Origin, Store
 from tests.daemon.store.test_tables import T0, scan
+from tests.support import PATIENCE_S
 
 ORIGIN = Origin(T0, "both", "0.1.0", True, "SIRTA", 48.7, 2.2, 156.0)
 DAY_S = 86400.0
@@ -64,7 +65,7 @@ def test_after_one_record_from_the_future_the_oldest_days_still_give_way(tmp_pat
     store = Store(tmp_path, 0.01, 3, ORIGIN, SystemClock(), print)
     for number, day in enumerate((0, 9000, 1, 2, 3, 4)):
         store.keep(Event(T0 + day * DAY_S, number, "test", str(day)))
-        deadline_s = time.monotonic() + 60.0
+        deadline_s = time.monotonic() + PATIENCE_S
         while store.status.waiting:
             assert time.monotonic() < deadline_s
             time.sleep(0.005)
@@ -74,7 +75,7 @@ def test_after_one_record_from_the_future_the_oldest_days_still_give_way(tmp_pat
 
 
 def written(store, number):
-    deadline_s = time.monotonic() + 60.0
+    deadline_s = time.monotonic() + PATIENCE_S
     while store.status.written < number:
         assert time.monotonic() < deadline_s
         time.sleep(0.005)
@@ -109,7 +110,7 @@ def test_a_place_that_the_disk_does_not_even_look_at_is_told_and_tried_again(tmp
     told, folder = queue.Queue(), tmp_path / ("x" * 300)
     store = Store(folder, 0.01, 3, ORIGIN, SystemClock(), print, lambda *alarm: told.put(alarm))
     store.keep(scan(0))
-    name, text = told.get(timeout=60)
+    name, text = told.get(timeout=PATIENCE_S)
     assert (name, "File name too long; records wait in memory" in text) == ("store-down", True)
     assert store.status.down_why.endswith("File name too long")
     store.close()

@@ -14,6 +14,7 @@ import serial
 
 from drivers.errors import ConnectError, LinkLostError
 from drivers.lines.serial_port import SerialPort, cannot_open
+from tests.support import PATIENCE_S
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
 
@@ -43,7 +44,7 @@ def send(instrument, path, data):
     descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
         os.write(instrument, data)
-        assert select.select([descriptor], [], [], 60.0)[0]
+        assert select.select([descriptor], [], [], PATIENCE_S)[0]
     finally:
         os.close(descriptor)
 

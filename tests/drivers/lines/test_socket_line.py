@@ -10,6 +10,7 @@ import pytest
 from daemon.base.timeloop import VirtualTimeLoop
 from drivers.errors import ConnectError, LinkLostError
 from drivers.lines.socket_line import SocketLine
+from tests.support import PATIENCE_S
 
 
 def test_who_does_not_answer_is_given_up_after_five_seconds(monkeypatch):
@@ -43,7 +44,7 @@ def test_what_sends_on_and_on_is_told_within_seconds():
         async with await asyncio.start_server(talk, "127.0.0.1", 0) as server:
             line = SocketLine("cube", *server.sockets[0].getsockname())
             await line.open()
-            async with asyncio.timeout(60.0):
+            async with asyncio.timeout(PATIENCE_S):
                 with pytest.raises(ConnectError, match="keeps sending unasked: is it this instrument"):
                     await line.drain(4.0)
             await line.close()

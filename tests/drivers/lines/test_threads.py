@@ -7,6 +7,7 @@ import pytest
 
 from drivers.errors import ConnectError, DeadlineError, DriverHungError, LinkLostError
 from drivers.lines.threads import DeviceThread
+from tests.support import PATIENCE_S
 
 
 @pytest.fixture
@@ -58,7 +59,7 @@ def test_a_result_in_time_counts_although_the_loop_was_held_up_beyond_the_deadli
         call = asyncio.create_task(thread.call(lambda: ready.set() or "sent", 0.05))
         await asyncio.sleep(0)
         # The call has ended, and its deadline passes before the loop can look.
-        assert ready.wait(60.0)
+        assert ready.wait(PATIENCE_S)
         time.sleep(0.2)  # noqa: ASYNC251 - the loop is held up on purpose
         assert await call == "sent"
         assert await thread.call(lambda: "the same", 5.0) == "the same"
@@ -81,7 +82,7 @@ def test_what_comes_after_nobody_waits_for_it_any_more_is_discarded(gate):
         gate.set()
 
     asyncio.run(scene())
-    assert discarded.wait(60.0)
+    assert discarded.wait(PATIENCE_S)
 
 
 def test_a_cancelled_call_finishes_in_its_thread_and_its_result_is_discarded(gate):
@@ -104,7 +105,7 @@ def test_a_cancelled_call_finishes_in_its_thread_and_its_result_is_discarded(gat
         await thread.finish(lambda: None, 5.0)
 
     asyncio.run(scene())
-    assert discarded.wait(60.0)
+    assert discarded.wait(PATIENCE_S)
 
 
 def test_closing_does_not_wait_for_a_hung_call_and_too_many_of_them_are_an_error_until_they_return(gate):
@@ -123,7 +124,7 @@ def test_closing_does_not_wait_for_a_hung_call_and_too_many_of_them_are_an_error
             await thread.call(lambda: None, 1.0)
         await thread.finish(lambda: None, 0.01)
         gate.set()
-        async with asyncio.timeout(60.0):
+        async with asyncio.timeout(PATIENCE_S):
             while True:
                 with contextlib.suppress(DriverHungError):
                     assert await thread.call(lambda: "alive", 30.0) == "alive"

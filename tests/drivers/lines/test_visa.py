@@ -18,6 +18,7 @@ import serial
 from drivers.errors import ConnectError, DeadlineError, DriverMissingError, LinkLostError
 from drivers.lines import visa
 from drivers.lines.visa import VisaLine, VisaSettings
+from tests.support import PATIENCE_S
 from tests.support.prologix import Prologix
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
@@ -97,7 +98,7 @@ def test_an_answer_that_does_not_come_is_told_and_what_waits_can_be_read_away(en
             line.receive(0.01)
         os.write(instrument, b"one\ntwo\nhalf")
         waits = os.open(path, os.O_RDWR | os.O_NOCTTY)
-        assert select.select([waits], [], [], 60.0)[0]
+        assert select.select([waits], [], [], PATIENCE_S)[0]
         os.close(waits)
         line.drain(0.2)
         os.write(instrument, b"fresh\n")

@@ -9,11 +9,12 @@ from drivers.errors import ConnectError, DeadlineError, LinkLostError
 from drivers.modbus.framing import TcpServer
 from drivers.modbus.paths import Endpoint, ModbusLine, SerialPath, TcpPath, endpoint
 from drivers.modbus.pdu import read_registers
+from tests.support import PATIENCE_S
 
 READ = read_registers(7, 3, 0, 1)
 REPLY = bytes.fromhex("03 02 0007")
 # Long enough for what does come; what is to be missed is missed for so long.
-GENEROUS_S, MISSED_S = 30.0, 0.05
+MISSED_S = 0.05
 
 
 @pytest.mark.parametrize(
@@ -76,7 +77,7 @@ def exchange_with(*answers):
             server = await asyncio.start_server(device.serve, "127.0.0.1", 0)
             path = TcpPath("cube", Endpoint("tcp", "127.0.0.1", server.sockets[0].getsockname()[1]))
             async with server:
-                await path.open(GENEROUS_S)
+                await path.open(PATIENCE_S)
                 try:
                     await test(path, device)
                 finally:
@@ -97,7 +98,7 @@ def test_a_late_answer_spoils_neither_the_connection_nor_the_next_question(late_
             await path.exchange(READ, MISSED_S)
         device.writer.write(device.late)
         await asyncio.sleep(late_s)
-        assert await path.exchange(READ, GENEROUS_S) == REPLY
+        assert await path.exchange(READ, PATIENCE_S) == REPLY
 
 
 def test_silence_and_noise_are_told_apart_anew_for_each_question():
@@ -119,14 +120,14 @@ def test_a_connection_that_ends_is_gone_for_this_question_and_the_next():
     async def _(path, device):
         for _ in range(2):
             with pytest.raises(LinkLostError, match=r"the connection to 127\.0\.0\.1 is gone"):
-                await path.exchange(READ, GENEROUS_S)
+                await path.exchange(READ, PATIENCE_S)
 
 
 def test_what_is_no_modbus_ends_the_connection():
     @exchange_with(b"HTTP/1.1 400 Bad Request\r\n")
     async def _(path, device):
         with pytest.raises(LinkLostError):
-            await path.exchange(READ, GENEROUS_S)
+            await path.exchange(READ, PATIENCE_S)
 
 
 def test_a_closed_path_has_to_be_opened_first():
@@ -134,13 +135,13 @@ def test_a_closed_path_has_to_be_opened_first():
     async def _(path, device):
         await path.close()
         with pytest.raises(LinkLostError):
-            await path.exchange(READ, GENEROUS_S)
+            await path.exchange(READ, PATIENCE_S)
 
 
 def test_a_serial_line_has_to_be_opened_first():
     path = SerialPath("cube", "/dev/none", 19200, "8E1", lambda: 0.0)
     with pytest.raises(LinkLostError, match="cube: has to be opened first"):
-        asyncio.run(path.exchange(READ, GENEROUS_S))
+        asyncio.run(path.exchange(READ, PATIENCE_S))
 
 
 def test_nobody_at_the_other_end_is_said_with_place_and_reason():
@@ -150,6 +151,6 @@ def test_nobody_at_the_other_end_is_said_with_place_and_reason():
         server.close()
         await server.wait_closed()
         with pytest.raises(ConnectError, match=rf"port {port} takes no connection \(Connection refused\); is it on"):
-            await TcpPath("cube", Endpoint("tcp", "127.0.0.1", port)).open(GENEROUS_S)
+            await TcpPath("cube", Endpoint("tcp", "127.0.0.1", port)).open(PATIENCE_S)
 
     asyncio.run(refused())

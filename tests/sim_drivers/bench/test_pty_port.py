@@ -6,6 +6,7 @@ import tty
 import pytest
 
 from sim_drivers.bench.pty_port import LOOK_EVERY_S, PtyPort
+from tests.support import PATIENCE_S
 
 
 class Rig:
@@ -24,7 +25,7 @@ class Rig:
         return user
 
     async def until(self, condition):
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(PATIENCE_S):
             while not condition():  # noqa: ASYNC110 - what is waited for is the kernel's
                 await asyncio.sleep(LOOK_EVERY_S)
 

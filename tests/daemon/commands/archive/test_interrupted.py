@@ -8,7 +8,7 @@ import pytest
 from tests.daemon.store.test_aside import until
 from tests.daemon.store.test_store import keep
 from tests.daemon.store.test_tables import scan
-from tests.support import forks
+from tests.support import PATIENCE_S, forks
 
 __all__ = ["keep"]
 
@@ -33,7 +33,7 @@ def test_what_was_done_so_far_is_told_to_be_there(words, told, keep, postgres, d
         running = forks.start(command, stdout=said, stderr=said)
         until(lambda: postgres.sql(waits, database.rpartition("/")[2]) == [(1,)])
         running.send_signal(signal.SIGINT)
-        assert running.wait(60) == 130
+        assert running.wait(PATIENCE_S) == 130
     for word, place in places.items():
         told = told.replace(word, str(place))
     sentence = f"heliocube: interrupted: {told}; give the command again for the rest\n"
@@ -56,5 +56,5 @@ def test_the_copy_of_an_archive_does_not_stay_when_the_connection_of_the_termina
         until(lambda: postgres.sql(waits, database.rpartition("/")[2]) == [(1,)])
         assert len(list(temporary.glob("heliocube-archive-*"))) == 1
         running.send_signal(signal.SIGHUP)
-        assert running.wait(60) == 130
+        assert running.wait(PATIENCE_S) == 130
     assert list(temporary.iterdir()) == []

@@ -7,8 +7,7 @@ import select
 import pytest
 
 from daemon.commands.setup.any_key import stop_keys
-
-WITHIN_S = 10.0
+from tests.support import PATIENCE_S
 
 
 @pytest.mark.parametrize("key", [b"x", b"\x1a", b"\x1c", b"\x13"], ids=["x", "Ctrl-Z", "Ctrl-\\", "Ctrl-S"])
@@ -19,6 +18,6 @@ def test_a_key_stops_whatever_else_it_does_to_a_program(monkeypatch, key):
         with stop_keys() as keys:
             assert not keys.pressed()
             person.write(key)
-            select.select([terminal], [], [], WITHIN_S)
+            select.select([terminal], [], [], PATIENCE_S)
             assert keys.pressed()
             assert not keys.left

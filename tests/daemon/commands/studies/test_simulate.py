@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from solar.laws.flat import FlatLaw
+from tests.support import PATIENCE_S
 
 NOON_UTC_S = 1665748800.0
 FAILED = "the law flat has failed (ZeroDivisionError: no such sky), and chronometric points instead from 2022-10-14T"
@@ -50,7 +51,7 @@ def test_so_many_trackers_have_names_of_their_own_and_one_line_stands_for_all_of
 def warnings_of(*asked):
     # A process of its own: pytest's handlers take what the log has to say.
     command = [sys.executable, "-c", "from daemon.entry import main; main()", *asked]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE_S)
     return done.stderr.splitlines()
 
 

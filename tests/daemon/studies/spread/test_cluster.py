@@ -14,7 +14,7 @@ import pytest
 
 from daemon.base.errors import ExitCode, UserError
 from daemon.studies.spread.workers import Workers, gather
-from tests.support import ROOT, forks
+from tests.support import PATIENCE_S, ROOT, forks
 
 pytestmark = [
     pytest.mark.system,
@@ -24,8 +24,6 @@ pytestmark = [
 ]
 
 SITES = 6
-STARTS_WITHIN_S = 60.0
-ENDS_WITHIN_S = 120.0
 # What one worker has been handed stays there, whoever else is idle.
 KEEPS = {"DASK_DISTRIBUTED__SCHEDULER__WORK_STEALING": "False"}
 
@@ -49,10 +47,10 @@ def cluster(tmp_path):
         for process in reversed(running):
             process.terminate()
         for process in reversed(running):
-            process.communicate(timeout=ENDS_WITHIN_S)
+            process.communicate(timeout=PATIENCE_S)
 
 
-def wait_for(found, within_s=STARTS_WITHIN_S):
+def wait_for(found, within_s=PATIENCE_S):
     until = time.monotonic() + within_s
     while not (answer := found()):
         assert time.monotonic() < until
@@ -79,10 +77,10 @@ def table(tmp_path):
 
 def test_a_cluster_writes_the_same_bytes_although_a_worker_is_killed(cluster, table, tmp_path):
     distributed = importlib.import_module("distributed")
-    with distributed.Client(cluster, timeout=STARTS_WITHIN_S, set_as_default=False) as client:
-        client.wait_for_workers(2, timeout=STARTS_WITHIN_S)
+    with distributed.Client(cluster, timeout=PATIENCE_S, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=PATIENCE_S)
         busy, pid = next(iter(client.run(os.getpid).items()))
-        asleep = client.submit(time.sleep, ENDS_WITHIN_S, workers=[busy])
+        asleep = client.submit(time.sleep, PATIENCE_S, workers=[busy])
         wait_for(lambda: asleep.key in client.processing()[busy])
         with (tmp_path / "said").open("wb") as said, (tmp_path / "told").open("wb") as told:
             study = forks.start(energy(table, tmp_path / "far", "--cluster", cluster), said, told)
@@ -90,7 +88,7 @@ def test_a_cluster_writes_the_same_bytes_although_a_worker_is_killed(cluster, ta
         wait_for(lambda: len(client.processing()[busy]) > 1)
         assert study.poll() is None
         os.kill(pid, signal.SIGKILL)
-        assert study.wait(ENDS_WITHIN_S) == 0, (tmp_path / "told").read_text()
+        assert study.wait(PATIENCE_S) == 0, (tmp_path / "told").read_text()
     here = forks.run(*energy(table, tmp_path / "here"))
     assert (here.stdout, here.stderr) == ((tmp_path / "said").read_text(), (tmp_path / "told").read_text())
     for ending in ("txt", "csv", "png"):

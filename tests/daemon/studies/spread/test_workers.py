@@ -13,8 +13,7 @@ import pytest
 from daemon.base.errors import ExitCode, InterruptedEarlyError, UserError
 from daemon.studies.spread.errors import WorkersError
 from daemon.studies.spread.workers import HERE, Workers, gather, spread
-
-GONE_WITHIN_S = 30.0
+from tests.support import PATIENCE_S
 
 
 def square(number):
@@ -107,7 +106,7 @@ def test_no_worker_outlives_the_process_that_began_it(tmp_path):
 
 
 def _wait_for(happened):
-    until = time.monotonic() + GONE_WITHIN_S
+    until = time.monotonic() + PATIENCE_S
     while not happened():
         assert time.monotonic() < until
         time.sleep(0.05)

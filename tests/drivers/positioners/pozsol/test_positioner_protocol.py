@@ -20,6 +20,7 @@ from drivers.transcript import no_tap
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import Setup
 from solar.frames import Angles
+from tests.support import PATIENCE_S
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
@@ -38,7 +39,7 @@ def positioner_on(link, a=A, b=B, **options):
     return PozsolPositioner(line, time.monotonic, a, b, **{"stale_s": 10.0} | options)
 
 
-async def until(condition, within_s=60.0):
+async def until(condition, within_s=PATIENCE_S):
     """Wait for what must come; the limit is for a broken program."""
     async with asyncio.timeout(within_s):
         done = await condition()
@@ -88,7 +89,7 @@ class Player(threading.Thread):
             stream = [*screens, "sent"]
 
     def end(self):
-        self.join(60.0)
+        self.join(PATIENCE_S)
         os.close(self._slave)
         os.close(self._master)
 

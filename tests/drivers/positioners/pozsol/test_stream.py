@@ -8,6 +8,7 @@ from drivers.errors import LinkLostError
 from drivers.positioners.pozsol.stream import TelemetryReader
 from drivers.positioners.pozsol.table import Value
 from drivers.positioners.pozsol.wire import Field
+from tests.support import PATIENCE_S
 
 AT_ONCE = 0.0
 
@@ -24,7 +25,7 @@ class Wire:
 
     def read(self):
         self._taken.release()
-        piece = self._pieces.get(timeout=60.0)
+        piece = self._pieces.get(timeout=PATIENCE_S)
         if piece is None:
             raise LinkLostError("positioner", "pulled")
         return piece
@@ -40,7 +41,7 @@ class Wire:
     def end(self):
         self._taken.acquire()
         self._pieces.put(None)
-        assert self.closed.wait(60.0)
+        assert self.closed.wait(PATIENCE_S)
 
     def echoes(self):
         return self.echo
@@ -168,7 +169,7 @@ class Resting:
 def test_screens_are_gathered_until_a_command_is_sent():
     unit = Resting()
     reader = TelemetryReader(unit, lambda: unit.now_s, gather_s=60.0)
-    assert unit.begun.wait(30.0), "its first second is read as it comes"
+    assert unit.begun.wait(PATIENCE_S), "its first second is read as it comes"
     assert not unit.woken.wait(0.05), "nobody has attended"
     (thread,) = (each for each in threading.enumerate() if each.name == "heliocube-positioner-reader")
     for _ in range(20_000):
@@ -201,7 +202,7 @@ class StoodStill(Resting):
 def test_what_has_waited_in_the_port_is_not_let_gather():
     unit = StoodStill()
     reader = TelemetryReader(unit, lambda: unit.now_s, gather_s=60.0)
-    assert unit.begun.wait(30.0)
+    assert unit.begun.wait(PATIENCE_S)
     for _ in range(2_000):
         if reader.table.get(Field.A_ANGLE) is not None and reader.table.get(Field.A_ANGLE).text == b"3.0":
             break
@@ -219,7 +220,7 @@ def test_a_lost_port_and_an_echo_end_the_reading_and_say_why(wire, reader):
     other.echo = True
     echoing = TelemetryReader(other, lambda: other.now_s)
     other._pieces.put(b"")
-    assert other.closed.wait(60.0)
+    assert other.closed.wait(PATIENCE_S)
     echoing.close()
     assert "echo" in echoing.lost
 

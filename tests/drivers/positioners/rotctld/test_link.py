@@ -8,9 +8,10 @@ import pytest
 
 from drivers.errors import ConnectError, DeadlineError, LinkLostError, ProtocolError
 from drivers.positioners.rotctld.link import TcpLine
+from tests.support import PATIENCE_S
 
 # Long enough for what does come; what is to be missed is missed for so long.
-GENEROUS_S, MISSED_S = 30.0, 0.05
+MISSED_S = 0.05
 POSITION = b"get_pos:\nAzimuth: 12.50\nElevation: 30.00\nRPRT 0\n"
 
 
@@ -33,7 +34,7 @@ class Peer:
         await self.until(lambda: text in self.told)
 
     async def until(self, true):
-        async with asyncio.timeout(GENEROUS_S):
+        async with asyncio.timeout(PATIENCE_S):
             while not true():  # noqa: ASYNC110 - the stream tells nobody
                 await asyncio.sleep(0.001)
 
@@ -47,7 +48,7 @@ def with_peer(test):
         line = TcpLine("127.0.0.1", server.sockets[0].getsockname()[1], lambda *piece: peer.tapped.append(piece))
         async with server:
             with pytest.raises(LinkLostError, match="has to be opened first"):
-                await line.ask(b"+\\get_pos\n", GENEROUS_S)
+                await line.ask(b"+\\get_pos\n", PATIENCE_S)
             await line.open()
             await peer.is_there.wait()
             try:
@@ -56,7 +57,7 @@ def with_peer(test):
                 await line.close()
                 await peer.writer.wait_closed()
         with pytest.raises(LinkLostError, match="has to be opened first"):
-            await line.ask(b"+\\get_pos\n", GENEROUS_S)
+            await line.ask(b"+\\get_pos\n", PATIENCE_S)
         await line.close()
 
     asyncio.run(both())
@@ -66,8 +67,8 @@ def test_answers_go_to_those_who_asked_in_their_order_and_the_tap_hears_both_way
     @with_peer
     async def _(line, peer):
         assert not line.simulated
-        first = asyncio.ensure_future(line.ask(b"+\\get_pos\n", GENEROUS_S))
-        second = asyncio.ensure_future(line.ask(b"+\\stop\n", GENEROUS_S))
+        first = asyncio.ensure_future(line.ask(b"+\\get_pos\n", PATIENCE_S))
+        second = asyncio.ensure_future(line.ask(b"+\\stop\n", PATIENCE_S))
         await peer.until_told(b"stop\n")
         peer.writer.write(POSITION[:9])
         await asyncio.sleep(0)
@@ -83,7 +84,7 @@ def test_silence_is_told_with_the_command_and_the_time_and_a_late_answer_goes_to
     async def _(line, peer):
         with pytest.raises(DeadlineError, match=r"did not answer set_pos within 0\.05 s"):
             await line.ask(b"+\\set_pos 1.00 2.00\n", MISSED_S)
-        waiting = asyncio.ensure_future(line.ask(b"+\\stop\n", GENEROUS_S))
+        waiting = asyncio.ensure_future(line.ask(b"+\\stop\n", PATIENCE_S))
         await peer.until_told(b"stop\n")
         peer.writer.write(b"set_pos: 1.00 2.00\nRPRT 0\nstop:\nRPRT 0\n")
         assert (await waiting).command == "stop"
@@ -95,16 +96,16 @@ def test_who_says_what_nobody_asked_is_no_rotctld():
         peer.writer.write(POSITION)
         await peer.until(lambda: ("<", POSITION) in peer.tapped)
         with pytest.raises(ProtocolError, match=r"127\.0\.0\.1:\d+ sent an answer to no question"):
-            await line.ask(b"+\\stop\n", GENEROUS_S)
+            await line.ask(b"+\\stop\n", PATIENCE_S)
 
 
 def test_who_sends_without_end_is_no_rotctld():
     @with_peer
     async def _(line, peer):
-        waiting = asyncio.ensure_future(line.ask(b"+\\stop\n", GENEROUS_S))
+        waiting = asyncio.ensure_future(line.ask(b"+\\stop\n", PATIENCE_S))
         await peer.until_told(b"stop\n")
         peer.writer.write(b"SSH-2.0\r\n" * 4000)
-        for asked in (waiting, line.ask(b"+\\stop\n", GENEROUS_S)):
+        for asked in (waiting, line.ask(b"+\\stop\n", PATIENCE_S)):
             with pytest.raises(ProtocolError, match=r"127\.0\.0\.1:\d+ is not a rotctld: it sends without end"):
                 await asked
 
@@ -112,10 +113,10 @@ def test_who_sends_without_end_is_no_rotctld():
 def test_an_end_of_the_connection_is_told_to_who_waits_and_to_who_asks_later():
     @with_peer
     async def _(line, peer):
-        waiting = asyncio.ensure_future(line.ask(b"+\\get_pos\n", GENEROUS_S))
+        waiting = asyncio.ensure_future(line.ask(b"+\\get_pos\n", PATIENCE_S))
         await peer.until_told(b"get_pos\n")
         peer.writer.close()
-        for asked in (waiting, line.ask(b"+\\stop\n", GENEROUS_S)):
+        for asked in (waiting, line.ask(b"+\\stop\n", PATIENCE_S)):
             with pytest.raises(LinkLostError, match=r"rotctld at 127\.0\.0\.1:\d+ has closed the connection$"):
                 await asked
 

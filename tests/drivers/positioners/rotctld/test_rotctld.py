@@ -11,10 +11,10 @@ from drivers.positioners.rotctld.mount import angles
 from drivers.settings import PositionerSurroundings
 from drivers.transcript import no_tap
 from solar.frames import Limits
+from tests.support import PATIENCE_S
 
 LIMITS = Limits()
 # What a loaded machine may take for what takes a second.
-PATIENCE_S = 30.0
 
 
 def driver_of(place, stow=(0.0, 90.0), tap=no_tap, equator_deg=180.0, **settings):
