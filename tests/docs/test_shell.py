@@ -257,12 +257,12 @@ def test_a_tutorial_runs_from_its_first_command_to_its_last(name, readers_folder
                 on_free_ports(Path(config))
                 monkeypatch.setenv("HELIOCUBE_CONFIG", config)
                 service = Process(words_of(command), readers_folder / f"{name}.log")
-                wait_until(lambda: "tracking" in heliocube(["status", "--check"])[1], 90.0, service.log)
+                wait_until(lambda: "tracking" in heliocube(["status", "--check"])[1], service.log)
             elif command.startswith(("make ", "export ")):
                 try_out(command, heliocube)
             elif command.startswith(("heliocube export", "heliocube report")):
                 # The records are written some seconds after what they tell of.
-                wait_until(lambda line=command: heliocube(words_of(line))[0] == 0, 90.0, command)
+                wait_until(lambda line=command: heliocube(words_of(line))[0] == 0, command)
             else:
                 code, output = heliocube(words_of(changed(command)))
                 assert code in {0, REFUSED.get(command)}, f"{command}: {output}"

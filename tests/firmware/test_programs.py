@@ -86,9 +86,9 @@ def state(address):
         return None
 
 
-def until_state(address, condition, within_s, what):
-    """Wait for a state of the service; the limit is for a broken program, not for a slow machine."""
-    deadline_s = time.monotonic() + within_s
+def until_state(address, condition, what):
+    """Wait for a state of the service."""
+    deadline_s = time.monotonic() + PATIENCE_S
     while (seen := state(address)) is None or not condition(seen):
         assert time.monotonic() < deadline_s, f"{what}: {seen and (seen['mode'], seen['tracker'])}"
         time.sleep(0.3)
@@ -97,7 +97,7 @@ def until_state(address, condition, within_s, what):
 
 def home(config, address):
     """Order a reference run, and again as a person would where the unit lost a command, until nothing is in doubt."""
-    deadline_s, again_s, shown = time.monotonic() + 240.0, 0.0, False
+    deadline_s, again_s, shown = time.monotonic() + PATIENCE_S, 0.0, False
     while (seen := state(address)) is None or seen["tracker"]["concerns"]:
         now_s = time.monotonic()
         assert now_s < deadline_s, f"the reference run: {seen}"
@@ -117,14 +117,16 @@ def home(config, address):
 def test_the_trackers_role_goes_where_it_is_told_and_stops_when_it_is_told(start_firmware, tmp_path):
     firmware = start_firmware()
     with tracker(firmware, tmp_path, 300) as (config, _):
-        deadline_s = time.monotonic() + 120.0
+        deadline_s = time.monotonic() + PATIENCE_S
         while (going := heliocube("goto", "-c", config, "--", "-20", "85")).returncode:
             assert time.monotonic() < deadline_s, going.stderr
             time.sleep(0.5)
         while abs(firmware.pose_deg()[0]) < 1.0:
             assert time.monotonic() < deadline_s, "it does not move"
             time.sleep(0.1)
-        stopped = heliocube("stop", "-c", config)
+        # On a busy machine it may have waited too short a time to see it; whoever is told so asks again.
+        while (stopped := heliocube("stop", "-c", config)).returncode == ExitCode.NOT_SEEN:
+            assert time.monotonic() < deadline_s, stopped.stdout
         assert stopped.returncode == 0, stopped.stderr
         stands = firmware.positions_mm()
         time.sleep(2.0)
@@ -137,20 +139,20 @@ def test_a_count_that_was_lost_is_a_fault_until_the_trackers_role_has_homed_both
     # A way of some seconds, of which a busy machine sees more than the end.
     firmware = start_firmware(-46.0, 20.0)
     with tracker(firmware, tmp_path, 480) as (config, address):
-        until_state(address, lambda seen: seen["tracker"]["connected"], 40, "the connection")
+        until_state(address, lambda seen: seen["tracker"]["connected"], "the connection")
         # On a busy machine a command may end before it has seen what it waits for; here that is waited for.
         assert heliocube("hold", "-c", config).returncode in (ExitCode.GOOD, ExitCode.NOT_SEEN)
         # It may have set out already: what jumps while a stopped move runs out counts as motion.
-        until_state(address, lambda seen: seen["mode"]["name"] == "hold" and not seen["tracker"]["moving"], 60, "rest")
+        until_state(address, lambda seen: seen["mode"]["name"] == "hold" and not seen["tracker"]["moving"], "rest")
         time.sleep(3.0)
         # So far that a look seconds late, too, shows what no axis can have turned.
         firmware.control("count 0 22500")
-        until_state(address, lambda seen: "jumped" in (seen["tracker"]["doubt_why"] or ""), 60, "the doubt")
+        until_state(address, lambda seen: "jumped" in (seen["tracker"]["doubt_why"] or ""), "the doubt")
         assert heliocube("auto", "-c", config).returncode == 0
-        until_state(address, lambda seen: seen["mode"]["name"] == "fault", 60, "the fault")
+        until_state(address, lambda seen: seen["mode"]["name"] == "fault", "the fault")
         seen = home(config, address)
         assert "reference" not in [alarm["name"] for alarm in seen["alarms"]]
         assert seen["mode"]["name"] != "fault"
         assert heliocube("hold", "-c", config).returncode in (ExitCode.GOOD, ExitCode.NOT_SEEN)
-        shown = until_state(address, lambda seen: not seen["tracker"]["moving"], 60, "rest again")["tracker"]["pose"]
+        shown = until_state(address, lambda seen: not seen["tracker"]["moving"], "rest again")["tracker"]["pose"]
         assert firmware.pose_deg() == pytest.approx((shown["a_deg"], shown["b_deg"]), abs=0.5)

@@ -13,7 +13,7 @@ import pytest
 
 from tests.support import forks
 
-_ENDS_WITHIN_S = 30.0
+_ENDS_WITHIN_S = 5.0
 
 
 class _Tasks:

@@ -117,7 +117,7 @@ def test_what_cannot_be_plugged_in_because_its_port_was_taken_is_told(tmp_path, 
             with pytest.raises(BenchError, match=r"^replug: .*in use"):
                 ask("replug", device)
             ask("unplug", device, "0")
-            wait_until(lambda: caplog.messages, 30.0, "the word of a plug that stays out")
+            wait_until(lambda: caplog.messages, "the word of a plug that stays out")
         ask("replug", device)
         return ask("state")
 
@@ -155,7 +155,7 @@ def test_a_plug_whose_name_was_taken_by_a_file_stays_out_and_leaves_the_file(tmp
     def work(ask, _ports):
         ask("unplug", "voltmeter", "0.5")
         file.write_text("somebody's own")
-        wait_until(lambda: caplog.messages, 30.0, "the word of a plug that stays out")
+        wait_until(lambda: caplog.messages, "the word of a plug that stays out")
         with pytest.raises(BenchError, match="is there and is no port of a bench"):
             ask("replug", "voltmeter")
         kept = file.read_text()
