@@ -24,6 +24,8 @@ from tests.support.rotctld import ROTCTLD
 gc.set_threshold(100_000, 20, 20)
 # Whoever begins this in the background of a script gives it a Ctrl-C that is ignored, and so would its children.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+# And under nohup the loss of a terminal, by which some tests end their children: those would go on.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # Machines are shared and slow now and then; CI draws the same examples every time.
 settings.register_profile("heliocube", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("heliocube")
