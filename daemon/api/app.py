@@ -174,7 +174,8 @@ class Api:
         self._own.require(request.query_params.getlist(KEY))
         seen = self._glance()
         troubles, longest_s = [], _STUCK_AFTER_S * max(self._speed, 1.0)
-        down = [f"cube: {seen.cube_trouble}"] if seen.cube_trouble else []
+        parts = (("cube", seen.cube_trouble), ("bridge", seen.bridge_down_why))
+        down = [f"{part}: {why}" for part, why in parts if why]
         for tracker in seen.trackers:
             of = _of(tracker.name, seen)
             if tracker.silent_s > longest_s:

@@ -199,6 +199,8 @@ def _bridge(found: _Families, seen: Snapshot) -> None:
     counts = seen.bridge
     if counts is None:
         return
+    about = "1 while the bridge listens where it is set to."
+    found.gauge("bridge_up", about, float(seen.bridge_down_why is None))
     found.count("bridge_accepted", "Scans accepted from the bridge.", counts.accepted)
     # What comes after all is no longer lost, but Prometheus takes a count that falls for one that has begun anew.
     about = "Scans that had not come when a later one had."

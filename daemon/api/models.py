@@ -156,11 +156,12 @@ class SitePart(Page):
 
 
 class BridgePart(Page):
-    """Counts of the bridge's receiver."""
+    """Counts of the bridge's receiver, and why it hears nothing."""
 
     accepted: Whole
     lost: Whole
     refused: Whole
+    down_why: str | None
 
 
 class StorePart(Page):

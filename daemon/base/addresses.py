@@ -1,5 +1,6 @@
 """Numeric socket addresses, as the settings write them. Names are not resolved: that would block the event loop."""
 
+import errno
 import ipaddress
 import re
 import socket
@@ -76,6 +77,16 @@ def parse_address(text: str) -> Address:
             " (host names and link-local zones are not resolved)"
         )
     return Address(str(ip), port)
+
+
+def is_here(address: Address) -> bool:
+    """Return whether something can listen on an address of this machine now, whatever its ports are used for."""
+    try:
+        with socket.socket(address.family, socket.SOCK_DGRAM) as asking:
+            asking.bind((address.host, 0))
+    except OSError as error:
+        return error.errno != errno.EADDRNOTAVAIL
+    return True
 
 
 def without_mapping(host: str) -> str:

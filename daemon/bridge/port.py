@@ -1,10 +1,14 @@
-"""The bridge's UDP port: read in batches, and with a buffer of its own for whoever sends true scans."""
+"""The bridge's UDP port: waited for where its network is not there yet, and read in batches.
+
+Whoever sends true scans has a buffer of its own.
+"""
 
 import asyncio
 import contextlib
 import errno
 import hashlib
 import logging
+import math
 import socket
 import struct
 import sys
@@ -13,8 +17,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from daemon.base.addresses import Address, BridgeError
+from daemon.base.addresses import ANY_INTERFACE, Address, BridgeError, is_here
+from daemon.base.clock import Clock
 from daemon.base.process import Notifier
+from daemon.base.reconnect import Outage
 
 _log = logging.getLogger("heliocube.bridge")
 
@@ -27,9 +33,17 @@ _LARGEST_READ = 65536
 # The kernel grants what net.core.rmem_max lets it, on many machines 208 KiB.
 _BUFFER_BYTES = 4 << 20
 _MOST_LINES = 4
-_JOIN_AGAIN_S = 5.0
+_LOOK_AGAIN_S = 5.0
+# Networks that come up with the machine, and cables that are put back, are there sooner; one that comes and goes is one
+# alarm.
+_ALARM_AFTER_S = _OVER_AFTER_S = 60.0
+# Of an address, and of the network of a group: they are not there now, and may come.
+_NOT_HERE = (errno.EADDRNOTAVAIL, errno.ENODEV)
 # Nobody loses a line for somebody else's sake within this time after the last scan that came over it.
 _HELD_S = 60.0
+_NOT_ON_THIS_MACHINE = (
+    "is not an address of this machine now, and is waited for; if it is wrong, set one of its own, or 0.0.0.0"
+)
 # socket(7), <asm-generic/socket.h>: the kernel stamps each datagram with the system's time when it comes.
 _SO_TIMESTAMPNS = 35
 _STAMP = struct.Struct("@ll")
@@ -43,11 +57,18 @@ _MOST_WAITING = 8192
 _LONGEST_WAIT_S = 300.0
 
 
+class _NotHereError(BridgeError):
+    """What the settings name is not on this machine now, and may come."""
+
+
 class UdpPort:
     """One bound port, and on Linux a line for each of a few peers: a second socket on the port, connected to the peer.
 
     The kernel hands a peer's datagrams to the socket that is connected to it. So a flood from anybody else fills
     another buffer, and none of the peer's datagrams is dropped for it.
+
+    An address that is not on this machine, or a group whose network is not, may come: it is looked for every few
+    seconds, and told as an outage and as an alarm.
 
     Parameters
     ----------
@@ -59,6 +80,10 @@ class UdpPort:
         Called with each datagram, its peer, and how long it has waited for a process to read it [s]; must not raise.
     keeper
         The service manager, which holds the port while the process is restarted: nothing that comes meanwhile is lost.
+    clock
+        Times outages.
+    alarm
+        Raises an alarm, or ends it with None.
     """
 
     def __init__(
@@ -68,16 +93,23 @@ class UdpPort:
         interface: str,
         receive: Callable[[bytes, Peer, float], None],
         keeper: Notifier,
+        clock: Clock,
+        alarm: Callable[[str, str | None], None],
     ) -> None:
         self._listen = listen
         self._group = group
         self._interface = interface
         self._receive = receive
         self._keeper = keeper
+        self._clock = clock
+        self._alarm = alarm
         self._bound: socket.socket | None = None
-        self._was_kept = False
-        self._joining: asyncio.TimerHandle | None = None
+        self._was_kept = self._reads = False
+        self._looking: asyncio.TimerHandle | None = None
+        self._outage = Outage(_log, "the bridge")
+        self._well_s = self._deaf_s = -math.inf
         self._networks: set[int] = set()
+        self._has_joined = False
         self._lines: dict[Peer, socket.socket] = {}
         self._proven_s: dict[Peer, float] = {}
 
@@ -86,38 +118,58 @@ class UdpPort:
         """Where it listens; the true port once it is open."""
         return self._listen if self._bound is None else Address(*self._bound.getsockname()[:2])
 
-    def bind(self) -> socket.socket:
-        """Take the port, kept or new, and join the group; reads nothing yet. Raises `BridgeError`."""
+    @property
+    def deaf_why(self) -> str | None:
+        """Why nothing can be heard now, in a sentence, or None."""
+        return self._outage.reason if self._outage.is_down else None
+
+    def bind(self) -> None:
+        """Take the port, kept or new, and join the group; reads nothing yet.
+
+        What is not on this machine now is left to `open`. Raises `BridgeError` for what no waiting mends.
+        """
         kept = self._keeper.take_kept(self._name_kept)
-        self._was_kept = kept is not None
-        self._bound = self._bind() if kept is None else kept
-        self._bound.setblocking(False)
-        if kept is None:
-            self._keeper.keep(self._name_kept, self._bound)
-        elif self._group is not None:
+        if kept is not None:
+            kept.setblocking(False)
+            self._bound, self._was_kept = kept, True
             self._networks = _networks()
-        return self._bound
+            return
+        try:
+            self._take()
+        except _NotHereError:
+            # It is told once whoever keeps records listens.
+            return
+        except BridgeError:
+            if self._bound is not None:
+                self._bound.close()
+                self._bound = None
+            raise
 
     def open(self) -> bool:
         """Read from now on in the running loop, first what waited; binds if that is not done. Raises `BridgeError`.
 
         Returns whether something may have waited.
         """
-        bound = self._bound or self.bind()
+        if self._bound is None:
+            self.bind()
         waited, self._was_kept = self._was_kept, False
-        if self._group is not None:
-            self._stay_in(self._group, bound)
-        if waited:
-            self._read_what_waited(bound)
-        self._read_from(bound)
+        self._reads, self._well_s = True, self._clock.monotonic()
+        bound = self._bound
+        if bound is None or self._may_go:
+            self._look()
+        if bound is not None:
+            if waited:
+                self._read_what_waited(bound)
+            self._read_from(bound)
         return waited
 
     def close(self) -> None:
         """Release the port."""
+        self._reads = self._has_joined = False
         for peer in tuple(self._lines):
             self._drop(peer)
-        if self._joining is not None:
-            self._joining.cancel()
+        if self._looking is not None:
+            self._looking.cancel()
         if self._bound is not None:
             asyncio.get_running_loop().remove_reader(self._bound)
             self._bound.close()
@@ -155,13 +207,65 @@ class UdpPort:
                 data, ancillary, _, peer = kept.recvmsg(_LARGEST_READ, socket.CMSG_SPACE(_STAMP.size))
                 self._receive(data, peer, _waited_s(ancillary))
 
+    @property
+    def _may_go(self) -> bool:
+        """Whether what it listens on is of a network that can vanish."""
+        return self._group is not None or not (self._listen.ip.is_loopback or self._listen.ip.is_unspecified)
+
+    def _look(self) -> None:
+        """Take the port and the group once their network is there, or is there again, and say what is amiss."""
+        now_s = self._clock.monotonic()
+        try:
+            self._take()
+        except BridgeError as error:
+            self._deaf_s = now_s
+            self._outage.down(now_s, str(error))
+            if now_s - self._well_s >= _ALARM_AFTER_S:
+                self._alarm("bridge-down", f"the bridge hears nothing: {error}")
+        else:
+            self._well_s = now_s
+            self._outage.up(now_s)
+            if now_s - self._deaf_s >= _OVER_AFTER_S:
+                self._alarm("bridge-down", None)
+        self._looking = asyncio.get_running_loop().call_later(_LOOK_AGAIN_S, self._look)
+
+    def _take(self) -> None:
+        """Bind and join as far as that is not done; raises `BridgeError` where nothing can be heard."""
+        if self._bound is None:
+            self._bound = self._bind()
+            self._keeper.keep(self._name_kept, self._bound)
+            if self._reads:
+                self._read_from(self._bound)
+        if self._group is not None:
+            self._stay_in(self._group, self._bound)
+        elif not is_here(self._listen):
+            raise _NotHereError(f"bridge.listen: {self._listen} {_NOT_ON_THIS_MACHINE}")
+
     def _stay_in(self, group: Address, bound: socket.socket) -> None:
-        """Join a group anew where its network has gone and come back: with the network, the kernel forgets it."""
-        # As long as nothing has gone it is EADDRINUSE, and ENODEV as long as nothing has come back.
-        with contextlib.suppress(OSError):
+        """Join a group, anew where its network has gone and come back: with the network, the kernel forgets it."""
+        try:
             self._join(group, bound)
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE:
+                self._has_joined = True
+                return
+            remedy = "set bridge.multicast_interface to this machine's address in the network of the cube"
+            if error.errno not in _NOT_HERE:
+                raise BridgeError(
+                    f"bridge.multicast_group: {group} cannot be joined ({error.strerror}): {remedy}"
+                ) from None
+            if self._interface == ANY_INTERFACE and self._has_joined:
+                # It may be heard without such a way, which only a new member needs.
+                return
+            known = f"{self._interface} is not an address of this machine"
+            why = "no network of this machine leads to it" if self._interface == ANY_INTERFACE else known
+            raise _NotHereError(
+                f"bridge.multicast_group: {group} cannot be joined now, and is waited for: {why}; if that is wrong,"
+                f" {remedy}"
+            ) from None
+        if self._has_joined:
             _log.info("joined the multicast group %s again: its network was down, or another one is used now", group)
-        self._joining = asyncio.get_running_loop().call_later(_JOIN_AGAIN_S, self._stay_in, group, bound)
+        self._has_joined = True
 
     def _join(self, group: Address, bound: socket.socket) -> None:
         address = socket.inet_aton(group.host)
@@ -218,27 +322,21 @@ class UdpPort:
         return line
 
     def _bind(self) -> socket.socket:
-        bound = socket.socket(self._listen.family, socket.SOCK_DGRAM)
+        bound: socket.socket | None = None
         try:
+            bound = socket.socket(self._listen.family, socket.SOCK_DGRAM)
             _prepare(bound)
             if self._group is not None and sys.platform != "win32":
                 # Several processes of a machine hear one group, each with a copy of everything.
                 bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             bound.bind((self._listen.host, self._listen.port))
         except OSError as error:
-            bound.close()
-            raise BridgeError(f"bridge.listen: {self._listen} {_why_not_bound(error)}") from None
-        if self._group is not None:
-            if sys.platform == "linux":
-                bound.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
-            try:
-                self._join(self._group, bound)
-            except OSError as error:
+            if bound is not None:
                 bound.close()
-                raise BridgeError(
-                    f"bridge.multicast_group: {self._group} cannot be joined ({error.strerror}): set"
-                    " bridge.multicast_interface to this machine's address in the network of the cube"
-                ) from None
+            kind = _NotHereError if error.errno == errno.EADDRNOTAVAIL else BridgeError
+            raise kind(f"bridge.listen: {self._listen} {_why_not_bound(error)}") from None
+        if self._group is not None and sys.platform == "linux":
+            bound.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
         return bound
 
 
@@ -273,7 +371,7 @@ def _why_not_bound(error: OSError) -> str:
     if error.errno == errno.EADDRINUSE:
         return "is in use by another program: stop that program or choose another port"
     if error.errno == errno.EADDRNOTAVAIL:
-        return "is not an address of this machine: listen on one of its own, or on 0.0.0.0 for all"
+        return _NOT_ON_THIS_MACHINE
     if error.errno == errno.EACCES:
         return "needs an administrator's rights: choose a port above 1023"
     return f"cannot be bound ({error.strerror}): choose another address or port"

@@ -37,6 +37,8 @@ class BridgeReceiver:
         age of each face within the scan are as sent. Must not raise.
     keeper
         The service manager, which holds the port while the process is restarted; None where there is none.
+    alarm
+        Raises an alarm, or ends it with None: what the settings name is not on this machine now.
 
     Raises
     ------
@@ -52,6 +54,7 @@ class BridgeReceiver:
         clock: "Clock",
         on_scan: Callable[["Scan"], None],
         keeper: Notifier | None = None,
+        alarm: Callable[[str, str | None], None] = lambda _name, _text: None,
     ) -> None:
         require_key(key, insecure=settings.insecure)
         self._keys: tuple[bytes, ...] = () if key is None else (key,)
@@ -66,7 +69,9 @@ class BridgeReceiver:
         self._guard = SequenceGuard(settings.clock_skew_s, settings.late_after_s)
         self._tally = Tally()
         interface = settings.multicast_interface or ANY_INTERFACE
-        self._port = UdpPort(self._listen, self._group, interface, self.datagram_received, keeper or Notifier({}, 0))
+        self._port = UdpPort(
+            self._listen, self._group, interface, self.datagram_received, keeper or Notifier({}, 0), clock, alarm
+        )
 
     @property
     def address(self) -> str:
@@ -79,18 +84,27 @@ class BridgeReceiver:
         return self._tally.statistics(self._guard.lost)
 
     @property
+    def deaf_why(self) -> str | None:
+        """Why nothing can be heard now: what the settings name is not on this machine; None where it is."""
+        return self._port.deaf_why
+
+    @property
     def refused_since_accepted(self) -> str:
         """What was refused since the last scan that was passed on, in words; empty for nothing."""
         return self._tally.since_accepted
 
     def bind(self) -> None:
-        """Take the port and join the group, and read nothing yet; `BridgeError` says why that is not possible."""
+        """Take the port and join the group as far as they are on this machine now, and read nothing yet.
+
+        `BridgeError` says in one sentence what waiting does not mend.
+        """
         self._port.bind()
 
     async def open(self) -> None:
         """Bind the port if that is not done, and read from now on, first what came while no process did.
 
-        `BridgeError` says in one sentence why that is not possible.
+        What is not on this machine now is looked for until it is. `BridgeError` says in one sentence what waiting does
+        not mend.
         """
         if self._port.open():
             # Waiting is no time on the way, and a clock may have been set meanwhile.

@@ -12,12 +12,10 @@ from rich.text import Text
 
 from daemon.base.records import FACES
 from daemon.commands.answers import JsonOption, print_json, say, wrapped
-from daemon.commands.file_check import check_file, lacking_by_role
+from daemon.commands.file_check import absent_addresses, check_file, lacking_by_role
 from daemon.commands.options import CONFIG_VARIABLE, CubeOption, PositionerOption, RoleChoice
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     # The command line imports this module to show its help, which must not wait for the science.
     from daemon.config.links import MqttSettings, SunspecSettings
     from daemon.config.sections import RowsSettings
@@ -65,19 +63,19 @@ def check(
             print_json({"file": file, "good": False, "problems": error.problems})
         raise
     summary = _summary(settings)
-    gaps: Iterable[str] = ()
+    warnings = absent_addresses(settings)
     if settings.real:
-        gaps = self_test_gaps(settings)
+        warnings += self_test_gaps(settings)
         summary["runs as"] = ", ".join(each for each, sentences in lacking_by_role(settings).items() if not sentences)
     summary |= answers
     if as_json:
-        print_json({"file": file, "good": True, "problems": (), "sets_up": summary, "warnings": tuple(gaps)})
+        print_json({"file": file, "good": True, "problems": (), "sets_up": summary, "warnings": warnings})
         return
     console = Console(highlight=False, soft_wrap=True)
     console.print(Text.assemble((str(file), "bold"), " is ", ("good", "bold green"), "."))
     for subject, text in summary.items():
         console.print(_line(subject, "dim", text))
-    for sentence in gaps:
+    for sentence in warnings:
         console.print(_line("warning", "bold yellow", sentence))
 
 

@@ -116,6 +116,27 @@ def lacking_by_role(settings: "Settings") -> dict[RoleChoice, list[str]]:
     return {role: lacking(settings, Role(role.value)) for role in RoleChoice}
 
 
+def absent_addresses(settings: "Settings") -> list[str]:
+    """Return a sentence for each address to listen on that is not on this machine now: a service waits for it."""
+    from daemon.base.addresses import is_here, parse_address
+
+    bridge = settings.bridge
+    named = {"bridge.listen": bridge.listen}
+    if bridge.multicast_interface is not None:
+        named["bridge.multicast_interface"] = f"{bridge.multicast_interface}:0"
+    named |= {
+        f"{name}.listen": part.listen
+        for name, part in (("api", settings.api), ("sunspec", settings.sunspec))
+        if part.enabled
+    }
+    return [
+        f"{key}: {parse_address(text).host} is not an address of this machine now; a service waits for it, and"
+        " nothing comes in there until it is"
+        for key, text in named.items()
+        if not is_here(parse_address(text))
+    ]
+
+
 def _told(sentence: str, problems: list[str]) -> bool:
     """Whether that stands in the list already, under another heading."""
     return any(sentence in problem for problem in problems)

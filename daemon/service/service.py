@@ -114,7 +114,8 @@ class Service:
         self.trackers: tuple[Tracker, ...] = ()
         if role is not Role.CUBE:
             self.trackers = tuple(self._build_trackers(random, polling, stow_sources))
-            self.receiver = BridgeReceiver(settings.bridge, key, clock, self._receive, notifier)
+            alarm = self.cube_alarms.set
+            self.receiver = BridgeReceiver(settings.bridge, key, clock, self._receive, notifier, alarm)
         if role is not Role.TRACKER:
             self._build_cube()
         self.loop_watch = LoopWatch(clock, speed)
@@ -170,7 +171,7 @@ class Service:
                 folder=self._kept_in(settings.store.directory),
                 phase=Phase(place, len(wanted)),
                 common=common,
-                refused=self._refused,
+                unheard=self._unheard,
                 muted=self._mute_cube,
                 hold_why=lefts[place] or self._hold_why,
                 start_number=number,
@@ -191,9 +192,9 @@ class Service:
         if self.receiver is not None:
             self.receiver.take_keys(keys)
 
-    def _refused(self) -> str:
-        """Return what the bridge has refused since the last scan, in words."""
-        return "" if self.receiver is None else self.receiver.refused_since_accepted
+    def _unheard(self) -> str:
+        """Return why the bridge hears nothing, or what it has refused since the last scan, in words."""
+        return "" if self.receiver is None else self.receiver.deaf_why or self.receiver.refused_since_accepted
 
     def _mute_cube(self) -> None:
         """Keep the cube's alarms silent while nobody is left who would want to hear them: all trackers are muted."""
@@ -213,7 +214,8 @@ class Service:
     async def open(self) -> None:
         """Take the bridge's address, before anything is begun that another service would have to share.
 
-        Raises `UserError` if it cannot be used. `run` does it too, where it has not been done.
+        Raises `UserError` if it cannot be used; one that is not on this machine now is waited for. `run` does it too,
+        where it has not been done.
         """
         if not self._is_open:
             await self._open_bridge()

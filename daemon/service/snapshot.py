@@ -173,8 +173,8 @@ class Snapshot:
         Those of no tracker.
     trackers
         In the order of the settings; none in the cube's process.
-    bridge
-        Counts of the receiver, or None.
+    bridge, bridge_down_why
+        Counts of the receiver, or None; and why it hears nothing, or None.
     store
         None where no records are kept.
     links
@@ -204,6 +204,7 @@ class Snapshot:
     cube_alarms: tuple[Alarm, ...]
     trackers: tuple[TrackerState, ...]
     bridge: Statistics | None
+    bridge_down_why: str | None
     store: StoreStatus | None
     links: Mapping[str, LinkStatus]
     news: tuple[News, ...]
@@ -216,8 +217,11 @@ class Snapshot:
 
     @property
     def cube_trouble(self) -> str | None:
-        """Why there are no readings: the cube's own reason, or that none come from the process that reads it."""
-        if self.has_cube or not self.trackers:
+        """Why there are no readings: the cube's own reason, or that none come from the process that reads it.
+
+        Where the bridge is down, that is not for the cube to explain.
+        """
+        if self.has_cube or self.bridge_down_why or not self.trackers:
             return self.cube_down_why
         if self.scan is None:
             starting = all(each.control.mode is Mode.STARTING for each in self.trackers)
@@ -284,6 +288,7 @@ def snapshot(
             _tracker(each, recent, glance=glance) for each in service.trackers if tracker in (None, each.name)
         ),
         bridge=None if service.receiver is None else service.receiver.statistics,
+        bridge_down_why=None if service.receiver is None else service.receiver.deaf_why,
         store=store,
         links=links,
         news=tuple(recent.news),

@@ -116,7 +116,12 @@ def _common(seen: Snapshot, alarms: Iterable[tuple[Alarm, str | None]]) -> dict[
         ],
         "bridge": None
         if seen.bridge is None
-        else {"accepted": seen.bridge.accepted, "lost": seen.bridge.lost, "refused": seen.bridge.refused},
+        else {
+            "accepted": seen.bridge.accepted,
+            "lost": seen.bridge.lost,
+            "refused": seen.bridge.refused,
+            "down_why": seen.bridge_down_why,
+        },
         "store": None if seen.store is None else _store(seen.store),
         "loop": {"late_worst_s": round(seen.loop.worst_s, 4)},
         "news": [{"time": iso_utc(item.time_utc_s), "text": item.text} for item in seen.news],

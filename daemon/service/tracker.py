@@ -89,8 +89,8 @@ class Tracker:
         process.
     common
         What it knows alike with others by the same cube.
-    refused
-        Returns what the bridge has refused since the last scan, in words; empty for nothing.
+    unheard
+        Returns why the bridge hears nothing, or what it has refused since the last scan, in words; empty for nothing.
     muted
         Called when its alarms are silenced or heard again.
     hold_why
@@ -115,7 +115,7 @@ class Tracker:
         *,
         phase: Phase,
         common: Common,
-        refused: Callable[[], str],
+        unheard: Callable[[], str],
         muted: Callable[[], None],
         hold_why: str | None = None,
         start_number: int,
@@ -155,7 +155,7 @@ class Tracker:
             clock,
             self.motion,
             pointing,
-            Readings(settings, clock, sun_elevation_deg, pointing.law, refused, common),
+            Readings(settings, clock, sun_elevation_deg, pointing.law, unheard, common),
             self.stow_watch,
             Orders(clock, WishFile(folder), hold_why),
             self.publish,

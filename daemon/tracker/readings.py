@@ -50,8 +50,8 @@ class Readings:
         Of UTC [s], to tell night from day.
     law
         Says how many faces it needs, and whether the zenith face can be believed.
-    refused
-        Returns what the bridge has refused since the last scan, in words; empty for nothing.
+    unheard
+        Returns why the bridge hears nothing, or what it has refused since the last scan, in words; empty for nothing.
     common
         With trackers that hear the same scans, on the same clock.
 
@@ -69,7 +69,7 @@ class Readings:
         clock: Clock,
         sun_elevation_deg: Callable[[float], float],
         law: Law,
-        refused: Callable[[], str] = str,
+        unheard: Callable[[], str] = str,
         common: Common | None = None,
     ) -> None:
         self._safety = settings.safety
@@ -77,7 +77,7 @@ class Readings:
         self._clock = clock
         self._sun_elevation_deg = sun_elevation_deg
         self._law = law
-        self._refused = refused
+        self._unheard = unheard
         self._faces_needed = law.faces_needed
         self._window = (common or Common()).window(settings)
         self._started_s = clock.monotonic()
@@ -121,12 +121,12 @@ class Readings:
             return Data.FRESH, f"the cube's readings are good{f', but not all of them{bad}' if bad else ''}"
         since_s = now_s - max(self.good_s, self._started_s)
         if since_s > self._safety.fallback_after_s:
-            return Data.BAD, f"no good scan for {since_s:.0f} s{self._bad_faces()}{self._refusals()}"
-        return Data.WAITING, f"waiting for the cube's readings{self._refusals()}"
+            return Data.BAD, f"no good scan for {since_s:.0f} s{self._bad_faces()}{self._why_unheard()}"
+        return Data.WAITING, f"waiting for the cube's readings{self._why_unheard()}"
 
-    def _refusals(self) -> str:
-        refused = self._refused()
-        return f"; {refused}" if refused else ""
+    def _why_unheard(self) -> str:
+        why = self._unheard()
+        return f"; {why}" if why else ""
 
     def _bad_faces(self) -> str:
         if self.newest is None or self.newest.ok:

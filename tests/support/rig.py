@@ -61,7 +61,7 @@ def run_rig():
     def run(
         scenario, *, start="2022-10-12T10:00", weather=None, role=Role.BOTH, setup=None, rest_look_s=None, **sections
     ):
-        sections.setdefault("bridge", {}).update(listen="127.0.0.1:0", send_to=())
+        sections["bridge"] = {"listen": "127.0.0.1:0", "send_to": ()} | sections.get("bridge", {})
         settings = Settings.model_validate(sections)
         with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
             loop = runner.get_loop()

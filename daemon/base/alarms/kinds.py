@@ -242,21 +242,34 @@ _ALL = (
         "free space on the disk, or correct its permissions; the alarm ends with the first record that is written",
     ),
     _kind(
+        "bridge-down",
+        Severity.WARNING,
+        "for a minute the address of `bridge.listen`, or the network of `bridge.multicast_group`, has not been on this"
+        " machine, or the port that was waited for is another program's; ends when it has been there for a minute",
+        "no scan of the cube is heard: unless a person, a stow or a fault keeps it elsewhere, the tracker follows the"
+        " ephemeris",
+        "compare the address with those of this machine (`ip address`): check its network, cable and DHCP, and the"
+        " service listens there within 5 s; or correct bridge.listen or bridge.multicast_interface, then restart the"
+        " service",
+    ),
+    _kind(
         "api-down",
         Severity.WARNING,
-        "the address and port of `api.listen` cannot be used: another program has them, or this one may not",
+        "the address and port of `api.listen` cannot be used: another program has them, this one may not, or this"
+        " machine has no such address",
         "`heliocube stop` and all other commands, the dashboard, `/metrics` and `heliocube notify` cannot reach the"
         " service; the tracker and commands over MQTT and SunSpec are not affected",
-        "end the program that has the port (`ss -ltnp` names it): the service takes it within 10 s; or set api.listen"
-        " to another port, then restart the service",
+        "end the program that has the port (`ss -ltnp` names it), or see why the address is not there (`ip address`):"
+        " the service takes it within 10 s; or correct api.listen, then restart the service",
     ),
     _kind(
         "sunspec-down",
         Severity.WARNING,
-        "the address and port of `sunspec.listen` cannot be used: another program has them, or this one may not",
+        "the address and port of `sunspec.listen` cannot be used: another program has them, this one may not, or this"
+        " machine has no such address",
         "no control room reads or commands over SunSpec; the tracker and all other ways to it are not affected",
-        "end the program that has the port (`ss -ltnp` names it): the service takes it within 10 s; or set"
-        " sunspec.listen to another port, then restart the service",
+        "end the program that has the port (`ss -ltnp` names it), or see why the address is not there (`ip address`):"
+        " the service takes it within 10 s; or correct sunspec.listen, then restart the service",
     ),
     _kind(
         "archive-behind",

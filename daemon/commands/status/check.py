@@ -45,8 +45,9 @@ def _told_better(state: dict[str, Any]) -> Iterator[str]:
     for name, own in _trackers(state).items():
         if own["mode"]["name"] == "fault":
             yield f"positioner of {name}: " if len(_trackers(state)) > 1 else "positioner: "
-    if any(alarm["name"] == "store-down" for alarm in state["alarms"]):
-        yield "store: "
+    for alarm in state["alarms"]:
+        if alarm["name"] in ("store-down", "bridge-down"):
+            yield f"{alarm['name'].removesuffix('-down')}: "
 
 
 def verdict(state: dict[str, Any], health: dict[str, Any]) -> tuple[list[str], ExitCode]:

@@ -163,6 +163,8 @@ def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
     if state["bridge"] is not None:
         counts = state["bridge"]
         accepted = counted(counts["accepted"], "scan")
+        if counts.get("down_why"):
+            yield "bridge", Text(counts["down_why"], style=_BAD)
         yield "bridge", Text(f"{accepted} accepted, {counts['lost']} lost, {counts['refused']} refused")
     if state["store"] is not None:
         yield "store", _store(state["store"])

@@ -68,6 +68,8 @@ def _cube(state: dict[str, Any]) -> Finding:
         return Finding(
             "cube", state["cube_down_why"], "cable, supply, adapter; 'heliocube status' shows when it is back"
         )
+    if state["bridge"] is not None and state["bridge"].get("down_why"):
+        return Finding("bridge", state["bridge"]["down_why"], "its network, cable and DHCP; or correct the address")
     if scan is None or scan["stale"]:
         text = "no reading yet" if scan is None else f"the latest reading is {_age(scan['age_s'])} old"
         return Finding("cube", text, "see the cube's service, the network, and the key of both machines")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.base.records import Mode
+from daemon.base.records import Mode, Move
 from daemon.service.recent import Recent
 from daemon.service.rig import Role
 from daemon.service.status import LinkStatus
@@ -68,6 +68,26 @@ def test_health_of_a_tracker_names_scans_that_never_came(serve):
         assert (await call.get("/healthz")).json["down"] == ["cube: no scan has come since the start of the service"]
 
     serve(scenario, role=Role.TRACKER)
+
+
+def test_a_tracker_whose_address_is_not_there_follows_the_sun_and_says_so_at_every_door(serve):
+    # Nobody has this one (RFC 5737).
+    address = "198.51.100.1:20571"
+
+    async def scenario(rig, call):
+        await rig.until_mode(Mode.FALLBACK, 120)
+        why = f"bridge.listen: {address} is not an address of this machine now"
+        state = (await call.get("/api/state")).json
+        assert why in state["mode"]["why"]
+        assert state["bridge"]["down_why"].startswith(why)
+        ((name, text),) = [(alarm["name"], alarm["text"]) for alarm in state["alarms"]]
+        assert (name, text) == ("bridge-down", f"the bridge hears nothing: {state['bridge']['down_why']}")
+        assert (await call.get("/healthz")).json["down"] == [f"bridge: {state['bridge']['down_why']}"]
+        assert b"\nheliocube_bridge_up 0.0\n" in (await call.get("/metrics")).body
+        await rig.until(lambda: rig.of(Move), 600, "a move by the clock")
+
+    bridge = {"listen": address, "key_file": "the-rig-has-its-own.key"}
+    serve(scenario, role=Role.TRACKER, bridge=bridge, safety={"fallback_after_s": 90})
 
 
 def test_a_cube_in_another_process_that_has_fallen_silent_is_in_trouble(run_rig):

@@ -147,12 +147,14 @@ def test_a_group_that_another_process_of_the_machine_has_joined_is_not_heard():
 def test_a_group_is_heard_without_an_interface_where_this_machine_has_one():
     settings = BridgeSettings(listen="0.0.0.0:20578", multicast_group="239.255.20.71:20578")
     receiver = BridgeReceiver(settings, KEY, HandClock(), print)
-    try:
-        receiver.bind()
-    except BridgeError as error:
-        assert "cannot be joined" in str(error)  # noqa: PT017 - no network is as good
-    finally:
-        asyncio.run(receiver.close())
+
+    async def main():
+        await receiver.open()
+        # No network is as good.
+        assert receiver.deaf_why is None or "no network of this machine leads to it" in receiver.deaf_why
+        await receiver.close()
+
+    asyncio.run(main())
 
 
 def test_a_port_in_use_is_one_sentence_with_the_address_and_a_remedy():
@@ -164,20 +166,6 @@ def test_a_port_in_use_is_one_sentence_with_the_address_and_a_remedy():
             assert receiver.address in str(caught.value)
 
     asyncio.run(main())
-
-
-def test_an_address_of_another_machine_cannot_be_listened_on():
-    receiver = BridgeReceiver(BridgeSettings(listen="192.0.2.1:20571"), KEY, HandClock(), print)
-    with pytest.raises(BridgeError, match=r"192\.0\.2\.1:20571 is not an address of this machine"):
-        asyncio.run(receiver.open())
-
-
-def test_a_group_that_cannot_be_joined_is_one_sentence():
-    settings = BridgeSettings(
-        listen="0.0.0.0:20579", multicast_group="239.255.20.71:20579", multicast_interface="192.0.2.1"
-    )
-    with pytest.raises(BridgeError, match=r"cannot be joined .* set bridge\.multicast_interface"):
-        asyncio.run(BridgeReceiver(settings, KEY, HandClock(), print).open())
 
 
 def test_a_receiver_on_every_network_is_reached_by_this_machine_over_loopback():

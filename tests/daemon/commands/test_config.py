@@ -131,6 +131,21 @@ def test_check_lists_everything_on_standard_error_without_a_traceback(heliocube,
     assert "Traceback" not in err
 
 
+def test_check_warns_of_addresses_that_are_not_on_this_machine(heliocube, tmp_path):
+    path = tmp_path / "heliocube.toml"
+    # Nobody has these (RFC 5737).
+    path.write_text(
+        "[bridge]\ninsecure = true\nlisten = '198.51.100.1:20571'\n[api]\nlisten = '198.51.100.2:20572'\n"
+        "[sunspec]\nlisten = '198.51.100.3:5020'\n"
+    )
+    code, out, err = heliocube("config", "check", path, "--json")
+    assert (code, err) == (0, "")
+    keys = [
+        sentence.partition(" is not an address of this machine now;")[0] for sentence in json.loads(out)["warnings"]
+    ]
+    assert keys == ["bridge.listen: 198.51.100.1", "api.listen: 198.51.100.2"], "there is no SunSpec device"
+
+
 def test_check_tells_of_a_people_file_in_the_folder_of_nobody(heliocube, tmp_path):
     (tmp_path / "bad.toml").write_text("[notify]\npeople_file = '~nosuch/x'\n")
     code, _, err = heliocube("config", "check", tmp_path / "bad.toml")

@@ -166,7 +166,8 @@ function parts({ state, tracker, extra }) {
   if (state.bridge) {
     const refused = state.bridge.refused;
     const fresh = scan && !scan.stale;
-    rows.push({ name: "Bridge", kind: fresh ? "ok" : "bad", word: fresh ? "works" : "silent", detail: `${counted(state.bridge.accepted, "scan")} accepted, ${num(state.bridge.lost)} lost, ${num(refused)} refused${scan ? `; last ${duration(scan.age_s + extra)} ago` : ""}` });
+    if (state.bridge.down_why) rows.push(up("Bridge", state.bridge.down_why));
+    else rows.push({ name: "Bridge", kind: fresh ? "ok" : "bad", word: fresh ? "works" : "silent", detail: `${counted(state.bridge.accepted, "scan")} accepted, ${num(state.bridge.lost)} lost, ${num(refused)} refused${scan ? `; last ${duration(scan.age_s + extra)} ago` : ""}` });
   }
   if (tracker?.load) rows.push(up("Load", tracker.load.down_why, tracker.load.identity ?? "not open yet"));
   rows.push(state.store ? up("Store", state.store.down_why, `${counted(state.store.written, "record")} written, ${num(state.store.waiting)} wait, ${num(state.store.lost)} lost`) : { name: "Store", kind: "off", word: "off", detail: "no store.directory: records are not kept" });

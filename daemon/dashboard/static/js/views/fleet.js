@@ -81,6 +81,7 @@ const unseen = ({ state, severity }) => state !== "acknowledged" && severity !==
 // What is the matter with the cube: a tracker that is stopped, held or stowed does not say so in its mode.
 function cubeOf({ cube_down_why, bridge, scan }) {
   if (cube_down_why) return DOWN;
+  if (bridge?.down_why) return ", bridge down";
   return bridge && scan?.stale ? ", cube silent" : "";
 }
 
