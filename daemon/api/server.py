@@ -120,16 +120,18 @@ class ApiServer:
 
     def _try_to_bind(self) -> None:
         now_s = self._clock.monotonic()
-        bound = socket.socket(self._address.family, socket.SOCK_STREAM)
+        bound: socket.socket | None = None
         try:
+            bound = socket.socket(self._address.family, socket.SOCK_STREAM)
             if os.name == "posix":  # Windows would let two programs share the port
                 bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             bound.bind((self._address.host, self._address.port))
             bound.listen()
         except OSError as error:
-            bound.close()
+            if bound is not None:
+                bound.close()
             reason = f"cannot listen on {self._address}: {error.strerror}"
-            self._outage.down(now_s, f"{reason}; set api.listen to another port")
+            self._outage.down(now_s, f"{reason}; set api.listen to another port or address")
             self._alarm("api-down", f"the local interface {reason}: 'heliocube stop' cannot reach the service")
             return
         self._outage.up(now_s)

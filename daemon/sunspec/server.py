@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import errno
 import logging
 import math
 import os
@@ -94,10 +95,15 @@ class SunSpecServer:
         try:
             while server is None:
                 try:
-                    server = await asyncio.start_server(self._serve, address.host, address.port, limit=_CHUNK)
+                    opened = await asyncio.start_server(self._serve, address.host, address.port, limit=_CHUNK)
                 except OSError as error:
-                    # What asyncio makes of the reason has the address once more.
-                    self._cannot(f"cannot listen on {address}: {os.strerror(error.errno or 0)}")
+                    # What asyncio makes of the reason has the address once more; of some it has no number.
+                    why = os.strerror(error.errno) if error.errno else str(error)
+                else:
+                    # A kind of address that the system does not have is passed over.
+                    server, why = (opened if opened.sockets else None), os.strerror(errno.EAFNOSUPPORT)
+                if server is None:
+                    self._cannot(f"cannot listen on {address}: {why}")
                     await asyncio.sleep(_AGAIN_S * self._speed)
             self._outage.up(self._clock.monotonic())
             self._alarm("sunspec-down", None)
@@ -122,7 +128,7 @@ class SunSpecServer:
         await asyncio.gather(*running, return_exceptions=True)
 
     def _cannot(self, reason: str) -> None:
-        self._outage.down(self._clock.monotonic(), f"{reason}; set sunspec.listen to another port")
+        self._outage.down(self._clock.monotonic(), f"{reason}; set sunspec.listen to another port or address")
         self._alarm("sunspec-down", f"the SunSpec device {reason}: no control room can read or command")
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -5,6 +5,7 @@ found free too. So each process of tests has a block to itself, below those that
 """
 
 import atexit
+import errno
 import itertools
 import os
 import socket
@@ -12,6 +13,15 @@ import socket
 _FIRST, _LAST = 21_000, 32_700
 _BLOCK = 40
 _LOOPBACK = "127.0.0.1"
+
+
+class SocketWithoutIpv6(socket.socket):
+    """In place of `socket.socket`: that of a system without IPv6, as with the kernel's option ipv6.disable=1."""
+
+    def __init__(self, family=-1, *others, **named):
+        if family == socket.AF_INET6:
+            raise OSError(errno.EAFNOSUPPORT, os.strerror(errno.EAFNOSUPPORT))
+        super().__init__(family, *others, **named)
 
 
 class _Numbers:

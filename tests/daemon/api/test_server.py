@@ -1,8 +1,10 @@
 """The port of the interface, and places that are not there."""
 
 import asyncio
+import socket
 
 from daemon.base.records import Event
+from tests.support.addresses import SocketWithoutIpv6
 from tests.support.api import server_of
 
 
@@ -30,6 +32,17 @@ def test_a_port_that_is_taken_is_an_alarm_at_every_other_door_until_it_is_had(se
         assert told == [f"raised api-down: {text}", f"cleared api-down: {text}"]
         serving.cancel()
         await asyncio.wait((serving,))
+
+    serve(scenario)
+
+
+def test_a_kind_of_address_that_the_system_does_not_have_is_an_alarm_and_not_the_end(serve, monkeypatch):
+    async def scenario(rig, call):
+        monkeypatch.setattr(socket, "socket", SocketWithoutIpv6)
+        settings = rig.service.settings.api.model_copy(update={"listen": "[::1]:20572"})
+        assert server_of(rig, settings).url is None
+        (alarm,) = (await call.get("/api/state")).json["alarms"]
+        assert alarm["name"] == "api-down"
 
     serve(scenario)
 

@@ -1,11 +1,8 @@
 """An address, or the network of a group, that is not on this machine yet, that goes, and that comes back."""
 
 import asyncio
-import errno
 import logging
-import os
 import socket
-import sys
 from dataclasses import dataclass, field
 
 import pytest
@@ -16,6 +13,7 @@ from daemon.base.timeloop import virtual_time
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.config.links import BridgeSettings
 from tests.daemon.bridge.desk import KEY, UTC_S, scan, signed
+from tests.support.addresses import SocketWithoutIpv6
 from tests.support.bad_network import without_namespaces
 from tests.support.own_network import add, in_own_network, take
 
@@ -131,12 +129,8 @@ def test_a_port_that_another_program_has_taken_meanwhile_is_waited_for():
     run(scenario)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="there an address that cannot be bound has other numbers")
 def test_what_no_waiting_mends_is_refused_at_the_start(monkeypatch):
-    def no_such_family(*_):
-        raise OSError(errno.EAFNOSUPPORT, os.strerror(errno.EAFNOSUPPORT))
-
-    monkeypatch.setattr(socket, "socket", no_such_family)
+    monkeypatch.setattr(socket, "socket", SocketWithoutIpv6)
     receiver = BridgeReceiver(BridgeSettings(listen="[::1]:20571"), KEY, LoopClock(lambda: 0.0, UTC_S), print)
     with pytest.raises(BridgeError, match=r"\[::1\]:20571 cannot be bound \(Address family not supported"):
         receiver.bind()

@@ -13,18 +13,18 @@ from daemon.sunspec.models import BASE
 from daemon.sunspec.server import SunSpecServer
 from drivers.modbus.framing import TcpClient
 from drivers.modbus.pdu import ModbusRequest, read_registers, registers_of, write_register
-from tests.support.addresses import free_port
+from tests.support.addresses import SocketWithoutIpv6, free_port
 
 
 @pytest.fixture
 def serve(run_rig):
     """Run a scenario beside a rig and its SunSpec device on a free port."""
 
-    def run(scenario):
+    def run(scenario, host="127.0.0.1"):
         async def beside(rig):
             port = free_port()
             settings = rig.service.settings
-            own = settings.sunspec.model_copy(update={"enabled": True, "listen": f"127.0.0.1:{port}"})
+            own = settings.sunspec.model_copy(update={"enabled": True, "listen": f"{host}:{port}"})
             server = SunSpecServer(
                 settings.model_copy(update={"sunspec": own}),
                 rig.see,
@@ -161,6 +161,20 @@ def test_a_port_that_is_taken_is_an_alarm_until_it_is_had(serve):
         await ended(task)
 
     serve(scenario)
+
+
+def test_a_kind_of_address_that_the_system_does_not_have_is_an_alarm_and_not_the_end(serve, monkeypatch):
+    async def scenario(rig, server, _):
+        monkeypatch.setattr(socket, "socket", SocketWithoutIpv6)
+        task = asyncio.create_task(server.run())
+        await asyncio.sleep(35)
+        (alarm,) = rig.service.cube_alarms.active
+        assert alarm.name == "sunspec-down"
+        assert alarm.text.startswith("the SunSpec device cannot listen on [::1]:")
+        assert not task.done()
+        await ended(task)
+
+    serve(scenario, host="[::1]")
 
 
 def test_the_end_of_the_service_logs_nothing_of_clients_that_are_connected(serve, caplog):
