@@ -138,7 +138,7 @@ class Api:
         headers = {"Cache-Control": "no-store"}
         if request.method == "HEAD":
             # Nothing is listened to, and a stream would hold its place until whoever asked goes.
-            return Response(media_type="text/event-stream", headers=headers)
+            return StreamingResponse(iter(()), media_type="text/event-stream", headers=headers)
         return StreamingResponse(self._stream(host), media_type="text/event-stream", headers=headers)
 
     async def _stream(self, host: str) -> AsyncIterator[bytes]:

@@ -65,7 +65,10 @@ class AllowedHosts:
 
     def refusal(self, scope: Scope, headers: Headers) -> str | None:
         """Return why a request is not answered under its host, or None if it is."""
-        given = headers.get("host", "")
+        given = headers.get("host")
+        if given is None:
+            # Of HTTP/1.0, which no browser speaks; without a host HTTP/1.1 is refused before.
+            return None
         name = _without_port(given).lower().rstrip(".")
         if name in self._names:
             return None

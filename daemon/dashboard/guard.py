@@ -19,6 +19,7 @@ _HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
+_READING = ("GET", "HEAD")
 
 
 class PageGuard:
@@ -58,11 +59,15 @@ class PageGuard:
         await app(scope, receive, send_with_headers)
 
     def _refusal(self, method: str, headers: Headers) -> str | None:
-        host = headers.get("host", "")
+        host = headers.get("host")
+        if host is None and method in _READING:
+            # Of HTTP/1.0, which no browser speaks; without a host HTTP/1.1 is refused before.
+            return None
+        host = host or ""
         if not self._is_ours(host):
             return f"{ascii(host)[:60]} is not a name of this dashboard: add it to dashboard.hosts"
         origin = headers.get("origin")
-        if method not in ("GET", "HEAD") and (origin is None or _host_of(origin) != host):
+        if method not in _READING and (origin is None or _host_of(origin) != host):
             return "an order must come from the dashboard's own page"
         return None
 

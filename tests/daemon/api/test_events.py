@@ -55,6 +55,7 @@ def test_whoever_asks_for_the_head_of_the_events_alone_takes_no_place(serve):
         async with asyncio.timeout(5):
             rest = [await reader.read() for reader, _ in asked]
         assert all(b"text/event-stream" in head and head.endswith(b"\r\n\r\n") for head in rest)
+        assert not any(b"content-length" in head.lower() for head in rest), "nobody knows how long a stream gets"
         for _, each in (*asked, (reader, writer)):
             each.close()
 

@@ -209,6 +209,22 @@ def test_only_hosts_of_this_machine_and_those_that_are_named_are_served(serve, h
     serve(scenario, hosts=("tracker.example.org:443",))
 
 
+def test_a_program_of_http_1_0_that_names_no_host_is_answered_and_commands_with_the_token_alone(serve):
+    async def scenario(rig, call):
+        authorised = f"Authorization: {BEARER['Authorization']}\r\n".encode()
+        for asked, status in (
+            (b"GET /healthz HTTP/1.0\r\n\r\n", b"200"),
+            (b"GET /healthz HTTP/1.1\r\n\r\n", b"400"),
+            (b"POST /api/hold HTTP/1.0\r\n\r\n", b"401"),
+            (b"POST /api/hold HTTP/1.0\r\n" + authorised + b"\r\n", b"200"),
+        ):
+            reader, writer = await connect(call, asked)
+            assert (await reader.read()).split()[1] == status, asked
+            writer.close()
+
+    serve(scenario)
+
+
 def test_readers_wait_for_their_turn_and_a_stop_does_not(serve, monkeypatch):
     async def scenario(rig, call):
         await under_way(rig)
