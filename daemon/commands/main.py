@@ -36,6 +36,7 @@ from daemon.commands.options import (
     ZoneOption,
     checked_seed,
     refuse_repeated,
+    refuse_underscores,
     show_values_in_words,
 )
 from daemon.commands.setup import command as setup_command
@@ -88,6 +89,7 @@ _NO_CACHE = "MPLCONFIGDIR"
 
 show_values_in_words()
 refuse_repeated()
+refuse_underscores()
 app = typer.Typer(
     cls=_Commands,
     help="Control service for dual-axis sun trackers that point by a radiometric cube.\n\n"

@@ -143,6 +143,23 @@ def refuse_repeated() -> None:
     TyperCommand.make_parser = make  # type: ignore[method-assign,assignment]
 
 
+def refuse_underscores() -> None:
+    """Let no command take ``1_5`` for 15, as the library does: whoever types it means 1.5 or slips."""
+
+    def strictly(process: Any) -> Any:
+        def process_value(parameter: Any, ctx: Any, value: Any) -> Any:
+            kinds = {float: "a number", int: "a whole number"}
+            kind = kinds.get(parameter.type_descriptor.annotation)
+            if kind is not None and isinstance(value, str) and "_" in value:
+                raise typer.BadParameter(f"{value!r} is not {kind}", ctx=ctx, param=parameter)
+            return process(parameter, ctx, value)
+
+        return process_value
+
+    for parameters in (TyperArgument, TyperOption):
+        parameters.process_value = strictly(parameters.process_value)  # type: ignore[method-assign]
+
+
 def chosen_workers(jobs: int, cluster: str | None) -> "Workers":
     """Return who works; `UserError` for processes here and a cluster in one."""
     from daemon.studies.spread.workers import Workers

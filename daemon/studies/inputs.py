@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from daemon.base.errors import UserError
 from daemon.base.words import counted
 from daemon.config.simulation import WeatherName
+from drivers.numbers import read_number
 from solar.tables import separator_of
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ _NO_CSV = {
 def parse_site(text: str, where: str = "--site") -> tuple[float, float, float]:
     """Return degrees north, degrees east and metres of ``LAT,LON`` or ``LAT,LON,ALT``; `UserError` for other text."""
     try:
-        numbers = [float(part) for part in text.split(",")]
+        numbers = [read_number(part) for part in text.split(",")]
     except ValueError:
         numbers = []
     if len(numbers) not in (2, 3):

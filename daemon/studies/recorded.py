@@ -16,6 +16,7 @@ from daemon.base.errors import UserError
 from daemon.base.records import FACES, Quality
 from daemon.store.schema import FILE_NAME, open_for_reading
 from daemon.studies.inputs import check_names, check_table, not_utf8, with_point
+from drivers.numbers import read_number
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
 from solar.tables import (
@@ -31,6 +32,8 @@ from solar.tables import (
 
 COLUMNS = ("time", *FACES)
 _ROWS_AT_ONCE = 50_000
+# As a logger writes what is above its range or below: a number that no face can read.
+_OUT_OF_RANGE = frozenset({"inf", "+inf", "-inf"})
 _GOOD = ", ".join(f"CASE {face}_quality WHEN '{Quality.OK}' THEN {face}_w_m2 END" for face in FACES)
 _SCANS = f"SELECT time, {_GOOD} FROM scans WHERE time >= ? AND time < ? ORDER BY time"  # noqa: S608 - our own names
 
@@ -200,8 +203,10 @@ def _utc(text: str) -> float:
 def _irradiance(name: str, text: str) -> float:
     if text.lower() in NO_READING:
         return math.nan
+    if text.lower() in _OUT_OF_RANGE:
+        return math.inf
     try:
-        return float(text)
+        return read_number(text)
     except ValueError:
         raise ValueError(f"{name} is {text!r}, not a number of W/m2; leave the cell empty without a reading") from None
 

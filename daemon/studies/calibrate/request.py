@@ -14,6 +14,7 @@ from daemon.cube.calibration import CubeCalibration, calibrated_cube, calibratio
 from daemon.store.outputs import check_outputs
 from daemon.studies.calibrate.readings import FaceReadings, read_csv, read_store
 from daemon.studies.inputs import site_values
+from drivers.numbers import read_number
 from solar.ephemeris import Site
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
@@ -104,7 +105,7 @@ def referenced(given: list[str]) -> dict[str, float]:
     for text in given:
         name, _, percent = text.partition("=")
         try:
-            value = float(percent)
+            value = read_number(percent)
         except ValueError:
             value = nan
         if name not in FACES or not _LEAST_PERCENT <= value <= _MOST_PERCENT:

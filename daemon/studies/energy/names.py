@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from daemon.base import plugins
 from daemon.base.errors import UserError
 from daemon.config.section import in_words
+from drivers.numbers import read_number
 from solar.energy import SKIES
 from solar.laws.law import LawSettings
 
@@ -59,7 +60,7 @@ def choice(name: str) -> AskedLaw:
     law, colon, text = name.partition(":")
     try:
         if law == FIXED:
-            tilt_deg = float(text)
+            tilt_deg = read_number(text)
             if 0.0 <= tilt_deg <= 90.0:
                 return AskedLaw(tilt_deg=tilt_deg)
         elif law in plugins.names(plugins.LAWS):
@@ -67,7 +68,7 @@ def choice(name: str) -> AskedLaw:
             if not colon:
                 return AskedLaw(module, module.SETTINGS())
             if module.SETTINGS.knob is not None:
-                return AskedLaw(module, module.SETTINGS(**{module.SETTINGS.knob: float(text)}))
+                return AskedLaw(module, module.SETTINGS(**{module.SETTINGS.knob: read_number(text)}))
     except ValidationError as error:
         raise UserError(f"--laws: {name}: {in_words(error.errors()[0])}") from None
     except ValueError:

@@ -9,6 +9,7 @@ import numpy as np
 from daemon.base.errors import UserError
 from daemon.studies.gain.choices import Device
 from daemon.studies.inputs import check_names, check_table, not_utf8, with_point
+from drivers.numbers import read_number
 from solar.frames import Array
 from solar.tables import CellError, numbered_rows, opened, why_unread
 
@@ -59,7 +60,7 @@ class Request:
 def numbers(text: str, option: str, low: float, high: float) -> Array:
     """Read ``A``, ``A,B,C``, ``FROM:TO`` (step 1) or ``FROM:TO:STEP``, ends included; `UserError` names the option."""
     try:
-        parts = [float(part) for part in text.replace(",", ":").split(":")]
+        parts = [read_number(part) for part in text.replace(",", ":").split(":")]
     except ValueError:
         raise UserError(f"{option}: '{text}' is not a number, a list A,B,C or a range FROM:TO:STEP") from None
     for part in parts[:2] if ":" in text else parts:
@@ -152,7 +153,7 @@ def _row(path: Path, line: int, header: list[str], cells: list[str], separator: 
 def _cell(path: Path, line: int, name: str, text: str) -> float:
     low, high = POINT_COLUMNS[name]
     try:
-        value = float(text)
+        value = read_number(text)
     except ValueError:
         value = float("nan")
     if not (low <= value <= high) or (name == "n" and value != round(value)):

@@ -96,6 +96,9 @@ def test_what_cannot_be_done_leaves_standard_output_empty(heliocube):
         ("run --for nan", "Invalid value for '--for': 'nan' is not a number from 0 up"),
         ("run --role x", "Invalid value for '--role': 'x' is not one of 'both', 'cube', 'tracker'"),
         ("gain --lat 48,7", "Invalid value for '--lat': '48,7' is not a number"),
+        ("gain --lat 4_8", "Invalid value for '--lat': '4_8' is not a number"),
+        ("goto 1_5 60", "Invalid value for 'A': '1_5' is not a number"),
+        ("campaign --seeds 1_0", "Invalid value for '--seeds': '1_0' is not a whole number"),
         ("goto west 60", "Invalid value for 'A': 'west' is not a number"),
         ("campaign --hours 1e9", "Invalid value for '--hours': '1e9' is not a number up to 8760"),
         *(

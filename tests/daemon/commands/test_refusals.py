@@ -38,6 +38,8 @@ WRONG = {
     "run --weather nonsense": "no weather file at nonsense, and it is not one of the built-in skies clear",
     "run --law nonsense": "nonsense",
     "run --site 100,200": "not on Earth",
+    "energy file --site 4_8,2 --out new": "'4_8,2' is not LAT,LON",
+    "energy file --site 48,2 --out new --laws fixed:3_5": "there is no law 'fixed:3_5'",
     "run --start noon": "'noon' is not a date or time",
     "run --config none.toml": "there is no such file",
     "simulate --out new --start noon": "'noon' is not a date or time",

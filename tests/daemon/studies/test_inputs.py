@@ -39,6 +39,7 @@ TABLES = [
     (lambda path: read_sites(path, None), "name,latitude,longitude,weather", "here,48,2,clear"),
     (lambda path: read_tables([path]), "time,tracker,pmpp_w", "2022-10-14T10:00Z,cube,50"),
 ]
+WEATHER = (weather_values, "time,ghi,dni,dhi", "2022-10-14T10:00Z,1,2,3")
 
 
 @pytest.mark.parametrize("read", READERS)
@@ -183,9 +184,7 @@ def test_a_column_twice_is_refused_in_every_table(tmp_path, read, head, row):
         read(path)
 
 
-@pytest.mark.parametrize(
-    ("read", "head", "row"), [*TABLES, (weather_values, "time,ghi,dni,dhi", "2022-10-14T10:00Z,1,2,3")]
-)
+@pytest.mark.parametrize(("read", "head", "row"), [*TABLES, WEATHER])
 def test_semicolons_with_decimal_commas_and_tabs_are_read_as_a_spreadsheet_writes_them(tmp_path, read, head, row):
     plain, semicolons, tabs = tmp_path / "plain.csv", tmp_path / "semicolons.csv", tmp_path / "tabs.csv"
     text = f"{head}\n{row.replace(',2', ',2.5').replace(',50', ',50.5').replace('30', '30.5')}\n"
@@ -212,3 +211,22 @@ def test_a_value_is_missing_in_the_words_of_any_program(tmp_path, missing):
     assert read_csv(path).missing == 1
     path.write_text(f"time,tracker,pmpp_w,ghi_w_m2\n2022-10-14T10:00Z,cube,50,{missing.strip()}\n")
     assert read_tables([path])[0]["ghi_w_m2"].isna().all()
+
+
+@pytest.mark.parametrize(("read", "head", "row"), [*TABLES, WEATHER])
+@pytest.mark.parametrize("text", ["1_0", "\uff11\uff10"])
+def test_what_only_python_takes_for_a_number_is_refused_with_its_place(tmp_path, read, head, row, text):
+    path = tmp_path / "table.csv"
+    for number in (",2", ",50", ",30", "Z,1"):
+        row = row.replace(number, f"{number[:-1]}{text}")
+    path.write_text(f"{head}\n{row}\n")
+    with pytest.raises(UserError, match=rf"{path},? (line 2|row 1): .*{text}"):
+        read(path)
+
+
+def test_what_a_logger_writes_beyond_its_range_is_an_impossible_reading_and_an_impossible_irradiance(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text("time,east,south,west,zenith\n2022-10-14T10:00Z,1,INF,3,-INF\n")
+    assert read_csv(path).first_impossible == "line 2: south INF"
+    path.write_text("time,ghi,dni,dhi\n2022-10-14T10:00Z,INF,2,3\n2022-10-14T10:01Z,1,2,3\n")
+    assert measured_weather(path).note().endswith("first in line 2: ghi INF, not in -50..2500")

@@ -219,7 +219,7 @@ def test_a_worth_without_one_of_its_prices_is_refused(monkeypatch, weather, tmp_
     [
         (("--laws", "fastest"), "there is no law 'fastest'"),
         (("--laws", "fixed:95"), "there is no law 'fixed:95'"),
-        (("--laws", "optimal:nan"), "optimal:nan: nan is not a finite number"),
+        (("--laws", "optimal:nan"), "there is no law 'optimal:nan'"),
         (("--laws", "optimal:0"), "optimal:0: 0.0 is not a number from 0.1 up"),
         (("--sky", "green"), "there is no sky 'green'"),
         (("--laws", ","), "--laws: name one of fixed:35, "),
