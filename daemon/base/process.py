@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
 from typing import TYPE_CHECKING
 
+from daemon.base.alarms.kinds import as_typed
 from daemon.base.clock import Clock, iso_utc
 
 if TYPE_CHECKING:
@@ -99,7 +100,8 @@ class LineFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line, and the traceback's lines if there is one."""
-        line = " ".join([_escape(record.getMessage().strip()), *_fields(record)])
+        message = as_typed(record.getMessage().strip(), TRACKER.get() or None)
+        line = " ".join([_escape(message), *_fields(record)])
         lines = [line, *self._traceback(record)]
         if self._journal:
             return "\n".join(f"<{_priority(record.levelno)}>{line}" for line in lines)

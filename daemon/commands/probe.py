@@ -57,7 +57,7 @@ def positioner(
     settings = _settings(config, "positioner", {"port": port}, tracker, kept=move_deg is not None)
     say = teller(as_json=as_json)
     with recorded(record) as tap:
-        _run(probe_positioner(settings, SystemClock(), seconds, move_deg, tap, say), as_json=as_json)
+        _run(probe_positioner(settings, SystemClock(), seconds, move_deg, tap, say), as_json=as_json, tracker=tracker)
 
 
 @app.command()
@@ -200,8 +200,9 @@ def _settings(
     return override(settings, {"instruments": changes})
 
 
-def _run(work: Coroutine[Any, Any, dict[str, Any]], *, as_json: bool) -> None:
+def _run(work: Coroutine[Any, Any, dict[str, Any]], *, as_json: bool, tracker: str | None = None) -> None:
     """Run to the end; what goes wrong with the instrument is one sentence and exit code 2."""
+    from daemon.base.alarms.kinds import as_typed
     from daemon.base.process import as_ctrl_c
     from drivers.errors import DeviceError
 
@@ -210,6 +211,6 @@ def _run(work: Coroutine[Any, Any, dict[str, Any]], *, as_json: bool) -> None:
         with as_ctrl_c():
             found = asyncio.run(work)
     except DeviceError as error:
-        raise UserError(str(error)) from error
+        raise UserError(as_typed(str(error), tracker)) from error
     if as_json:
         print_json(found)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
 
+from daemon.base.alarms.kinds import as_typed
 from daemon.base.clock import local_time
 from daemon.notify.told import ToldAlarm, ToldService
 
@@ -90,7 +91,7 @@ class ServiceWatch:
         self._heard_s = now_s
         self._name = address
         self._unit = "heliocube-tracker heliocube-cube"
-        self._heard = self._silent = False
+        self._heard = self._silent = self._several = False
         self._was_silent = before.silent
         self._known: _Shown = {(alarm.tracker or "", alarm.name): alarm.as_shown() for alarm in before.alarms}
         self._told = before
@@ -104,6 +105,7 @@ class ServiceWatch:
         """Take in the JSON of /api/state; anything else raises an error such as `KeyError`, and is not heard."""
         before, self._name = self._name, f"{state['site']['name']}{' SIMULATED' if state['simulated'] else ''}"
         try:
+            self._several = len(state["trackers"]) > 1
             shown = {(alarm["tracker"] or "", alarm["name"]): alarm for alarm in state["alarms"]}
             shown |= self._hidden(_muted(state), shown)
             changes = list(self._changes(shown))
@@ -169,7 +171,12 @@ class ServiceWatch:
 
     def _over_already(self, alarm: Mapping[str, Any]) -> Notice:
         since = f"was on since {_local(alarm['raised_at'])}"
-        lines = (f"{alarm['text']}.", f"Remedy: {alarm['remedy']}.", f"It {since}.", _stays(alarm))
+        lines = (
+            f"{alarm['text']}.",
+            f"Remedy: {alarm['remedy']}.",
+            f"It {since}.",
+            _stays(alarm, several=self._several),
+        )
         found = self._notice(f"{_of(alarm)}{alarm['name']}, over already", alarm["severity"], lines)
         brief = f"{alarm['text']}. Remedy: {alarm['remedy']}".replace("`", "'")
         return replace(found, since=f"it {since}", brief=brief)
@@ -178,7 +185,7 @@ class ServiceWatch:
         since = f"was on since {_local(alarm['raised_at'])}" if alarm["raised_at"] else ""
         lines = [f"Was: {alarm['text']}.", *([f"It {since}."] if since else [])]
         if alarm["latched"] and not alarm["acknowledged_at"]:
-            lines.append(_stays(alarm))
+            lines.append(_stays(alarm, several=self._several))
         found = self._notice(f"over: {_of(alarm)}{alarm['name']}", alarm["severity"], lines, good=True)
         return replace(found, since=f"it {since}" if since else "", brief=alarm["text"].replace("`", "'"))
 
@@ -199,8 +206,9 @@ def _of(alarm: Mapping[str, Any]) -> str:
     return f"{alarm['tracker']} " if alarm["tracker"] not in (None, "tracker") else ""
 
 
-def _stays(alarm: Mapping[str, Any]) -> str:
-    return f"It stays shown until somebody acknowledges it: 'heliocube alarms ack {alarm['name']}'."
+def _stays(alarm: Mapping[str, Any], *, several: bool) -> str:
+    command = as_typed(f"heliocube alarms ack {alarm['name']}", alarm["tracker"] if several else None)
+    return f"It stays shown until somebody acknowledges it: '{command}'."
 
 
 def _local(iso_utc: str) -> str:

@@ -84,6 +84,8 @@ class TrackerState:
 
     Attributes
     ----------
+    typed_for
+        Its name where commands need one, as the process has other trackers; None of the only one.
     control
         Mode, reason, decision and means.
     next
@@ -116,6 +118,7 @@ class TrackerState:
     """
 
     name: str
+    typed_for: str | None
     control: ControlState
     next: Foresight | None
     silent_s: float
@@ -314,6 +317,7 @@ def _tracker(tracker: Tracker, recent: Recent, *, glance: bool) -> TrackerState:
     positioner = _positioner(tracker.motion, now_s)
     return TrackerState(
         name=tracker.name,
+        typed_for=tracker.log_name or None,
         control=control.state,
         next=None if glance else control.foresee(),
         silent_s=now_s - control.last_tick_s,

@@ -76,8 +76,8 @@ def number(value: Any) -> Any:
 def state_json(seen: Snapshot) -> dict[str, Any]:
     """Return the state of the whole process: its trackers by name, and a single one's values at the top as well."""
     only = seen.trackers[0] if len(seen.trackers) == 1 else None
-    alarms: list[tuple[Alarm, str | None]] = [(alarm, None) for alarm in seen.cube_alarms]
-    alarms += [(alarm, tracker.name) for tracker in seen.trackers for alarm in tracker.alarms]
+    alarms: list[tuple[Alarm, TrackerState | None]] = [(alarm, None) for alarm in seen.cube_alarms]
+    alarms += [(alarm, tracker) for tracker in seen.trackers for alarm in tracker.alarms]
     own = {tracker.name: _tracker_json(seen, tracker) for tracker in seen.trackers}
     return _common(seen, alarms) | _at_the_top(seen, only) | {"trackers": own}
 
@@ -85,11 +85,11 @@ def state_json(seen: Snapshot) -> dict[str, Any]:
 def tracker_state_json(seen: Snapshot, name: str) -> dict[str, Any]:
     """Return the state of one tracker, with its cube's and its process' but without other trackers."""
     tracker = next(tracker for tracker in seen.trackers if tracker.name == name)
-    alarms = [*((alarm, None) for alarm in seen.cube_alarms), *((alarm, name) for alarm in tracker.alarms)]
+    alarms = [*((alarm, None) for alarm in seen.cube_alarms), *((alarm, tracker) for alarm in tracker.alarms)]
     return _common(seen, alarms) | _at_the_top(seen, tracker)
 
 
-def _common(seen: Snapshot, alarms: Iterable[tuple[Alarm, str | None]]) -> dict[str, Any]:
+def _common(seen: Snapshot, alarms: Iterable[tuple[Alarm, TrackerState | None]]) -> dict[str, Any]:
     """Return what is not of one tracker."""
     ordered = sorted(alarms, key=lambda item: item[0].order)
     return {
@@ -111,7 +111,9 @@ def _common(seen: Snapshot, alarms: Iterable[tuple[Alarm, str | None]]) -> dict[
         "cube_down_why": seen.cube_down_why,
         "unacknowledged": sum(alarm.acknowledged_utc_s is None for alarm, _ in ordered),
         "alarms": [
-            _alarm(alarm, tracker if len(seen.trackers) > 1 else None) | {"tracker": tracker}
+            _alarm(alarm, None) | {"tracker": None}
+            if tracker is None
+            else _alarm(alarm, tracker.typed_for) | {"tracker": tracker.name}
             for alarm, tracker in ordered
         ],
         "bridge": None
@@ -142,11 +144,11 @@ def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
     return {
         "mode": {
             "name": control.mode.value,
-            "why": control.why,
+            "why": as_typed(control.why, tracker.typed_for),
             "since": since,
             "asked": _asked(control.mode, tracker.wishes),
         },
-        "wishes": {name: _wish(wish) for name, wish in tracker.wishes},
+        "wishes": {name: _wish(wish, tracker.typed_for) for name, wish in tracker.wishes},
         "at_stow": tracker.at_stow,
         "today": {
             "travelled_deg": tracker.today.travelled_deg,
@@ -167,7 +169,7 @@ def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
         "next_decision": None
         if tracker.next is None
         else _next(tracker.next, seen.time_utc_s + control.next_decision_s),
-        "tracker": _positioner(tracker.positioner, tracker.name) | {"limits": _limits(tracker.limits)},
+        "tracker": _positioner(tracker.positioner, tracker) | {"limits": _limits(tracker.limits)},
         "load": None if tracker.load is None else _load(tracker.load, tracker.name, now_s),
         "wind": [{name: number(value) for name, value in status._asdict().items()} for status in tracker.wind],
         "wind_m_s": number(tracker.wind_m_s),
@@ -264,10 +266,10 @@ def _asked(mode: Mode, wishes: Wishes) -> str | None:
     return next((name for name in _ASKED.get(mode, ()) if getattr(wishes, name) is not None), None)
 
 
-def _wish(wish: Wish | None) -> dict[str, Any] | None:
+def _wish(wish: Wish | None, typed_for: str | None) -> dict[str, Any] | None:
     if wish is None:
         return None
-    return {"why": wish.why, "by": wish.by, "since": wish.since}
+    return {"why": as_typed(wish.why, typed_for), "by": wish.by, "since": wish.since}
 
 
 def _scan(seen: Snapshot) -> dict[str, Any] | None:
@@ -306,12 +308,16 @@ def _load(load: LoadState, tracker: str, now_s: float) -> dict[str, Any]:
     }
 
 
-def _positioner(seen: PositionerState, tracker: str) -> dict[str, Any]:
+def _positioner(seen: PositionerState, tracker: TrackerState) -> dict[str, Any]:
     telemetry, identity, target, last = seen.telemetry, seen.identity, seen.target, seen.last_move
+
+    def typed(text: str | None) -> str | None:
+        return None if text is None else as_typed(text, tracker.typed_for)
+
     return {
-        "name": tracker,
+        "name": tracker.name,
         "connected": seen.connected,
-        "down_why": seen.down_why,
+        "down_why": typed(seen.down_why),
         "identity": None
         if identity is None
         else {"board": identity.board, "firmware": identity.firmware, "serial": identity.serial},
@@ -319,11 +325,11 @@ def _positioner(seen: PositionerState, tracker: str) -> dict[str, Any]:
         "moving": seen.moving,
         "homing": seen.homing,
         "target": None if target is None else {"a_deg": target.a_deg, "b_deg": target.b_deg, "why": target.why},
-        "blocked_why": seen.blocked_why,
-        "doubt_why": seen.doubt_why,
+        "blocked_why": typed(seen.blocked_why),
+        "doubt_why": typed(seen.doubt_why),
         "faults": [] if telemetry is None else list(telemetry.faults),
-        "concerns": list(seen.concerns),
-        "unexplained_why": seen.unexplained_why,
+        "concerns": [typed(concern) for concern in seen.concerns],
+        "unexplained_why": typed(seen.unexplained_why),
         "button_pressed": None if telemetry is None else telemetry.button_pressed,
         "motor_current_a": {
             "a": None if telemetry is None else number(telemetry.a_motor_current_a),
@@ -331,7 +337,9 @@ def _positioner(seen: PositionerState, tracker: str) -> dict[str, Any]:
         },
         "supply_v": None if telemetry is None else number(telemetry.supply_v),
         "details": {} if telemetry is None else {name: number(value) for name, value in telemetry.details.items()},
-        "last_move": None if last is None else record_json(replace(last, tracker=tracker)),
+        "last_move": None
+        if last is None
+        else record_json(replace(last, tracker=tracker.name, why=as_typed(last.why, tracker.typed_for))),
     }
 
 

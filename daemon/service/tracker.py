@@ -10,10 +10,11 @@ from random import Random
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.alarms.kept import AlarmFile
+from daemon.base.alarms.kinds import as_typed
 from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.process import TRACKER
-from daemon.base.records import Event, ModeChange, Pose, Record, Scan, stamped
+from daemon.base.records import Event, ModeChange, Move, Pose, Record, Scan, stamped
 from daemon.base.recurrence import LogBudget
 from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
@@ -123,11 +124,11 @@ class Tracker:
         self.name = name
         self.settings = settings
         self.clock = clock
-        self.publish = stamped(publish, name)
+        self.alone = phase.trackers == 1
+        self.publish = stamped(lambda record: publish(self._as_typed(record)), name)
         self.alarms = Alarms(clock, self.publish, muted, AlarmFile(folder))
         self._rig = rig
         self.folder = folder
-        self.alone = phase.trackers == 1
         self._phase = phase
         sources: list[StowSource] = [*stow_sources]
         if rig.wind_speed_m_s is not None:
@@ -190,6 +191,16 @@ class Tracker:
     def log_name(self) -> str:
         """What lines of the log call it: nothing where there is no other."""
         return "" if self.alone else self.name
+
+    def _as_typed(self, record: Record) -> Record:
+        """Return a record whose words name commands as they are typed for this tracker."""
+        if self.alone:
+            return record
+        if isinstance(record, Event):
+            return replace(record, text=as_typed(record.text, self.name))
+        if isinstance(record, ModeChange | Move):
+            return replace(record, why=as_typed(record.why, self.name))
+        return record
 
     def receive(self, scan: Scan, utc_s: float) -> None:
         """Take in a fresh, authentic scan that has come at this UTC [s]; its monotonic times are on our clock."""

@@ -7,8 +7,10 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
-# Those that need a name where there are several trackers.
-_COMMAND = re.compile(r"\bheliocube (?:auto|hold|snow|goto|maintenance|home|clear|relearn|alarms ack [\w-]+)\b")
+# Those that need a name where there are several trackers, or are for all of them without one; not those that have one.
+_COMMAND = re.compile(
+    r"\bheliocube (?:stop|stow|auto|hold|snow|goto|maintenance|home|clear|relearn|alarms ack [\w-]+)\b(?! --tracker)"
+)
 
 
 class Severity(StrEnum):
@@ -305,7 +307,10 @@ KINDS: dict[str, AlarmKind] = {kind.name: kind for kind in _ALL}
 
 
 def as_typed(text: str, tracker: str | None) -> str:
-    """Return a text with its commands as they are typed for one of several trackers; None for the only one."""
+    """Return a text with its commands as they are typed for one of several trackers; None for the only one.
+
+    Whatever shows people a text of a tracker passes it through here: where it is made nobody knows of other trackers.
+    """
     return text if tracker is None else _COMMAND.sub(rf"\g<0> --tracker {tracker}", text)
 
 

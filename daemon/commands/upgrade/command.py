@@ -154,7 +154,7 @@ def rollback(
     for unit in failed:
         tell(f"{unit} does not start: see 'systemctl status {unit}'")
     where = "is in use" if installation is not None else "can be started"
-    tell(f"{program.name} {where}: look at the tracker, then 'heliocube auto'")
+    tell(f"{program.name} {where}: {installed.LOOK}")
     if as_json:
         print_json({"release": program.name, "in_use": installation is not None, "done": done, "not_started": failed})
     raise typer.Exit(ExitCode.NOT_SEEN if failed else ExitCode.GOOD)

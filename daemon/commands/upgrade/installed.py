@@ -18,6 +18,8 @@ _WANTED = ("active", "activating", "reloading", "failed")
 _WHOLE = ".complete"
 _SYSTEMD = Path("/run/systemd/system")
 _WITHIN_S = 120.0
+LOOK = "look at the tracker, then release it as 'heliocube status' says"
+"""What is left to do after another release has been put in use: it holds each tracker."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +175,7 @@ def interruptible(installation: Installation | None) -> Iterator[None]:
     except KeyboardInterrupt:
         further = "; give the command again, and it goes on where it was"
         if installation is not None and installation.is_back:
-            further = f", and {installation.before.name} is in use: look at the tracker, then 'heliocube auto'"
+            further = f", and {installation.before.name} is in use: {LOOK}"
         raise InterruptedEarlyError(f"interrupted: units that ran are started again{further}") from None
 
 

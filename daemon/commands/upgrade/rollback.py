@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from daemon.base.alarms.kinds import as_typed
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
 from daemon.base.files import first_free, give, make_folder, rewrite_file, toml_text, write_new
@@ -79,7 +80,7 @@ def _held(settings: Settings, to: Program) -> Iterator[str]:
             if folder.unsaved is not None:
                 raise UserError(folder.unsaved)
         if wishes == Wishes() or wishes.held_by_program:
-            yield f"{name} is held until 'heliocube auto'"
+            yield as_typed(f"{name} is held until 'heliocube auto'", name if len(settings.trackers) > 1 else None)
         else:
             yield f"{name} stays as a person has ordered"
 

@@ -64,6 +64,21 @@ def test_a_latched_alarm_that_came_and_went_between_two_looks_is_told_and_so_is_
     assert look() == []
 
 
+def test_of_one_of_several_trackers_it_names_the_command_with_the_tracker():
+    alarm = {"name": "move-failed", "tracker": "east", "text": "A stalled", "severity": "critical", "latched": True}
+    alarm |= {"state": "raised", "raised_at": "2026-06-21T12:00:01Z", "acknowledged_at": None, "effect": "it stands"}
+    state = {
+        "site": {"name": "roof"},
+        "simulated": False,
+        "trackers": {name: {"mode": {"name": "fault"}} for name in "ew"},
+    }
+    watch = ServiceWatch("127.0.0.1:20572", 120.0, "warning", None, 0.0)
+    watch.answered({**state, "alarms": [alarm | {"remedy": "look for ice"}]}, 1.0)
+    over = alarm | {"state": "cleared", "cleared_at": "2026-06-21T12:00:04Z", "remedy": "look for ice"}
+    (notice,) = watch.answered({**state, "alarms": [over]}, 11.0)
+    assert "'heliocube alarms ack move-failed --tracker east'" in notice.body
+
+
 def test_the_end_of_an_alarm_has_its_time_zone_as_it_is_written():
     alarm = {"name": "clock", "tracker": None, "text": "the clock was set", "severity": "warning", "latched": False}
     alarm |= {"state": "raised", "raised_at": "2026-06-21T12:00:01Z", "acknowledged_at": None}

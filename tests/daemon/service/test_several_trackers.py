@@ -12,6 +12,8 @@ from daemon.base.records import Event, Mode, ModeChange, Move, Pose, Scan
 from daemon.config.file import _MOST_TRACKERS
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import Operators, parse
+from daemon.service.recent import Recent
+from daemon.service.snapshot import snapshot
 from daemon.service.state import state_json, tracker_state_json
 from drivers.errors import DriverHungError
 from tests.support import ROOT
@@ -267,5 +269,32 @@ def test_what_a_command_is_answered_with_names_commands_as_they_are_typed_for_it
         ) as found:
             await give(rig, "goto", tracker="east", a_deg=0.0, b_deg=60.0)
         assert not found.value.wrong
+
+    run_rig(scenario, tracker=TWO)
+
+
+def test_every_remedy_that_is_shown_of_one_is_typed_with_its_name(run_rig, caplog):
+    lines, recent = [], Recent()
+    caplog.handler.emit = lambda record: lines.append(LineFormatter(journal=True).format(record))
+
+    async def scenario(rig):
+        rig.bus.subscribe(recent.note)
+        await both_track(rig)
+        await asyncio.sleep(60)
+        await give(rig, "stop", tracker="east", why="repair")
+        rig.wind_m_s = 20.0
+        rig.unit.inject("re_reference", rig.clock.monotonic())
+        await rig.until(lambda: len(rig.tracker.alarms.active) == 2, 60, "both alarms")
+        await asyncio.sleep(10)
+        shown = {
+            "state": state_json(rig.see(recent)),
+            "over MQTT": tracker_state_json(snapshot(rig.service, recent, 1.0, None, {}, tracker="east"), "east"),
+            "records": [record.text for record in rig.of(Event)] + [change.why for change in rig.of(ModeChange)],
+            "log": [line for line in lines if "tracker=east" in line],
+        }
+        for where, found in shown.items():
+            commands = set(re.findall(r"(?<=[`']heliocube )\w+[^`']*", json.dumps(found, default=str)))
+            assert {"auto --tracker east", "clear --tracker east"} <= commands, where
+            assert [command for command in commands if not command.endswith(" --tracker east")] == [], where
 
     run_rig(scenario, tracker=TWO)

@@ -63,6 +63,8 @@ def test_the_page_is_current():
             "`heliocube clear --tracker east`, or `heliocube home --tracker east`",
         ),
         ("'heliocube alarms ack move-failed'", "'heliocube alarms ack move-failed --tracker east'"),
+        ("'heliocube stop' ends it", "'heliocube stop --tracker east' ends it"),
+        ("'heliocube auto --tracker east' ends it", "'heliocube auto --tracker east' ends it"),
         (
             "see 'heliocube status' and 'heliocube store salvage'",
             "see 'heliocube status' and 'heliocube store salvage'",

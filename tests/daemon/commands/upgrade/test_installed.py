@@ -42,7 +42,7 @@ def installation(program, tmp_path, monkeypatch):
 def test_an_installation_goes_back_in_one_command_and_starts_what_ran(heliocube, config, installation, tmp_path):
     code, out, err = heliocube("rollback", "--json", "-c", config)
     assert code == 0
-    assert err.splitlines()[-1] == "older is in use: look at the tracker, then 'heliocube auto'"
+    assert err.splitlines()[-1] == "older is in use: look at the tracker, then release it as 'heliocube status' says"
     page = json.loads(out)
     assert (page["release"], page["in_use"], page["not_started"]) == ("older", True, [])
     assert page["done"] == err.splitlines()[:-1]
@@ -114,7 +114,8 @@ def test_all_that_ran_is_started_although_somebody_does_not_wait_for_the_first_o
             os.waitpid(systemctl, 0)
     assert code == 130
     # The command given again would find no release before this one.
-    told = "units that ran are started again, and older is in use: look at the tracker, then 'heliocube auto'"
+    then = "look at the tracker, then release it as 'heliocube status' says"
+    told = f"units that ran are started again, and older is in use: {then}"
     assert err == f"heliocube: interrupted: {told}\n"
     started = [line for line in (tmp_path / "asked").read_text().splitlines() if line.startswith("start ")]
     assert "heliocube-cube" in " ".join(started)

@@ -139,7 +139,7 @@ def test_every_tracker_is_held_unless_a_person_has_asked_for_something(heliocube
     code, out, _ = heliocube("rollback", "-c", file, "--to", program(VERSION))
     assert code == 0
     assert "east stays as a person has ordered" in out
-    assert "west is held until 'heliocube auto'" in out
+    assert "west is held until 'heliocube auto --tracker west'" in out
     assert json.loads((tmp_path / "records" / "east" / "operator.json").read_text()) == stop
     hold = json.loads((tmp_path / "records" / "west" / "operator.json").read_text())["hold"]
     assert hold["by"] == "heliocube"
