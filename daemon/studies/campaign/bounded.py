@@ -17,7 +17,7 @@ MOVES_OF_AN_EVENT = 6
 WARM_AFTER_S = 3600.0
 """By then the windows of laws and judgements are full, and what is imported when it is needed first is there."""
 MOST_MORE = 2_000
-"""Objects, and items in queues: less than two for each minute of a day."""
+"""Objects, and items in queues, of each tracker: less than two for each minute of a day."""
 # In lists the simulated sky has its numbers, of some hours at a time; a table of numbers alone Python does not show.
 _CONTAINERS = frozenset((dict, set, deque))
 _ROUTINE = ("moving", "staying")
@@ -71,7 +71,7 @@ class Bounded(logging.Handler):
     def check(self, schedule: Schedule, records: Sequence[Record], fails: Callable[[str, str], None]) -> None:
         """Compare an hour's lines and moves with what happened to the trackers, the memory with the first hour's."""
         self._check_lines(schedule, fails)
-        self._check_memory(records, fails)
+        self._check_memory(schedule, records, fails)
         moves = Counter(int(record.time_monotonic_s // _HOUR_S) for record in records if isinstance(record, Move))
         events = Counter(int(event.at_s // _HOUR_S) for event in schedule.events)
         for hour, count in moves.items():
@@ -79,12 +79,12 @@ class Bounded(logging.Handler):
             if count > allowed:
                 fails("moves", f"{count} moves in hour {hour}, {allowed} allowed")
 
-    def _check_memory(self, records: Sequence[Record], fails: Callable[[str, str], None]) -> None:
+    def _check_memory(self, schedule: Schedule, records: Sequence[Record], fails: Callable[[str, str], None]) -> None:
         if self._alive_when_warm is None:
             return
-        more = self._alive(records) - self._alive_when_warm
-        if more > MOST_MORE:
-            fails("leak", f"{more} more objects and items in memory than after the first hour, {MOST_MORE} allowed")
+        more, allowed = self._alive(records) - self._alive_when_warm, schedule.trackers * MOST_MORE
+        if more > allowed:
+            fails("leak", f"{more} more objects and items in memory than after the first hour, {allowed} allowed")
 
     def _check_lines(self, schedule: Schedule, fails: Callable[[str, str], None]) -> None:
         written: Counter[int] = Counter()

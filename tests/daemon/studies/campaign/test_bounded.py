@@ -9,17 +9,18 @@ from daemon.studies.campaign.draw import draw
 
 
 @pytest.mark.parametrize(
-    ("left", "leaks"),
+    ("left", "trackers", "leaks"),
     [
-        (lambda: [object() for _ in range(100)], False),
-        (lambda: [[] for _ in range(5000)], True),
-        (lambda: deque(range(5000)), True),
-        (lambda: set(range(5000)), True),
+        (lambda: [object() for _ in range(100)], 1, False),
+        (lambda: [[] for _ in range(5000)], 1, True),
+        (lambda: deque(range(5000)), 1, True),
+        (lambda: set(range(5000)), 1, True),
+        (lambda: set(range(5000)), 3, False),
     ],
-    ids=["little", "objects", "a queue", "a set"],
+    ids=["little", "objects", "a queue", "a set", "a set of three trackers"],
 )
-def test_what_is_left_in_memory_is_a_leak_whatever_holds_it(left, leaks):
-    bounded, failed, schedule = Bounded(lambda: 0.0), [], draw(1, 2)
+def test_what_is_left_in_memory_is_a_leak_whatever_holds_it(left, trackers, leaks):
+    bounded, failed, schedule = Bounded(lambda: 0.0), [], draw(1, 2, trackers=trackers)
     bounded.warm([])
     kept = left()
     bounded.check(schedule, [], lambda promise, text: failed.append((promise, text)))
