@@ -16,7 +16,7 @@ WORKS = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT)
 _WHY = "the campaign"
 _LONGEST_SENTENCE = 500
 # A stop is sent first and kept then: a process that dies in between has forgotten it.
-_KEPT_WITHIN_S = 0.01
+_KEPT_WITHIN_S = 0.001
 
 
 def known(door: Door) -> list[str]:
