@@ -102,11 +102,6 @@ _BAD = ((math.nan, 60.0), (0.0, math.nan), (51.0, 60.0), (-50.0001, 60.0), (0.0,
 _PAUSES_S = (150.0, 150.0, 600.0, 2400.0)
 """From hands that never rest to a rig that is left alone for most of a day."""
 _LEFT_AT_END_S = 300.0
-SHARED = (
-    "wind", "clock_", "face_", "meter_", "switch_", "bridge_", "disk_", "unplug_multiplexer", "unplug_voltmeter",
-    "kill", "suspended", "end",
-)  # fmt: skip
-"""How the names of faults begin that all trackers of a service have in common."""
 _TO_ALL = 0.25
 _RELEASED_TOGETHER = 0.6
 
@@ -154,12 +149,15 @@ def _among(trackers: int, seed: int, events: Sequence[Happening]) -> tuple[Happe
     """Return the events, each of one tracker or of all."""
     if trackers == 1:
         return tuple(events)
+    from daemon.rigs.campaign.faults import FAULTS  # noqa: PLC0415 - the whole service: one tracker does not wait for it
+
     random = Random(f"{seed} of {trackers}")  # noqa: S311 - as above
-    return tuple(replace(event, tracker=_tracker(random, trackers, event)) for event in events)
+    shared = {name for name, fault in FAULTS.items() if fault.of_all}
+    return tuple(replace(event, tracker=_tracker(random, trackers, event, shared)) for event in events)
 
 
-def _tracker(random: Random, trackers: int, event: Happening) -> int | None:
-    if event.what == "fault" and event.name.startswith(SHARED):
+def _tracker(random: Random, trackers: int, event: Happening, shared: Collection[str]) -> int | None:
+    if event.what == "fault" and event.name in shared:
         return 0
     to_all = _RELEASED_TOGETHER if event.name in ("auto", "clear") else _TO_ALL
     return None if random.random() < to_all else random.randrange(trackers)

@@ -6,9 +6,8 @@ from dataclasses import replace
 import pytest
 
 from daemon.base.errors import UserError
-from daemon.rigs.campaign.faults import FAULTS
 from daemon.studies.campaign.door import DirectDoor
-from daemon.studies.campaign.draw import SHARED, draw
+from daemon.studies.campaign.draw import draw
 from daemon.studies.campaign.matrix import chosen_schedules
 from daemon.studies.campaign.run import run_schedule
 from daemon.studies.campaign.schedule import Happening, Schedule
@@ -43,12 +42,6 @@ def test_the_same_things_happen_at_the_same_times_as_to_one_tracker():
     assert [replace(event, tracker=0) for event in several.events] == list(alone.events)
     assert several == Schedule.from_json(several.json())
     assert several == draw(7, 3, trackers=3)
-
-
-def test_what_all_trackers_share_is_known_by_its_name():
-    assert {name for name, fault in FAULTS.items() if fault.of_all} == {
-        name for name in FAULTS if name.startswith(SHARED)
-    }
 
 
 def test_a_schedule_for_a_tracker_that_there_is_not_is_refused(tmp_path):
