@@ -95,7 +95,8 @@ def _wind(plant: Plant, value: Value) -> None:
 
 
 def _silence_wind(plant: Plant, _value: Value) -> None:
-    plant.wind_m_s = None
+    if plant.wind_m_s is not None:
+        plant.wind_m_s, plant.wind_silent_since_s = None, plant.clock.monotonic()
 
 
 def _calm(plant: Plant, _value: Value) -> None:
@@ -235,6 +236,10 @@ def _suspend(plant: Plant, value: Value) -> None:
         mount.witness.link_changes()
 
 
+def _sleep(plant: Plant, value: Value) -> None:
+    plant.sleep(value[0])
+
+
 async def _kill(plant: Plant, _value: Value) -> None:
     await plant.kill()
 
@@ -305,6 +310,7 @@ FAULTS: dict[str, PlantFault] = {
     "kill": _shared(_kill, _replace_process),
     "kill_torn": _shared(_kill_while_writing, _replace_process),
     "suspended": _shared(_suspend),
+    "machine_sleeps": _shared(_sleep),
     "end": _shared(_end, _replace_process),
 }
 """Every fault that a schedule may name."""

@@ -15,7 +15,7 @@ from daemon.config.settings import Settings
 from daemon.motion.motion import Motion
 from daemon.rigs.campaign.disk import Disk
 from daemon.rigs.campaign.rig import HandledRig, HandWeather, SteppingClock
-from daemon.rigs.campaign.taps import DriverTap, UnitTap, Witness
+from daemon.rigs.campaign.taps import DriverTap, Sleepless, UnitTap, Witness
 from daemon.service.rig import Role
 from daemon.service.service import Service
 from daemon.tracker.control import Control
@@ -54,6 +54,8 @@ class PlantTracker:
 
     Attributes
     ----------
+    unit
+        The simulated unit; built before the first service.
     plugged, is_silent
         Whether its cable is in; whether nothing comes from the unit although it is.
     records
@@ -69,6 +71,7 @@ class PlantTracker:
         self.plugged = True
         self.is_silent = False
         self.records: list[Record] = []
+        self.unit: Sleepless
         self.line: UnitTap
         self.name, self.settings = plant.settings.trackers[place]
         self.called = f"{self.name}: " if plant.settings.tracker else ""
@@ -77,7 +80,8 @@ class PlantTracker:
         self, unit: PositionerCore, settings: Settings, build: Callable[[PositionerCore, Settings], Positioner]
     ) -> Positioner:
         """Return the driver of the unit with a tap before and behind it."""
-        self.line = UnitTap(unit, self.witness)
+        self.unit = Sleepless(unit, self.clock.slept_too)
+        self.line = UnitTap(self.unit, self.witness)
         driver = build(self.line, settings)  # type: ignore[arg-type] # it passes for the unit
         assert isinstance(driver, PozsolPositioner)  # noqa: S101 - narrowing
         return DriverTap(driver, self.line, self.witness)
@@ -103,9 +107,9 @@ class PlantTracker:
         return self.plant.wind_m_s
 
     @property
-    def unit(self) -> PositionerCore:
-        """The simulated unit."""
-        return self.plant.units[self.place]
+    def wind_silent_since_s(self) -> float:
+        """Since when the wind sensor says nothing; infinite while it does."""
+        return self.plant.wind_silent_since_s if self.plant.wind_m_s is None else math.inf
 
     @property
     def motion(self) -> Motion:
@@ -184,6 +188,8 @@ class Plant(HandledRig):
         When the present service began.
     stood_still_s
         When a service that stood still went on last.
+    wind_silent_since_s
+        When the wind sensor fell silent last.
     disk
         What the service writes to.
     commands
@@ -207,6 +213,7 @@ class Plant(HandledRig):
         self.served = asyncio.Event()
         self.served_since_s = math.inf
         self.stood_still_s = -math.inf
+        self.wind_silent_since_s = -math.inf
         self.commands: set[asyncio.Task[None]] = set()
         self.when_renewed = nothing
         self._serving: asyncio.Task[None] | None = None
@@ -251,6 +258,12 @@ class Plant(HandledRig):
     def is_served(self) -> bool:
         """Whether a service is there; one that is just ending is not."""
         return self.served.is_set()
+
+    def sleep(self, lasts_s: float) -> None:
+        """Let the machine sleep for so long [s], its services in it, and the world go on."""
+        self.clock.slept_s += lasts_s
+        for mount in self.mounts:
+            mount.witness.wakes(lasts_s)
 
     def kept_files(self) -> list[Path]:
         """Return what the service has kept for its next start."""

@@ -69,9 +69,22 @@ class HandWeather:
 
 
 class SteppingClock(LoopClock):
-    """A clock whose UTC can be set, as somebody sets that of a PC."""
+    """A clock whose UTC can be set, as somebody sets that of a PC, and that stands still while the machine sleeps.
+
+    Attributes
+    ----------
+    step_s
+        By how much UTC is off.
+    slept_s
+        How long the machine has slept so far: UTC and the world have gone on by as much more than monotonic time.
+    """
 
     step_s = 0.0
+    slept_s = 0.0
+
+    def slept_too(self, monotonic_s: float) -> float:
+        """Return a monotonic time [s] since the machine slept last, and all that it has slept."""
+        return monotonic_s + self.slept_s
 
     def utc(self) -> float:
         """UTC [s], off by `step_s`."""
@@ -79,7 +92,7 @@ class SteppingClock(LoopClock):
 
     def true_utc(self) -> float:
         """UTC [s] as it is: the sun does not follow a clock that somebody has set."""
-        return super().utc()
+        return super().utc() + self.slept_s
 
 
 class HandledRig:

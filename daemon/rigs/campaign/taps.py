@@ -1,5 +1,6 @@
 """What stands before and behind a positioner's driver, and notes every order that goes through it."""
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Protocol
 
@@ -7,6 +8,7 @@ from daemon.base.records import Scan
 from drivers.interfaces import AxisName
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from sim_drivers.pozsol.core import PositionerCore
+from solar.frames import Angles
 
 
 class Witness(Protocol):
@@ -27,11 +29,79 @@ class Witness(Protocol):
     def link_changes(self) -> None:
         """Take note that a plug was pulled or put back."""
 
+    def wakes(self, slept_s: float) -> None:
+        """Take note that the machine has slept for so long [s]."""
+
     def service_begins(self) -> None:
         """Take note that a new process is there."""
 
     def scan(self, scan: Scan) -> None:
         """Take note of a scan that the service has accepted."""
+
+
+class Sleepless:
+    """A unit that goes on while the machine sleeps, asked by the machine's monotonic time; see `PositionerCore`.
+
+    Parameters
+    ----------
+    core
+        The simulated unit.
+    slept_too
+        Returns a monotonic time [s] and what the machine has slept.
+    """
+
+    def __init__(self, core: PositionerCore, slept_too: Callable[[float], float]) -> None:
+        self._core = core
+        self._at = slept_too
+
+    def feed(self, data: bytes, now: float) -> None:
+        """Take in bytes from the host."""
+        self._core.feed(data, self._at(now))
+
+    def enumerate_usb(self, now: float) -> None:
+        """Connect the cable."""
+        self._core.enumerate_usb(self._at(now))
+
+    def next_event(self, now: float) -> float | None:
+        """Return when the state next changes by itself, or None; the machine may sleep meanwhile."""
+        due_s = self._core.next_event(self._at(now))
+        return None if due_s is None else due_s - self._at(0.0)
+
+    def truth(self, now: float) -> Angles:
+        """Return where the axes really stand."""
+        return self._core.truth(self._at(now))
+
+    def screens(self, now: float) -> bytes:
+        """Return all screens."""
+        return self._core.screens(self._at(now))
+
+    def live_screens(self, now: float) -> bytes:
+        """Return what changes while axes move."""
+        return self._core.live_screens(self._at(now))
+
+    def changes(self, now: float) -> int:
+        """Return how often anything has changed so far."""
+        return self._core.changes(self._at(now))
+
+    def course(self, name: AxisName, now: float) -> tuple[float, float]:
+        """Return position and destination of an axis."""
+        return self._core.course(name, self._at(now))
+
+    def shown_deg(self, name: AxisName, now: float) -> float:
+        """Return the angle [deg] that the unit shows of an axis."""
+        return self._core.shown_deg(name, self._at(now))
+
+    def inject(self, fault: str, now: float) -> None:
+        """Cause a fault."""
+        self._core.inject(fault, self._at(now))
+
+    def repair(self, fault: str, now: float) -> None:
+        """End a condition that `inject` began."""
+        self._core.repair(fault, self._at(now))
+
+    def power_cycle(self, now: float, *, keep_position: bool) -> None:
+        """Switch off and on."""
+        self._core.power_cycle(self._at(now), keep_position=keep_position)
 
 
 class UnitTap:
@@ -45,7 +115,7 @@ class UnitTap:
         Notes every packet.
     """
 
-    def __init__(self, unit: PositionerCore, witness: Witness) -> None:
+    def __init__(self, unit: Sleepless, witness: Witness) -> None:
         self._unit = unit
         self._witness = witness
         self.live_screens = unit.live_screens

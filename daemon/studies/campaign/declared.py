@@ -74,6 +74,7 @@ _ROWS: tuple[_Row, ...] = (
     ("kill", (), _SHORT_S, _TRACKING, _SHORT_S + _STARTS_S, _BY_ITSELF, _AT_ONCE_S + _STARTS_S, _BOTH),
     ("end", (), _SHORT_S, _TRACKING, _SHORT_S + _STARTS_S, _BY_ITSELF, _AT_ONCE_S + _STARTS_S, _BOTH),
     ("suspended", (60.0,), 0.0, FALLBACK, 61.0, _BY_ITSELF, 60.0 + _AT_ONCE_S, _BOTH),
+    ("machine_sleeps", (900.0,), 0.0, _GOES_ON, 0.0, _BY_ITSELF, _AT_ONCE_S, _BOTH),
 )  # fmt: skip
 
 UNSEEN = {

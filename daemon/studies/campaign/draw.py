@@ -64,6 +64,7 @@ SPANS: dict[str, Span] = {
     "kill": (5, 0.2, 60),
     "kill_torn": (1, 0.2, 60),
     "suspended": (2, None, None),
+    "machine_sleeps": (3, None, None),
     "end": (3, 0.2, 60),
     "positioner_silent": (3, 0.3, 300),
     "face_noise": (2, 10, 900),
@@ -93,6 +94,7 @@ _VALUES: dict[str, tuple[tuple[float, ...], ...]] = {
     "switch_fails": ((1, 2, 8),),
     "kill_torn": (tuple(range(8)), (0, 1, 20)),
     "suspended": ((0.5, 3.0, 12.0, 60.0),),
+    "machine_sleeps": ((3.0, 20.0, 90.0, 900.0, 7000.0, 27000.0),),
     "bridge_late": ((1.0, 8.0, 40.0),),
     "bridge_forged": ((1, 30, 300),),
 }

@@ -79,7 +79,7 @@ CELLS: dict[tuple[str, str], tuple[str, ...] | str] = {
     ("disk", "full"): ("disk_full",),
     ("disk", "partial-line"): ("kill_torn",),
     ("process", "off"): ("end",),
-    ("process", "stuck"): ("suspended",),
+    ("process", "stuck"): ("suspended", "machine_sleeps"),
     ("process", "killed"): ("kill", "kill_torn"),
     ("process", "reset"): ("kill", "end"),
     ("wind-sensor", "off"): ("wind_silent",),

@@ -41,13 +41,15 @@ _NO_PAIRS = (
     _OF_THE_PROCESS,
     {"a_switch_open", "a_switch_closed"},
     {"b_switch_open", "b_switch_closed"},
+    {"clock_step", "suspended"},
     *({missed, process} for missed in _LEAVE_NO_MARK for process in _OF_THE_PROCESS),
 )
 
 LEFT_OUT = (
     "Left out: two faults of the one process, the same switch open and closed, and what leaves no mark in the unit\n"
-    "(a count that slips, a switch closed for 10 s) while no process is there to see it. A fault that only a move can\n"
-    "show may wait for one."
+    "(a count that slips, a switch closed for 10 s) while no process is there to see it; nor a process that stands\n"
+    "still while the clock is set, for it waits to hear the wind then, and readings come meanwhile. A fault that only\n"
+    "a move can show may wait for one."
 )
 """What is not asked of pairs."""
 

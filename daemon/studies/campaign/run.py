@@ -272,14 +272,18 @@ def _note(watch: TruthWatch, name: str, value: tuple[float, ...], fault: PlantFa
     if name == "deaf":
         watch.deaf(is_deaf=True)
     elif name == "clock_step":
-        watch.steps.note(value[0], watch.now_s)
+        watch.decided.steps.note(value[0], watch.now_s)
     if fault.uncounts:
         watch.reference.excused, watch.reference.lost_s = True, watch.now_s
     if name.endswith("hall_loss"):
         watch.blind.add("a" if name[0] == "a" else "b")
     if fault.by_hand:
         watch.explained.held(is_held=True, now_s=watch.now_s)
-    watch.disturbs()
+    if name == "machine_sleeps":
+        # Of itself it is no reason for any alarm about the unit.
+        watch.storms.disturbed(watch.now_s)
+    else:
+        watch.disturbs()
 
 
 def _note_end(watch: TruthWatch, name: str, fault: PlantFault) -> None:
@@ -292,7 +296,7 @@ def _note_end(watch: TruthWatch, name: str, fault: PlantFault) -> None:
     if name == "deaf":
         watch.deaf(is_deaf=False)
     elif name == "clock_step":
-        watch.steps.note(0.0, watch.now_s)
+        watch.decided.steps.note(0.0, watch.now_s)
     watch.disturbs()
 
 

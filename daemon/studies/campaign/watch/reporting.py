@@ -7,6 +7,7 @@ from itertools import islice
 
 from daemon.base.records import Event, Mode, ModeChange, Record
 from daemon.rigs.campaign.plant import PlantTracker
+from daemon.studies.campaign.watch.true_count import COUNTED_DEG
 
 WORTH_REPORTING_DEG = 0.5
 REPORTED_WITHIN_S = 10.0
@@ -14,6 +15,7 @@ REPORTED_WITHIN_S = 10.0
 MOVE_ENDS_WITHIN_S = 60.0
 """What happens to a move is told at its end, after its attempts."""
 CAUSE_WITHIN_S = 30.0
+_JUMPED = "the count jumped"
 _SUBJECTS = ("alarm", "positioner", "control")
 _LATE_RECORDS = 500
 
@@ -47,6 +49,7 @@ class Reporting:
         self._unreported: list[tuple[float, float]] = []
         self._cause_s = -math.inf
         self._blocked: str | None = None
+        self._jumped = False
 
     @property
     def waits(self) -> bool:
@@ -80,6 +83,10 @@ class Reporting:
         if blocked is not None and self._blocked is None and now_s - self._cause_s > CAUSE_WITHIN_S:
             self._fails("false-alarm", f"nothing has moved by itself, but: {blocked}")
         self._blocked = blocked
+        jumped = _JUMPED in (mount.motion.doubt or "")
+        if jumped and not self._jumped and now_s - self._cause_s > CAUSE_WITHIN_S and _counts(mount, now_s):
+            self._fails("false-alarm", f"the unit has kept its count, but: {mount.motion.doubt}")
+        self._jumped = jumped
         within_s = REPORTED_WITHIN_S if mount.motion.target is None else MOVE_ENDS_WITHIN_S
         while self._unreported and now_s - self._unreported[0][0] > within_s:
             begun_s, turned_deg = self._unreported.pop(0)
@@ -94,6 +101,12 @@ class Reporting:
         """Hold the service to nothing: it is gone, or cannot be heard."""
         self._unreported.clear()
         self._begun_s = None
+
+
+def _counts(mount: PlantTracker, now_s: float) -> bool:
+    at = mount.truth()
+    shown_deg = mount.unit.shown_deg("a", now_s), mount.unit.shown_deg("b", now_s)
+    return max(abs(shown_deg[0] - at.a_deg), abs(shown_deg[1] - at.b_deg)) < COUNTED_DEG
 
 
 def _reports(record: Record, since_s: float) -> bool:

@@ -9,12 +9,12 @@ import contextlib
 import math
 from collections.abc import Iterator
 
-from daemon.base.records import Mode, Scan
+from daemon.base.records import Scan
 from daemon.base.timeloop import call_until, wait_at_most
 from daemon.rigs.campaign.plant import PlantTracker
 from daemon.studies.campaign.watch.asked_for import check_asked_for
 from daemon.studies.campaign.watch.believed import check_scan
-from daemon.studies.campaign.watch.clock_steps import ClockSteps
+from daemon.studies.campaign.watch.decided import Decided
 from daemon.studies.campaign.watch.explained import AT_TARGET, RUN_OUT_S, Counted, Explained
 from daemon.studies.campaign.watch.reach import Reach
 from daemon.studies.campaign.watch.reporting import Reporting, Violation
@@ -37,7 +37,6 @@ UNIT_TRIPS_S = 1.5
 LIMIT_DEG = 0.02
 LEFT_AT_ARRIVAL = 4.0
 """More than the tolerance of a move, in the unit's positions."""
-STALE_S = 16.0
 
 
 class TruthWatch:
@@ -65,7 +64,7 @@ class TruthWatch:
         self.explained = Explained()
         self.reporting = Reporting(self.fails)
         self.storms = Storms(self.fails)
-        self.steps = ClockSteps(self.fails)
+        self.decided = Decided(self.fails)
         self.reach = Reach()
         self.reference = TrueCount(self.fails)
         self._steady = Steady()
@@ -129,11 +128,18 @@ class TruthWatch:
     def service_begins(self) -> None:
         """Take note that a new process is there."""
         self.reach.service_begins(self.now_s)
+        self.decided.service_begins()
 
     def link_changes(self) -> None:
         """Take note that a plug was pulled or put back, or that the unit hears or is heard again."""
         self.reach.link_changes(self.now_s)
         self.wake()
+
+    def wakes(self, slept_s: float) -> None:
+        """Take note that the machine has slept for so long [s]: where the axes went meanwhile nobody could see."""
+        self.decided.wakes(slept_s, self.now_s)
+        self.link_changes()
+        self._at = None
 
     def deaf(self, *, is_deaf: bool) -> None:
         """Take note that the unit takes no commands, or takes them again."""
@@ -157,8 +163,7 @@ class TruthWatch:
 
     def stop_is_released(self) -> None:
         """Take note that a person has released it."""
-        self._stop_s = None
-        self._stop_measured = True
+        self._stop_s, self._stop_measured = None, True
 
     def maintenance_begins(self) -> None:
         """Take note of maintenance."""
@@ -392,9 +397,4 @@ class TruthWatch:
             self.fails("two-targets", f"{target} is sent while an axis moves ({self.moving})")
         if self._stop_s is not None and self.mount.is_served and now_s > self._stop_s:
             self.fails("moves-under-stop", f"{target} is sent under a stop; mode {control.mode}: {control.why}")
-        # A second try of the same move is no new decision.
-        begins = now_s - self.mount.motion.last_move_started_s < 1.0
-        if begins and control.mode is Mode.TRACKING and control.state.scan_age_s > STALE_S:
-            self.fails("stale", f"{target} is sent in tracking on readings {control.state.scan_age_s:.0f} s old")
-        if begins and control.mode in (Mode.FALLBACK, Mode.NIGHT):
-            self.steps.check(self.mount, target, now_s, self.reach.begun_s)
+        self.decided.check(self.mount, target, now_s, self.reach.begun_s)

@@ -9,7 +9,7 @@ from tests.daemon.studies.campaign.watch.scripted import promises
 @pytest.mark.parametrize("later_s", [60, 3000])
 def test_a_move_by_a_clock_that_was_set_wrong_is_seen_however_late(plant, later_s):
     plant.clock.step_s = 43200.0
-    plant.watch.steps.note(43200.0, plant.now_s)
+    plant.watch.decided.steps.note(43200.0, plant.now_s)
     plant.wait(later_s)
     plant.control.mode = Mode.NIGHT
     plant.order(0, 90)
@@ -23,13 +23,13 @@ def test_a_move_by_a_clock_that_was_set_wrong_is_seen_however_late(plant, later_
 
 def test_a_service_that_has_never_known_another_time_is_not_blamed_for_it(plant):
     plant.clock.step_s = 40.0
-    plant.watch.steps.note(40.0, plant.now_s)
+    plant.watch.decided.steps.note(40.0, plant.now_s)
     plant.watch.service_begins()
     plant.wait(200)
     plant.control.mode = Mode.FALLBACK
     for off_s, blamed in ((40.0, False), (7200.0, True), (50.0, False), (0.0, False)):
         plant.clock.step_s = off_s
-        plant.watch.steps.note(off_s, plant.now_s)
+        plant.watch.decided.steps.note(off_s, plant.now_s)
         plant.wait(60)
         plant.order(1 + off_s / 1e4, 60)
         assert promises(plant) == ["clock"] * blamed

@@ -1,0 +1,76 @@
+"""Whether what a target was decided by is still true when it is sent."""
+
+import math
+from collections.abc import Callable
+
+from daemon.base.records import Mode
+from daemon.rigs.campaign.plant import PlantTracker
+from daemon.studies.campaign.watch.clock_steps import ClockSteps
+from daemon.studies.campaign.watch.storms import FREE
+
+STALE_S = 16.0
+_DECIDES = (Mode.TRACKING, Mode.FALLBACK)
+
+
+class Decided:
+    """Compares targets with the age of what they go by: readings, the clock, and all of before a sleep of the machine.
+
+    Parameters
+    ----------
+    fails
+        Called with a promise and a text.
+
+    Attributes
+    ----------
+    steps
+        Of the clock.
+    """
+
+    def __init__(self, fails: Callable[[str, str], None]) -> None:
+        self._fails = fails
+        self.steps = ClockSteps(fails)
+        self._woke_s = -math.inf
+
+    def service_begins(self) -> None:
+        """Take note of a new process: it knows nothing of before."""
+        self._woke_s = -math.inf
+
+    def wakes(self, slept_s: float, now_s: float) -> None:
+        """Take note that the machine has slept for so long [s], until now."""
+        self.steps.sleeps(slept_s, now_s)
+        if slept_s > STALE_S:
+            self._woke_s = now_s
+
+    def check(self, mount: PlantTracker, target: tuple[float, float], now_s: float, begun_s: float) -> None:
+        """Look at a target [deg] that is sent, by a service that began at `begun_s`."""
+        self._check_woken(mount, target, now_s)
+        # A second try of the same move is no new decision.
+        if now_s - mount.motion.last_move_started_s >= 1.0:
+            return
+        control = mount.control
+        if control.mode is Mode.TRACKING and control.state.scan_age_s > STALE_S:
+            self._fails("stale", f"{target} is sent in tracking on readings {control.state.scan_age_s:.0f} s old")
+        if control.mode in (Mode.FALLBACK, Mode.NIGHT):
+            self.steps.check(mount, target, now_s, begun_s)
+
+    def _check_woken(self, mount: PlantTracker, target: tuple[float, float], now_s: float) -> None:
+        """See that nothing of before the last sleep moves the tracker: the sun, the wind and the unit have gone on."""
+        woke_s = self._woke_s
+        if woke_s == -math.inf:
+            return
+        mode, seen, awake = mount.control.mode, mount.motion.telemetry, f"{now_s - woke_s:.1f} s after a sleep"
+        if seen is None or seen.time_monotonic_s < woke_s:
+            self._fails("slept", f"{target} is sent {awake}, and nobody has looked where the unit stands since")
+        if mode in FREE and mount.wind_silent_since_s <= woke_s:
+            self._fails("slept", f"{target} is sent in mode {mode} {awake}, and the wind has not been heard since")
+        decision = mount.control.state.decision
+        if mode not in _DECIDES or decision is None:
+            return
+        since_s = decision.time_monotonic_s - woke_s
+        if since_s < 0.0:
+            self._fails("slept", f"{target} is sent in mode {mode} {awake}, and was decided before it")
+        elif mode is Mode.TRACKING and decision.irradiances is not None:
+            # The first reading stands for the time until it as well.
+            covers_s = decision.irradiances.coverage * mount.settings.windows.mean_s
+            if covers_s > since_s + STALE_S:
+                self._fails("slept", f"{target} is sent {awake} by {covers_s:.0f} s of readings")

@@ -1,0 +1,53 @@
+"""What moves a tracker after a sleep of the machine is of after it, or is seen to be of before."""
+
+import math
+from types import SimpleNamespace
+
+import pytest
+
+from daemon.base.records import Mode
+from daemon.studies.campaign.watch.decided import Decided
+
+WOKE_S = 1000.0
+
+
+def sent(at_s, *, seen_s, decided_s, coverage=0.1, silent_s=math.inf, mode=Mode.TRACKING, slept_s=3600.0):
+    """Send a target after a sleep; return what is found wrong with it."""
+    found = []
+    decision = SimpleNamespace(time_monotonic_s=decided_s, irradiances=SimpleNamespace(coverage=coverage))
+    control = SimpleNamespace(mode=mode, state=SimpleNamespace(scan_age_s=1.0, decision=decision))
+    mount = SimpleNamespace(
+        control=control,
+        motion=SimpleNamespace(telemetry=SimpleNamespace(time_monotonic_s=seen_s), last_move_started_s=0.0),
+        settings=SimpleNamespace(windows=SimpleNamespace(mean_s=60.0)),
+        wind_silent_since_s=silent_s,
+    )
+    watch = Decided(lambda promise, text: found.append(f"{promise}: {text}"))
+    watch.wakes(slept_s, WOKE_S)
+    watch.check(mount, (0.0, 60.0), at_s, 0.0)
+    return " ".join(found)
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ({"seen_s": 1040.0, "decided_s": 1040.0, "coverage": 0.7}, ""),
+        ({"seen_s": 999.9, "decided_s": 1040.0}, "slept: (0.0, 60.0) is sent 40.0 s after a sleep, and nobody has lo"),
+        (
+            {"seen_s": 1040.0, "decided_s": 990.0},
+            "slept: (0.0, 60.0) is sent in mode tracking 40.0 s after a sleep, an",
+        ),
+        ({"seen_s": 1040.0, "decided_s": 1030.0, "coverage": 0.9}, "slept: (0.0, 60.0) is sent 40.0 s after a sleep b"),
+        (
+            {"seen_s": 1040.0, "decided_s": 1040.0, "silent_s": 990.0},
+            "and the wind has not been heard since",
+        ),
+        ({"seen_s": 1040.0, "decided_s": 1040.0, "silent_s": 1010.0}, ""),
+        ({"seen_s": 1040.0, "decided_s": 990.0, "mode": Mode.STOW, "silent_s": 990.0}, ""),
+        ({"seen_s": 999.9, "decided_s": 990.0, "slept_s": 3.0}, ""),
+    ],
+)
+def test_a_target_after_a_sleep_goes_by_nothing_of_before(what, said):
+    found = sent(1040.0, **what)
+    assert said in found
+    assert bool(found) is bool(said)
