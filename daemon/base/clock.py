@@ -35,6 +35,28 @@ class SystemClock:
         return time.time()
 
 
+class SleepGauge:
+    """Tells how long the machine may have slept: monotonic time stood still then, and the world went on.
+
+    Parameters
+    ----------
+    clock
+        The service's time.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._ahead_s = clock.utc() - clock.monotonic()
+
+    def take_s(self) -> float:
+        """Return by how much UTC has run ahead of monotonic time since the last call [s], 0 where it has not.
+
+        A clock that was set forward looks the same.
+        """
+        before_s, self._ahead_s = self._ahead_s, self._clock.utc() - self._clock.monotonic()
+        return max(self._ahead_s - before_s, 0.0)
+
+
 class LoopClock:
     """A clock that follows an event loop whose time is scaled or virtual.
 

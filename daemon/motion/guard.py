@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 from daemon.base.alarms.alarms import Alarms
-from daemon.base.clock import Clock
+from daemon.base.clock import Clock, SleepGauge
 from daemon.base.records import Event, Pose, Record, Target
 from daemon.motion.alarms import Currents, OwnMode, show
 from daemon.motion.deafness import Deafness
@@ -105,6 +105,7 @@ class Guard:
         self._pressed_s = float("-inf")
         self._reported_buttons_s = float("-inf")
         self._judged_s = float("-inf")
+        self._sleeps = SleepGauge(clock)
         self._strayed_at: Telemetry | None = None
         self._reset_before = False
         self._under_inquiry: str | None = None
@@ -313,7 +314,7 @@ class Guard:
                 await task
 
     def _judge(self, before: Telemetry | None, telemetry: Telemetry) -> None:
-        stray = self.watch.update(telemetry, self._clock.monotonic())
+        stray = self.watch.update(telemetry, self._clock.monotonic() + self._sleeps.take_s())
         told = telemetry.homing and telemetry.status_monotonic_s > self._judged_s + _STATUS_LATE_S
         # On the way of a move of ours the bit alone says nothing: it may be that of the other axis' motion.
         own_run = told and not self.watch.on_its_way
