@@ -8,7 +8,7 @@ from collections.abc import Callable, Coroutine
 from functools import partial
 from typing import Any, TypeVar
 
-from daemon.base.clock import Clock
+from daemon.base.clock import Clock, SleepGauge
 from daemon.base.records import Event, Move, MoveOutcome, Pose, Record, Target
 from daemon.base.timeloop import wait_at_most
 from daemon.config.sections import MotionSettings
@@ -26,6 +26,8 @@ log = logging.getLogger("heliocube.motion")
 T = TypeVar("T")
 
 _BETWEEN_ATTEMPTS_S = 1.0
+# As old as readings may be; a clock that was set forward by less is no reason to end anything.
+_SLEPT_S = 15.0
 # A positioner gives up a run by itself before that, and says why.
 _HOMING_WITHIN_S = 900.0
 # No unit takes so long to tell that an axis which stands has ended its run; a motor that is blocked gets hot.
@@ -149,9 +151,13 @@ class Runs:
     async def _attempt(self, target: Target, start: Pose) -> tuple[MoveOutcome, str]:
         guard = self._guard
         outcome, why = MoveOutcome.REFUSED, target.why
+        sleeps = SleepGauge(self._clock)
         for attempt in range(self._settings.attempts):
             if attempt:
                 await self._pause()
+                if not self._stow and sleeps.take_s() > _SLEPT_S:
+                    # Whoever wants it still decides it anew, by what is true now.
+                    break
                 if guard.doubts.reference is not None:
                     # The count may have begun anew: what it was before would put the axes beyond their targets.
                     start = guard.pose or start
