@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from random import Random
 
-from daemon.studies.campaign.schedule import Happening, Schedule
+from daemon.studies.campaign.schedule import MOST_TRACKERS, Happening, Schedule
 
 Span = tuple[float, float | None, float | None]
 
@@ -81,6 +81,8 @@ COMMANDS: dict[str, float] = {
 }  # fmt: skip
 """Weight of each command; ``bad`` is a goto with wrong degrees."""
 _FACES = (0, 1, 2, 3)
+# What a service keeps for each; of fewer each is drawn as often as another.
+_FILES_OF_A_TRACKER = 12
 _VALUES: dict[str, tuple[tuple[float, ...], ...]] = {
     "clock_step": ((-43200.0, -3600.0, -40.0, 3.0, 40.0, 3600.0, 43200.0),),
     "face_stuck": (_FACES, (0.0, 0.03, 0.4, 9.9)),
@@ -92,7 +94,7 @@ _VALUES: dict[str, tuple[tuple[float, ...], ...]] = {
     "meter_mute": ((1, 2, 8),),
     "meter_late": ((0.5, 2.5, 6.0),),
     "switch_fails": ((1, 2, 8),),
-    "kill_torn": (tuple(range(8)), (0, 1, 20)),
+    "kill_torn": (tuple(range(_FILES_OF_A_TRACKER * MOST_TRACKERS)), (0, 1, 20)),
     "suspended": ((0.5, 3.0, 12.0, 60.0),),
     "machine_sleeps": ((3.0, 20.0, 90.0, 900.0, 7000.0, 27000.0),),
     "bridge_late": ((1.0, 8.0, 40.0),),
