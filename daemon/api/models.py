@@ -219,7 +219,9 @@ class TrackerPart(Page):
     """A tracker, or, at the top, the only one; all null where there are several or none."""
 
     mode: ModePart | None
-    wishes: dict[str, Any] | None = Field(description="What persons asked for: `why`, `by`, `since`, or null.")
+    wishes: dict[str, Any] | None = Field(
+        description="What persons asked for: `why`, `by`, `since`, `latest`, `also`, or null."
+    )
     at_stow: bool | None = Field(
         description="Whether it was seen to stand at the stow position, with nothing in doubt, whatever its mode."
     )

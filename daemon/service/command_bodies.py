@@ -91,8 +91,8 @@ class AutoBody(CommandBody):
 
     shown: dict[str, str | None] | None = Field(
         None,
-        description="The `since` of each of the `wishes` of the state that whoever asks was shown, by name: if anything"
-        " else is asked for by then, nothing is ended.",
+        description="The `latest` of each of the `wishes` of the state that whoever asks was shown, by name: if"
+        " anything else is asked for by then, nothing is ended.",
     )
 
 

@@ -104,8 +104,11 @@ class Operator:
         control, motion = self._control, self._motion
         now_s = self._clock.monotonic()
         if control.wishes.stop is not None and now_s - self._stop_sent_s < _SAME_STOP_S * self._speed:
+            before = control.wishes
+            if control.join_stop(why, by):
+                self._note("stop", why, by)
             seen = await self._until(lambda: Seen.DONE if _stands(motion, now_s) else None)
-            return await self._answer(seen, self._seen())
+            return await self._answer(seen, self._seen(), before)
         return await self._stand_still("stop", control.stop(why, by), motion.target, why, by)
 
     async def maintenance(self, why: str, by: str = "") -> Answer:
@@ -132,12 +135,12 @@ class Operator:
         if lost is not None:
             noted = "" if name == "stop" else f"{name} is noted, but "
             unsent = f"{noted}stop could not be sent, and is sent as soon as the positioner answers: {lost}"
-            raise CommandError(f"{unsent}{await self._unsaved()}")
+            raise CommandError(f"{unsent}{before.told_beside(control.wishes, unsent)}{await self._unsaved()}")
         seen = await self._until(lambda: Seen.DONE if _stands(motion, asked_s) else None)
         way = ""
         if seen is Seen.DONE and heading is not None:
             way = f"stopped on the way to A {heading.a_deg:+z.1f}, B {heading.b_deg:z.1f} deg; "
-        return await self._answer(seen, f"{way}{self._seen()}{_replaced(before, control.wishes)}")
+        return await self._answer(seen, f"{way}{self._seen()}", before)
 
     async def stow(self, why: str, by: str = "") -> Answer:
         """Go to the stow position and stay; a move to anywhere else is stopped first, before anything else."""
@@ -182,7 +185,7 @@ class Operator:
                 return Seen.UNDER_WAY
             return Seen.DONE if control.mode is Mode.HOLD and _stands(motion, asked_s) else None
 
-        return await self._answer(await self._until(seen), f"{self._seen()}{_replaced(before, control.wishes)}")
+        return await self._answer(await self._until(seen), self._seen(), before)
 
     async def goto(self, a_deg: float, b_deg: float, why: str, by: str = "") -> Answer:
         """Go to a position inside the limits and hold there."""
@@ -285,14 +288,15 @@ class Operator:
 
     async def _on_the_way(self, a_deg: float, b_deg: float, before: Wishes) -> Answer:
         """Wait until the tracker is seen to stand at a place or to come nearer to it."""
-        control, motion = self._control, self._motion
+        motion = self._motion
         approach = _Approach(motion, Target(a_deg, b_deg, ""), self._tracker.settings.motion.tolerance_deg)
         found = await self._until(approach.seen, _WAIT_FOR_MOTION_S)
-        return await self._answer(found, f"{self._seen()}{_replaced(before, control.wishes)}")
+        return await self._answer(found, self._seen(), before)
 
-    async def _answer(self, seen: Seen, text: str) -> Answer:
+    async def _answer(self, seen: Seen, text: str, before: Wishes | None = None) -> Answer:
         """Return what came of a command that changes what is kept, and whether a restart would forget it."""
-        return Answer(seen, f"{text}{await self._unsaved()}")
+        beside = "" if before is None else before.told_beside(self._control.wishes, text)
+        return Answer(seen, f"{text}{beside}{await self._unsaved()}")
 
     async def _unsaved(self) -> str:
         """Give the disk a moment, and return what it has not taken by then, as the end of an answer."""
@@ -369,11 +373,6 @@ async def _try_to_stop(motion: Motion) -> None:
         await motion.stop()
     except DeviceError as error:
         log.warning("stop could not be sent: %s", error)
-
-
-def _replaced(before: Wishes, now: Wishes) -> str:
-    ended = "; ".join(before.gone_in(now))
-    return f"; this replaces: {ended}" if ended else ""
 
 
 def _stands(motion: Motion, asked_s: float) -> bool:

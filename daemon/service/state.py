@@ -269,7 +269,10 @@ def _asked(mode: Mode, wishes: Wishes) -> str | None:
 def _wish(wish: Wish | None, typed_for: str | None) -> dict[str, Any] | None:
     if wish is None:
         return None
-    return {"why": as_typed(wish.why, typed_for), "by": wish.by, "since": wish.since}
+    first, *also = (
+        {"why": as_typed(each.why, typed_for), "by": each.by, "since": each.since} for each in wish.everybodys
+    )
+    return {**first, "latest": wish.latest, "also": also}
 
 
 def _scan(seen: Snapshot) -> dict[str, Any] | None:

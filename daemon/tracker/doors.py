@@ -139,6 +139,15 @@ class Doors:
         """
         await self._stand_still("stop", why, by)
 
+    def join_stop(self, why: str, by: str = "") -> bool:
+        """Note who else wants the tracker stopped, of a stop that has just been sent; return whether that is new."""
+        if self.wishes.stop is not None and self.wishes.stop.tells(why, by):
+            return False
+        self._orders.latch("stop", why, by)
+        self._freeze()
+        self._keep_wishes()
+        return True
+
     async def maintenance(self, why: str, by: str = "") -> None:
         """Stop the axes, keep them still and all alarms silent until released.
 

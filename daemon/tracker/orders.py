@@ -69,7 +69,7 @@ class Orders:
         instead_of: str | None = None,
         goto_deg: tuple[float, float] | None = None,
     ) -> None:
-        """Put a wish in force, in memory; `keep` writes it down.
+        """Put a wish in force, in memory; `keep` writes it down. A stop joins one that stands, and takes no place.
 
         Parameters
         ----------
@@ -83,6 +83,8 @@ class Orders:
             Where to, A and B, of the hold of a goto.
         """
         wish = Wish(why=why, by=by, since_utc_s=self._clock.utc(), goto_deg=goto_deg)
+        if name == "stop" and self.wishes.stop is not None:
+            wish = self.wishes.stop.joined_by(wish)
         ended = {} if instead_of is None else {instead_of: None}
         self._set(self.wishes.model_copy(update={name: wish, **ended}))
 

@@ -21,6 +21,9 @@ PROGRAM = "heliocube"
 # Many a program dates what it asks for by the second.
 _WHOLE_SECONDS_S = 1.0
 
+# Beside the first: of more the newest takes the last place, for a flood must not fill the file.
+_MOST_ALSO = 8
+
 # What each wish makes of the tracker, as a sentence begins.
 _DONE_TO_IT = {
     "maintenance": "in maintenance",
@@ -43,6 +46,10 @@ class Wish(BaseModel):
         When; None where that is not known.
     goto_deg
         Where to, A and B [deg], of a hold that is a goto's; None of any other.
+    again_utc_s
+        When it was asked for last, of what was asked for again; None of any other.
+    also
+        Who else has asked for it since, or with which other reasons; None where nobody has.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -51,6 +58,39 @@ class Wish(BaseModel):
     by: str = ""
     since_utc_s: float | None = Field(default=None, allow_inf_nan=False, ge=LEAST_SHOWN_UTC_S, le=MOST_SHOWN_UTC_S)
     goto_deg: tuple[FiniteFloat, FiniteFloat] | None = Field(default=None, strict=False)
+    again_utc_s: float | None = Field(default=None, allow_inf_nan=False, ge=LEAST_SHOWN_UTC_S, le=MOST_SHOWN_UTC_S)
+    also: tuple["Wish", ...] | None = Field(default=None, strict=False)
+
+    @property
+    def first(self) -> "Wish":
+        """What was asked for first, alone."""
+        return self.model_copy(update={"again_utc_s": None, "also": None})
+
+    @property
+    def everybodys(self) -> tuple["Wish", ...]:
+        """What each person asked for, the first in front."""
+        return (self, *(self.also or ()))
+
+    def tells(self, why: str, by: str) -> bool:
+        """Whether this person has asked for it with this reason."""
+        return any((each.why, each.by) == (why, by) for each in self.everybodys)
+
+    def joined_by(self, later: "Wish") -> "Wish":
+        """Return this with what is asked for later beside it: as with locks at a switch, the first stays."""
+        also = self.also or ()
+        if not self.tells(later.why, later.by):
+            also = (*also[: _MOST_ALSO - 1], later)
+        return self.model_copy(update={"again_utc_s": later.since_utc_s, "also": also or None})
+
+    @property
+    def latest_utc_s(self) -> float | None:
+        """When it was asked for last; None where that is not known."""
+        return self.since_utc_s if self.again_utc_s is None else self.again_utc_s
+
+    @property
+    def latest(self) -> str | None:
+        """The same, as the state shows it."""
+        return None if self.latest_utc_s is None else iso_utc(self.latest_utc_s)
 
     @property
     def since(self) -> str | None:
@@ -87,7 +127,9 @@ class Wishes(BaseModel):
     def describe(self, name: str) -> str | None:
         """Return one wish in words, such as ``stopped by ana@lab since 2022-10-12 10:00:03 UTC: repair``, or None."""
         wish: Wish | None = getattr(self, name)
-        return None if wish is None else f"{_DONE_TO_IT[name]}{wish.whence}: {wish.why}"
+        if wish is None:
+            return None
+        return _DONE_TO_IT[name] + "; also".join(f"{each.whence}: {each.why}" for each in wish.everybodys)
 
     @property
     def stillness(self) -> str | None:
@@ -110,27 +152,39 @@ class Wishes(BaseModel):
         """Return in words what was asked for after an instant [s of UTC] and stands, or None."""
         for name in type(self).model_fields:
             wish: Wish | None = getattr(self, name)
-            if wish is not None and wish.since_utc_s is not None and wish.since_utc_s > utc_s + _WHOLE_SECONDS_S:
+            if wish is not None and wish.latest_utc_s is not None and wish.latest_utc_s > utc_s + _WHOLE_SECONDS_S:
                 return self.describe(name)
         return None
 
     def not_in(self, shown: Mapping[str, str | None]) -> str | None:
-        """Return in words what stands and was not shown, or since another time, or None.
+        """Return in words what stands and was not shown, or was asked for last at another time, or None.
 
         By equality: a clock that was set back would hide for hours what is asked for now, or forbid to end it.
         """
         for name in type(self).model_fields:
             wish: Wish | None = getattr(self, name)
-            if wish is not None and (name not in shown or shown[name] != wish.since):
+            if wish is not None and (name not in shown or shown[name] != wish.latest):
                 return self.describe(name)
         return None
 
     def gone_in(self, later: "Wishes") -> Iterator[str]:
         """Yield in words what stands here and no longer, or another one, in `later`."""
         for name in type(self).model_fields:
-            text = self.describe(name)
-            if text is not None and getattr(later, name) != getattr(self, name):
+            text, after = self.describe(name), getattr(later, name)
+            # What somebody has joined stands.
+            if text is not None and (after is None or after.first != getattr(self, name).first):
                 yield text
+
+    def told_beside(self, now: "Wishes", said: str) -> str:
+        """Return as the end of an answer what it has replaced here, or beside which stop it was noted; or nothing.
+
+        Nothing of a stop that what is `said` before tells already.
+        """
+        if self.stop is not None and now.stop is not None:
+            stands = self.describe("stop") or ""
+            return "" if stands in said or now.stop.also == self.stop.also else f"; noted beside: {stands}"
+        ended = "; ".join(self.gone_in(now))
+        return f"; this replaces: {ended}" if ended else ""
 
 
 def kept_wishes(folder: StateFolder) -> Wishes:

@@ -15,6 +15,7 @@ from daemon.base.alarms.kinds import as_typed
 from daemon.base.words import counted
 from daemon.commands.status.light import lines_of_light
 from daemon.commands.status.times import dated, in_local, moment, zone
+from daemon.commands.status.wishes import after_reasons, lines_of_wishes
 
 _MODE_STYLES = {
     "tracking": "bold green",
@@ -204,12 +205,12 @@ def _mode(own: dict[str, Any], time: str, tracker: str | None = None) -> tuple[s
     # The mode begins anew at each restart and after each fault; the wish does not.
     text.append(f" {_since(wish['since'] or mode['since'], time)}")
     # Who asked, and why, has a line of its own; what came after it in the reason has not.
-    more = mode["why"].partition(wish["why"])[2]
+    more = after_reasons(mode["why"], wish)
     return "mode", text.append(as_typed(f"{more}; ends with 'heliocube auto'", tracker))
 
 
 def _tracker_rows(own: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
-    yield from _wishes(own, time)
+    yield from lines_of_wishes(own, time)
     yield "tracker", _tracker(own["tracker"])
     # A service of an earlier version tells none.
     if details := own["tracker"].get("details"):
@@ -221,15 +222,6 @@ def _tracker_rows(own: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
         yield "wind", _wind(source, several=len(sources) > 1)
     if own["load"] is not None:
         yield "module", _module(own["load"])
-
-
-def _wishes(state: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
-    """Yield what persons asked for and is in force, each with its person and beginning."""
-    for name, wish in (state["wishes"] or {}).items():
-        if wish is not None:
-            by = f" by {wish['by']}" if wish["by"] else ""
-            since = "" if wish["since"] is None else f" {_since(wish['since'], time)}"
-            yield name, Text(f"{by}{since}: {wish['why']}".strip())
 
 
 def _tracker(tracker: dict[str, Any]) -> Text:

@@ -89,8 +89,9 @@ class Person:
         wishes, own = self._mount.control.wishes, [self._why(None), self._why(self._door)]
         for name in type(wishes).model_fields:
             wish = getattr(wishes, name)
-            if wish is not None and wish.why.startswith(_WHY) and wish.why not in own:
-                self._watch.fails("mixed-up", f"{name} is in force here, and was asked with the words '{wish.why}'")
+            for why in [] if wish is None else [each.why for each in wish.everybodys]:
+                if why.startswith(_WHY) and why not in own:
+                    self._watch.fails("mixed-up", f"{name} is in force here, and was asked with the words '{why}'")
 
     def _begins(self, name: str) -> None:
         if name == "stop":

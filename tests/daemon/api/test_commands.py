@@ -190,7 +190,7 @@ def test_an_auto_ends_nothing_that_whoever_gave_it_was_not_shown(serve):
     async def scenario(rig, call):
         await tracking(rig)
         await call.post("stow", b'{"by": "ana"}')
-        shown = {name: wish["since"] for name, wish in (await call.get("/api/state")).json["wishes"].items() if wish}
+        shown = {name: wish["latest"] for name, wish in (await call.get("/api/state")).json["wishes"].items() if wish}
         auto = json.dumps({"by": "ana", "shown": shown}).encode()
         await asyncio.sleep(0.01)
         await call.post("stop", b'{"by": "ben", "why": "a hand"}')
@@ -200,7 +200,7 @@ def test_an_auto_ends_nothing_that_whoever_gave_it_was_not_shown(serve):
         assert "stopped by ben since" in refused.json["error"]
         assert rig.control.wishes.stop is not None
         # Whatever has happened to the clock since.
-        stop = (await call.get("/api/state")).json["wishes"]["stop"]["since"]
+        stop = (await call.get("/api/state")).json["wishes"]["stop"]["latest"]
         both = await call.post("auto", json.dumps({"shown": shown | {"stop": stop}}).encode())
         assert both.status == 200
         assert rig.mode is Mode.TRACKING

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import re
 from dataclasses import replace
 
 import pytest
@@ -111,19 +112,36 @@ def test_a_restarted_box_is_not_homed_under_a_stop_and_is_afterwards(run_rig):
     run_rig(scenario, motion={"rehome": "automatic"})
 
 
-def test_a_second_stop_is_taken_sent_and_says_whose_it_replaces(run_rig, monkeypatch):
-    async def scenario(rig):
+def test_a_second_stop_is_sent_and_noted_beside_the_first_until_both_are_released(run_rig, monkeypatch, tmp_path):
+    whose = r"stopped by ana since \S+ \S+ UTC: repair; also by bob since \S+ \S+ UTC: a noise"
+
+    async def first(rig):
         await tracking(rig)
         await at_rest(rig)
-        await operator(rig).stop("first", "ana")
+        await operator(rig).stop("repair", "ana")
         sent = commands_sent(rig, monkeypatch)
-        answer = await operator(rig).stop("second", "bob")
+        desk = operator(rig)
+        answer = await desk.stop("a noise", "bob")
         assert sent[0][1].startswith(b"$9s")
         assert answer.done
-        assert "; this replaces: stopped by ana since " in answer.text
-        assert rig.control.wishes.stop.by == "bob"
+        assert re.search(rf"mode hold: {whose}$", answer.text)
+        # So soon after another one that it is not sent once more.
+        both = await asyncio.gather(desk.stop("a noise", "bob"), desk.stop("me too", "eve"))
+        assert [each.done for each in both] == [True, True]
+        told = [event.text for event in rig.of(Event) if event.subject == "operator"]
+        assert told == ["stop: repair (ana)", *["stop: a noise (bob)"] * 2, "stop: me too (eve)"]
 
-    run_rig(scenario)
+    async def second(rig):
+        await rig.until_mode(Mode.HOLD, 15)
+        assert re.fullmatch(rf"{whose}; also by eve since \S+ \S+ UTC: me too", rig.control.why)
+        with pytest.raises(CommandError, match=whose):
+            await call(rig, "goto")
+        answer = await call(rig, "auto")
+        assert re.search(rf"; released: {whose}", answer.text)
+        assert rig.control.wishes == Wishes()
+
+    for scenario in (first, second):
+        run_rig(scenario, store={"directory": tmp_path})
 
 
 def test_wind_in_maintenance_is_no_alarm_as_the_page_on_security_says(run_rig):
@@ -211,6 +229,8 @@ def test_a_stop_while_unplugged_is_named_beside_the_fault_and_in_force_at_the_re
         await rig.until_mode(Mode.FAULT, 15)
         with pytest.raises(CommandError, match="stop could not be sent"):
             await operator(rig).stop("repair", "ana")
+        with pytest.raises(CommandError, match=r"unplugged; noted beside: stopped by ana since \S+ \S+ UTC: repair$"):
+            await operator(rig).stop("a noise", "bob")
         assert rig.mode is Mode.FAULT
         assert "unplugged; stopped by ana since " in rig.control.why
         rig.cables.positioner.link_up = True

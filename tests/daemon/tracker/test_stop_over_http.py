@@ -38,7 +38,12 @@ def test_the_state_tells_stop_from_hold_with_who_and_since(serve):
         wishes = found["wishes"]
         assert (wishes["stop"]["by"], wishes["stop"]["why"]) == ("ana", "repair")
         assert wishes["stop"]["since"].startswith("2022-10-12T10:0")
+        assert (wishes["stop"]["latest"], wishes["stop"]["also"]) == (wishes["stop"]["since"], [])
         assert wishes["hold"]["by"] == "bob"
+        await call_http.post("stop", b'{"why": "a noise", "by": "bob"}')
+        stop = (await call_http.get("/api/state")).json["wishes"]["stop"]
+        assert (stop["by"], stop["why"], stop["since"]) == ("ana", "repair", wishes["stop"]["since"])
+        assert stop["also"] == [{"why": "a noise", "by": "bob", "since": stop["latest"]}]
         assert {name for name, wish in wishes.items() if wish is None} == {"maintenance", "buttons", "stow", "snow"}
         assert found["mode"]["name"] == "hold"
         assert found["alarms"] == []

@@ -1,5 +1,7 @@
 """What is read back from the file of wishes."""
 
+import json
+
 import pytest
 
 from daemon.base.state import StateFolder
@@ -47,6 +49,33 @@ def test_what_was_written_is_read_back(tmp_path):
     WishFile(StateFolder(tmp_path)).save(wishes)
     assert WishFile(StateFolder(tmp_path)).load() == wishes
     assert wishes.stillness == "in maintenance by ana@lab since 2022-10-12 10:00:03 UTC: greasing"
+
+
+def test_of_many_who_want_it_stopped_the_first_stay_and_the_newest(tmp_path):
+    stop = Wish(why="repair", by="ana", since_utc_s=100.0)
+    for number in range(20):
+        stop = stop.joined_by(Wish(why=f"noise {number}", by="bob", since_utc_s=101.0 + number))
+    told = [each.why for each in stop.everybodys]
+    assert told == ["repair", *(f"noise {number}" for number in range(7)), "noise 19"]
+    assert (stop.since_utc_s, stop.latest_utc_s) == (100.0, 120.0)
+    again = stop.joined_by(Wish(why="repair", by="ana", since_utc_s=130.0))
+    assert (again.also, again.since_utc_s, again.latest_utc_s) == (stop.also, 100.0, 130.0)
+    WishFile(StateFolder(tmp_path)).save(Wishes(stop=again))
+    assert WishFile(StateFolder(tmp_path)).load() == Wishes(stop=again)
+
+
+def test_one_stop_alone_is_kept_as_an_earlier_version_reads_it(tmp_path):
+    WishFile(StateFolder(tmp_path)).save(Wishes(stop=Wish(why="repair", by="ana", since_utc_s=100.0)))
+    kept = json.loads((tmp_path / "operator.json").read_text())
+    assert kept == {"stop": {"why": "repair", "by": "ana", "since_utc_s": 100.0}}
+
+
+def test_whoever_did_not_see_the_second_stop_ends_neither():
+    first = Wish(why="repair", by="ana", since_utc_s=100.0)
+    wishes = Wishes(stop=first.joined_by(Wish(why="a noise", by="bob", since_utc_s=200.0)))
+    for unseen in (wishes.not_in({"stop": first.since}), wishes.later_than(150.0)):
+        assert unseen.endswith("UTC: repair; also by bob since 1970-01-01 00:03:20 UTC: a noise")
+    assert wishes.not_in({"stop": wishes.stop.latest}) is wishes.later_than(200.0) is None
 
 
 def test_maintenance_goes_before_a_stop_and_a_stop_before_the_buttons():

@@ -195,7 +195,7 @@ export class Orders {
     if (!this.may(entry.service.name) && !(await this.admitted(name, entry))) return false;
     // The service ends nothing that came later than this question: nobody releases a stop that was not seen.
     const wishes = name === "auto" ? Object.entries(entry.tracker.wishes).filter(([, wish]) => wish) : [];
-    const shown = name === "auto" ? { shown: Object.fromEntries(wishes.map(([wish, { since }]) => [wish, since])) } : {};
+    const shown = name === "auto" ? { shown: Object.fromEntries(wishes.map(([wish, { since, latest }]) => [wish, latest ?? since])) } : {};
     const why = await this.confirm(name, entry.label, wishList(Object.fromEntries(wishes), this.now()));
     return why === null ? false : this.give(name, entry, { ...shown, ...(why ? { why } : {}) });
   }

@@ -176,6 +176,7 @@ def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig)
         # It has left the stow position by then.
         await asyncio.sleep(60)
         await west.control.stop("repair", "ana")
+        await west.control.stop("a noise", "bob")
         console = Console(file=io.StringIO(), width=160)
         console.print(render(state_json(rig.see())))
         assert re.search(r"wind +3\.2 m/s, stow from 15 m/s, \d\.\d s old", console.file.getvalue())
@@ -190,7 +191,11 @@ def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig)
         own = lines[lines.index("west") :]
         assert next(line for line in own if line.startswith("mode")).split()[1] == "hold"
         assert re.match(r"mode +hold STOPPED since ", next(line for line in own if line.startswith("mode")))
-        assert next(line for line in own if line.startswith("stop")).endswith("repair")
+        stops = [line for line in own if line.startswith("stop")]
+        assert [re.sub(r"\d.* UTC\)?", "T", line).split(maxsplit=1)[1] for line in stops] == [
+            "by ana since T: repair",
+            "also by bob since T: a noise",
+        ]
         alarm = next(number for number, line in enumerate(lines) if line.startswith("alarm"))
         assert "west: stow is wanted" in lines[alarm]
         remedy = next(line for line in lines[alarm:] if line.startswith("remedy  "))

@@ -89,7 +89,10 @@ function alarmList(alarms, tracker, now, acknowledge) {
 }
 
 export function wishList(wishes, now) {
-  return Object.entries(wishes).filter(([, wish]) => wish).map(([name, wish]) =>
-    h("article", { class: "wish" }, icon(name === "buttons" ? "hold" : name),
-      h("p", null, h("strong", null, WISH[name] ?? name), wish.by ? ` by ${wish.by}` : "", wish.since ? ` since ${at(wish.since, now)}` : "", `: ${onPage(wish.why, now)}. `, h("em", null, "Ends with Auto."))));
+  return Object.entries(wishes).filter(([, wish]) => wish).map(([name, wish]) => {
+    const everybodys = [wish, ...(wish.also ?? [])];
+    return h("article", { class: "wish" }, icon(name === "buttons" ? "hold" : name),
+      h("div", null, everybodys.map((each, place) =>
+        h("p", null, h("strong", null, place ? "Also" : WISH[name] ?? name), each.by ? ` by ${each.by}` : "", each.since ? ` since ${at(each.since, now)}` : "", `: ${onPage(each.why, now)}. `, place === everybodys.length - 1 ? h("em", null, "Ends with Auto.") : null))));
+  });
 }
