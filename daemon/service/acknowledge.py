@@ -5,11 +5,12 @@ from collections.abc import Mapping
 from daemon.base.alarms.alarm import Alarm
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.alarms.kinds import KINDS
+from daemon.base.clock import minute_utc
 from daemon.service.operator import Answer, CommandError, Seen
 
 
 def acknowledge(alarms: Mapping[str, Alarms], tracker: str | None, name: str | None, by: str, why: str) -> Answer:
-    """Note that a person has seen one alarm, or all that are shown.
+    """Note that a person has seen one alarm, or all that are shown; what somebody has seen already, say so.
 
     Parameters
     ----------
@@ -31,21 +32,30 @@ def acknowledge(alarms: Mapping[str, Alarms], tracker: str | None, name: str | N
     chosen = alarms if tracker is None else {tracker: alarms[tracker]}
     before = {owner: {alarm.name: alarm for alarm in own.shown} for owner, own in chosen.items()}
     shown = {each for own in before.values() for each in own}
-    if name is not None and name not in shown:
+    seen = (
+        [] if name is None else [(owner, alarm) for owner, own in chosen.items() if (alarm := own.acknowledged(name))]
+    )
+    if name is not None and name not in shown and not seen:
         raise CommandError(_unknown(name, sorted(shown)), wrong=name not in KINDS)
+    of = {owner: f"{owner}: " if owner and len(alarms) > 2 else "" for owner in chosen}
     sentences = []
     for owner, own in chosen.items():
-        of = f"{owner}: " if owner and len(alarms) > 2 else ""
         acknowledged = own.acknowledge(by, name, why)
-        sentences += [f"{of}{_outcome(before[owner][each])}" for each in acknowledged]
+        sentences += [f"{of[owner]}{_outcome(before[owner][each])}" for each in acknowledged]
     if sentences:
         return Answer(Seen.DONE, f"acknowledged: {'; '.join(sentences)}")
-    return Answer(Seen.DONE, f"{name} was acknowledged before" if name else "there is nothing to acknowledge")
+    told = "; ".join(f"{of[owner]}{_acknowledged(alarm)}" for owner, alarm in seen)
+    return Answer(Seen.DONE, told or "there is nothing to acknowledge")
 
 
 def _outcome(alarm: Alarm) -> str:
     remedy = alarm.kind.remedy.replace("`", "'")
     return f"{alarm.name} (over)" if not alarm.on else f"{alarm.name} is still on: {remedy}"
+
+
+def _acknowledged(alarm: Alarm) -> str:
+    when = "" if alarm.acknowledged_utc_s is None else f" at {minute_utc(alarm.acknowledged_utc_s)}"
+    return f"{alarm.name} was acknowledged before, by {alarm.acknowledged_by}{when}"
 
 
 def _unknown(name: str, shown: list[str]) -> str:

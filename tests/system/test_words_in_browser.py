@@ -35,6 +35,42 @@ SHOWN = """async ([remedies, why]) => {
 }"""
 
 
+TWO_ALARMS = """async () => {
+  const { hero } = await import("/static/js/views/hero.js");
+  const { Orders } = await import("/static/js/orders.js");
+  const given = [];
+  window.fetch = async (path, { body } = {}) => {
+    if (body) given.push(JSON.parse(body).alarm);
+    return new Response(JSON.stringify({ by: "ana", services: ["made"], text: "acknowledged", state: "done" }));
+  };
+  const orders = new Orders(document.createElement("div"), () => {}, () => 0);
+  orders.set({ by: "ana", services: ["made"] });
+  const since = "2022-09-20T23:00:00Z";
+  const alarm = { severity: "critical", state: "raised", text: "x", since, tracker: "t7" };
+  const alarms = ["move-failed", "driver-hung"].map((name) => ({ ...alarm, name }));
+  const tracker = { mode: { name: "hold", since, why: "x" }, wishes: {}, tracker: { name: "t7" } };
+  const entry = { key: "made", label: "t7", service: { name: "made" } };
+  const head = hero(orders);
+  const tap = (shown) => {
+    head.update({ state: { alarms: shown, trackers: {} }, entry, tracker, now: Date.parse(since) });
+    head.node.querySelector(".alarm button").click();
+  };
+  tap(alarms);
+  tap(alarms.slice(1));
+  const twice = [...given];
+  await new Promise((later) => setTimeout(later, 600));
+  tap(alarms.slice(1));
+  return [twice, given];
+}"""
+
+
+def test_a_double_tap_acknowledges_no_alarm_that_takes_the_place_of_the_one_that_was_meant(browser, tmp_path):
+    with browser.new_context() as context:
+        twice, given = MadeSite(tmp_path).open(context, MIDNIGHT).page.evaluate(TWO_ALARMS)
+    assert twice == ["move-failed"]
+    assert given == ["move-failed", "driver-hung"]
+
+
 def shown(browser, folder, remedies, why="x"):
     with browser.new_context() as context:
         return MadeSite(folder).open(context, MIDNIGHT).page.evaluate(SHOWN, [remedies, why])

@@ -47,6 +47,8 @@ class Alarms:
         self._publish = publish
         self._file = file
         self._shown: dict[str, Alarm] = {}
+        # By name, the last that was acknowledged: whoever does that once more is told of it.
+        self._acknowledged: dict[str, Alarm] = {}
         self._held: dict[str, tuple[str, Iterable[str]]] = {}
         self._muted = False
         self._started_s = clock.monotonic()
@@ -113,15 +115,21 @@ class Alarms:
             if name in (None, alarm.name) and alarm.acknowledged_utc_s is None and (alarm.kind.latched or not latched)
         ]
         for alarm in chosen:
+            seen = replace(alarm, acknowledged_utc_s=self._clock.utc(), acknowledged_by=by)
+            self._acknowledged[alarm.name] = seen
             if alarm.on:
-                now_utc_s = self._clock.utc()
-                self._shown[alarm.name] = replace(alarm, acknowledged_utc_s=now_utc_s, acknowledged_by=by)
+                self._shown[alarm.name] = seen
             else:
                 del self._shown[alarm.name]
             self._report(f"acknowledged {alarm.name} by {by}{f': {why}' if why else ''}")
         if chosen:
             self._save()
         return tuple(alarm.name for alarm in chosen)
+
+    def acknowledged(self, name: str) -> Alarm | None:
+        """Return the alarm of a name as it was acknowledged last, on or over by now; None where nobody has."""
+        found = self._shown.get(name) or self._acknowledged.get(name)
+        return None if found is None or found.acknowledged_utc_s is None else found
 
     def mute(self, *, muted: bool) -> None:
         """Keep all alarms to itself, as in maintenance, or show again what is still on."""
@@ -139,6 +147,7 @@ class Alarms:
 
     def _raise(self, name: str, text: str, before: Alarm | None) -> None:
         now_utc_s = self._clock.utc()
+        self._acknowledged.pop(name, None)
         kept = self._before.pop(name, None)
         if kept is not None:
             self._shown[name] = kept.alarm(name, text)

@@ -43,7 +43,29 @@ def test_an_acknowledged_alarm_says_by_whom_and_nothing_moves_by_it(serve):
         assert rig.control.wishes.stop.by == "ana"
         assert "acknowledged stow-wanted by bob@lab: I am here" in [event.text for event in rig.of(Event)]
         again = await call_http.post("acknowledge", b'{"alarm": "stow-wanted"}')
-        assert again.json["text"] == "stow-wanted was acknowledged before"
+        assert again.json["text"] == "stow-wanted was acknowledged before, by bob@lab at 2022-10-12 10:00 UTC"
+
+    serve(scenario)
+
+
+def test_what_is_over_is_acknowledged_again_with_the_answer_who_it_was_until_it_is_raised_anew(serve):
+    async def scenario(rig, call_http):
+        await under_way(rig)
+        alarms = rig.tracker.alarms
+        alarms.set("driver-hung", "it hangs")
+        alarms.set("motor-current", "2 A")
+        alarms.set("motor-current", None)
+        body = b'{"alarm": "motor-current", "by": "ana"}'
+        first = await call_http.post("acknowledge", body)
+        events = len(rig.of(Event))
+        again = await call_http.post("acknowledge", body.replace(b"ana", b"bob"))
+        assert (first.json["text"], again.status) == ("acknowledged: motor-current (over)", 200)
+        assert again.json["text"] == "motor-current was acknowledged before, by ana at 2022-10-12 10:00 UTC"
+        assert len(rig.of(Event)) == events
+        assert [alarm.state for alarm in alarms.shown] == ["raised"]
+        alarms.set("motor-current", "3 A")
+        alarms.set("motor-current", None)
+        assert (await call_http.post("acknowledge", body)).json == first.json
 
     serve(scenario)
 

@@ -186,8 +186,12 @@ export class Orders {
     return this.carryOut(name, entry.label, () => call("/command", { ...body, given_s: this.time() }), service);
   }
 
-  // Says that a person has seen an alarm; one of the cube's is of no tracker.
+  // Says that a person has seen an alarm; one of the cube's is of no tracker. The second half of a double-click may come
+  // when the next alarm has taken this one's place, and says nothing of that.
   acknowledge(alarm, entry) {
+    const before = this.acknowledgedAt ?? -Infinity;
+    this.acknowledgedAt = performance.now();
+    if (this.acknowledgedAt - before < MEANT_MS) return false;
     return this.give("acknowledge", { ...entry, name: alarm.tracker }, { alarm: alarm.name });
   }
 
