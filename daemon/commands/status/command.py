@@ -1,12 +1,12 @@
 """`heliocube status`: at a glance, on a screen that follows, as JSON, or as an exit code."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from daemon.base.errors import ExitCode, UserError
 from daemon.commands.answers import JsonOption, print_json, say
-from daemon.commands.options import OPERATION, ApiOption, ConfigOption
+from daemon.commands.options import OPERATION, ApiOption, ConfigOption, TrackerOption
 
 app = typer.Typer()
 
@@ -15,6 +15,7 @@ app = typer.Typer()
 def status(
     config: ConfigOption = None,
     api: ApiOption = None,
+    tracker: TrackerOption = None,
     as_json: JsonOption = False,
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Keep showing it until Ctrl-C.")] = False,
     check: Annotated[
@@ -36,7 +37,13 @@ def status(
     if watch and (check or as_json):
         raise UserError("--watch is for people: leave it out with --check and --json, and ask again when you need it")
     client = find_unarmed(config, api)
+
+    def see() -> dict[str, Any]:
+        return client.state() if tracker is None else of_one(client.state(), tracker)
+
     if check:
+        if tracker is not None:
+            raise UserError("--check looks at all that the service does: leave --tracker out")
         from daemon.commands.status import check as checks
 
         state, health = client.state(), client.health()
@@ -47,15 +54,28 @@ def status(
             say("\n".join(lines))
         raise typer.Exit(code)
     if as_json:
-        print_json(client.state())
+        print_json(see())
         return
     console = Console(highlight=False)
     if watch:
         from daemon.commands.status.watch import watch as go_on
 
         with contextlib.suppress(KeyboardInterrupt):
-            go_on(client.state, console)
+            go_on(see, console)
         raise typer.Exit(ExitCode.GOOD)
     from daemon.commands.status.screen import render
 
-    console.print(render(client.state()))
+    console.print(render(see()))
+
+
+def of_one(state: dict[str, Any], tracker: str) -> dict[str, Any]:
+    """Return the JSON of /api/state without the other trackers; `UserError` where there is none of that name."""
+    trackers = state["trackers"]
+    if tracker not in trackers:
+        raise UserError(f"there is no tracker {ascii(tracker)[:40]}; the trackers are {', '.join(trackers) or 'none'}")
+    others = tuple(f"{name}: " for name in trackers if name != tracker)
+    return state | {
+        "trackers": {tracker: trackers[tracker]},
+        "alarms": [alarm for alarm in state["alarms"] if alarm["tracker"] in (None, tracker)],
+        "news": [item for item in state["news"] if not item["text"].startswith(others)],
+    }

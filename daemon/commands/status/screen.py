@@ -119,9 +119,8 @@ def _stale(tracker: dict[str, Any]) -> str:
 def _trackers(state: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return each tracker's part of the state by its name; a single one needs none."""
     found: dict[str, dict[str, Any]] = state.get("trackers") or {}
-    if len(found) > 1:
-        return found
-    return {} if state["mode"] is None else {"": state}
+    # At the top there is none of several, of which one alone may be looked at.
+    return found if state["mode"] is None else {"": state}
 
 
 def _title(state: dict[str, Any]) -> Text:
@@ -190,7 +189,7 @@ def _named(text: str, alarm: dict[str, Any], state: dict[str, Any]) -> str:
 
 def _whose(alarm: dict[str, Any], state: dict[str, Any]) -> str | None:
     found: str | None = alarm["tracker"]
-    return found if len(_trackers(state)) > 1 else None
+    return found if state["mode"] is None else None
 
 
 def _mode(own: dict[str, Any], time: str, tracker: str | None = None) -> tuple[str, Text]:

@@ -11,7 +11,9 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
+from daemon.base.errors import UserError
 from daemon.base.records import Event, Mode
+from daemon.commands.status.command import of_one
 from daemon.commands.status.live import LiveView
 from daemon.commands.status.screen import line, live_screen, render
 from daemon.commands.status.times import moment
@@ -201,6 +203,20 @@ def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig)
         remedy = next(line for line in lines[alarm:] if line.startswith("remedy  "))
         assert remedy.endswith("then 'heliocube auto --tracker west'")
         assert next(line for line in own if line.startswith("mode")).endswith("'heliocube auto --tracker west'")
+        console = Console(file=io.StringIO(), width=160)
+        console.print(render(of_one(state_json(rig.see()), "east")))
+        alone = console.file.getvalue()
+        assert re.search(r"^east\s*$", alone, re.MULTILINE)
+        assert "west: " not in alone
+        assert not re.search(r"^west\s*$", alone, re.MULTILINE)
+        assert re.search(r"^scan ", alone, re.MULTILINE)
+        one = of_one(state_json(rig.see()), "west")
+        assert list(one["trackers"]) == ["west"]
+        assert [alarm["name"] for alarm in one["alarms"]] == ["stow-wanted"]
+        console.print(render(one))
+        assert "'heliocube auto --tracker west'" in console.file.getvalue()
+        with pytest.raises(UserError, match="there is no tracker 'wset'; the trackers are east, west"):
+            of_one(one | {"trackers": {"east": {}, "west": {}}}, "wset")
 
     run_rig(scenario, tracker=[{"name": "east"}, {"name": "west"}])
 
