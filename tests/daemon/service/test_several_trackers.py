@@ -273,9 +273,10 @@ def test_what_a_command_is_answered_with_names_commands_as_they_are_typed_for_it
     run_rig(scenario, tracker=TWO)
 
 
-def test_every_remedy_that_is_shown_of_one_is_typed_with_its_name(run_rig, caplog):
+def test_every_remedy_that_is_shown_of_one_is_typed_with_its_name(run_rig, caplog, monkeypatch):
     lines, recent = [], Recent()
-    caplog.handler.emit = lambda record: lines.append(LineFormatter(journal=True).format(record))
+    written = LineFormatter(journal=True).format
+    monkeypatch.setattr(caplog.handler, "emit", lambda record: lines.append(written(record)))
 
     async def scenario(rig):
         rig.bus.subscribe(recent.note)
