@@ -123,8 +123,7 @@ def _cube(found: _Families, seen: Snapshot) -> None:
     found.count("scans", "Scans taken, or accepted from the bridge.", seen.scans)
     if seen.scan is None:
         return
-    age_s = seen.time_monotonic_s - seen.scan.time_monotonic_s
-    found.gauge("scan_age_seconds", "Age of the newest scan.", age_s)
+    found.gauge("scan_age_seconds", "Age of the newest scan.", seen.age_s(seen.scan.time_monotonic_s))
     for name, face in zip(FACES, seen.scan.faces, strict=True):
         good = seen.face_quality(name) is Quality.OK
         found.gauge("face_ok", "1 while a face's reading is good.", float(good), face=name)

@@ -7,7 +7,7 @@ does not end or an event loop that runs late is.
 import asyncio
 import logging
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
@@ -56,11 +56,14 @@ class LoopWatch:
         The service's time.
     speed
         How many times as fast as the machine's it runs.
+    look
+        Called each time, for what has to be seen soon.
     """
 
-    def __init__(self, clock: Clock, speed: float) -> None:
+    def __init__(self, clock: Clock, speed: float, look: Callable[[], object] = lambda: None) -> None:
         self._clock = clock
         self._speed = speed
+        self._look = look
         self._counts = [0] * (len(LATE_UP_TO_S) + 1)
         self._sum_s = 0.0
         self._worst_s = self._worst_before_s = 0.0
@@ -77,6 +80,7 @@ class LoopWatch:
         while True:
             due_s = self._clock.monotonic() + _MEASURE_EVERY_S * self._speed
             await asyncio.sleep(_MEASURE_EVERY_S * self._speed)
+            self._look()
             self._note(max(self._clock.monotonic() - due_s, 0.0) / self._speed)
 
     def _note(self, late_s: float) -> None:

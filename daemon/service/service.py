@@ -16,6 +16,7 @@ from daemon.base.clock_watch import ClockWatch
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier
 from daemon.base.records import Bus, Event, Scan
+from daemon.base.sleeps import SleepWatch
 from daemon.base.state import StateFolder
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.bridge.sender import BridgeSender, pack
@@ -118,7 +119,8 @@ class Service:
             self.receiver = BridgeReceiver(settings.bridge, key, clock, self._receive, notifier, alarm)
         if role is not Role.TRACKER:
             self._build_cube()
-        self.loop_watch = LoopWatch(clock, speed)
+        self.sleeps = SleepWatch(clock, rig.asleep_s)
+        self.loop_watch = LoopWatch(clock, speed, self.sleeps.look)
         self._watchdog = Watchdog(clock, notifier, self.trackers, self.acquisition, speed)
 
     def _build_cube(self) -> None:

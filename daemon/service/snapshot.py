@@ -9,6 +9,7 @@ from typing import Any
 
 from daemon.base.alarms.alarm import Alarm
 from daemon.base.records import FACES, IvCurve, Mode, Move, Pose, Quality, Scan, Target
+from daemon.base.sleeps import Sleep, slept_since
 from daemon.bridge.refusals import Statistics
 from daemon.config.sections import SiteSettings
 from daemon.cube.calibration import CubeCalibration
@@ -160,6 +161,8 @@ class Snapshot:
         How many times as fast as the machine's the clock runs.
     time_utc_s, time_monotonic_s
         When it was taken.
+    sleeps
+        Of the machine, until then.
     sun_elevation_deg
         By ephemeris, at the site.
     sky
@@ -194,6 +197,7 @@ class Snapshot:
     role: str
     time_utc_s: float
     time_monotonic_s: float
+    sleeps: tuple[Sleep, ...]
     site: SiteSettings
     sun_elevation_deg: float
     sky: str | None
@@ -216,7 +220,11 @@ class Snapshot:
     @property
     def scan_is_stale(self) -> bool:
         """Whether the newest scan has become too old to be used, or there is none."""
-        return self.scan is None or not (self.time_monotonic_s - self.scan.time_monotonic_s <= self.scan_stale_s)
+        return self.scan is None or not (self.age_s(self.scan.time_monotonic_s) <= self.scan_stale_s)
+
+    def age_s(self, since_s: float) -> float:
+        """Return how long ago a monotonic time [s] was, sleeps of the machine included."""
+        return self.time_monotonic_s - since_s + slept_since(since_s, self.sleeps)
 
     @property
     def cube_trouble(self) -> str | None:
@@ -229,7 +237,7 @@ class Snapshot:
         if self.scan is None:
             starting = all(each.control.mode is Mode.STARTING for each in self.trackers)
             return None if starting else "no scan has come since the start of the service"
-        age_s = self.time_monotonic_s - self.scan.time_monotonic_s
+        age_s = self.age_s(self.scan.time_monotonic_s)
         return None if age_s <= self.fallback_after_s else f"no scan for {age_s:.0f} s"
 
     def face_quality(self, name: str) -> Quality:
@@ -268,14 +276,16 @@ def snapshot(
         Whether what takes longest to find out is left out: hundreds of trackers are looked at in one go.
     """
     settings, acquisition = service.settings, service.acquisition
-    utc_s = service.clock.utc()
+    utc_s, sleeps = service.clock.utc(), service.sleeps.look()
+    now_s = service.clock.monotonic()
     return Snapshot(
         version=_version(),
         simulated=service.rig.simulated,
         speed=speed,
         role=service.role.value,
         time_utc_s=utc_s,
-        time_monotonic_s=service.clock.monotonic(),
+        time_monotonic_s=now_s,
+        sleeps=sleeps,
         site=settings.site,
         sun_elevation_deg=service.sun_elevation_deg(utc_s),
         sky=None if service.rig.sky_text is None else service.rig.sky_text(),
@@ -288,12 +298,12 @@ def snapshot(
         calibration=service.calibration,
         cube_alarms=service.cube_alarms.shown,
         trackers=tuple(
-            _tracker(each, recent, glance=glance) for each in service.trackers if tracker in (None, each.name)
+            _tracker(each, recent, sleeps, glance=glance) for each in service.trackers if tracker in (None, each.name)
         ),
         bridge=None if service.receiver is None else service.receiver.statistics,
         bridge_down_why=None if service.receiver is None else service.receiver.deaf_why,
         store=store,
-        links=links,
+        links={name: _link(link, now_s, sleeps) for name, link in links.items()},
         news=tuple(recent.news),
         loop=service.loop_watch.state,
     )
@@ -305,7 +315,17 @@ def _version() -> str:
     return version("heliocube")
 
 
-def _tracker(tracker: Tracker, recent: Recent, *, glance: bool) -> TrackerState:
+def _link(link: LinkStatus, now_s: float, sleeps: tuple[Sleep, ...]) -> LinkStatus:
+    if not sleeps:
+        return link
+    inputs = (
+        item if item.age_s is None else replace(item, age_s=item.age_s + slept_since(now_s - item.age_s, sleeps))
+        for item in link.inputs
+    )
+    return replace(link, inputs=tuple(inputs))
+
+
+def _tracker(tracker: Tracker, recent: Recent, sleeps: tuple[Sleep, ...], *, glance: bool) -> TrackerState:
     control, now_s = tracker.control, tracker.clock.monotonic()
     budget, shadow = control.budget, None if tracker.shadow is None or glance else tracker.shadow.state
     received, day = tracker.received.counted if glance else tracker.received.today, budget.used.day
@@ -314,7 +334,7 @@ def _tracker(tracker: Tracker, recent: Recent, *, glance: bool) -> TrackerState:
         received = Insolation(day=day)
     if shadow is not None and shadow.received.day != day:
         shadow = replace(shadow, received=Insolation(day=day), travel=Travel(day=day))
-    positioner = _positioner(tracker.motion, now_s)
+    positioner = _positioner(tracker.motion, now_s, sleeps)
     return TrackerState(
         name=tracker.name,
         typed_for=tracker.log_name or None,
@@ -332,22 +352,27 @@ def _tracker(tracker: Tracker, recent: Recent, *, glance: bool) -> TrackerState:
         limits=tracker.settings.limits.limits(),
         positioner=positioner,
         load=None if tracker.curves is None else _load(tracker.curves),
-        wind=tracker.stow_watch.statuses(now_s),
+        wind=tuple(
+            each._replace(age_s=each.age_s + slept_since(now_s - each.age_s, sleeps))
+            for each in tracker.stow_watch.statuses(now_s)
+        ),
         alarms=tracker.alarms.shown,
         decisions=recent.decisions[tracker.name],
         moves=dict(recent.moves[tracker.name]),
     )
 
 
-def _positioner(motion: Motion, now_s: float) -> PositionerState:
-    pose = motion.pose
+def _positioner(motion: Motion, now_s: float, sleeps: tuple[Sleep, ...]) -> PositionerState:
+    pose, pose_age_s = motion.pose, None
+    if pose is not None:
+        pose_age_s = now_s - pose.time_monotonic_s + slept_since(pose.time_monotonic_s, sleeps)
     return PositionerState(
         connected=motion.connected,
         down_why=motion.outage.reason if motion.outage.is_down else None,
         identity=motion.identity,
         telemetry=motion.telemetry,
         pose=pose,
-        pose_age_s=None if pose is None else now_s - pose.time_monotonic_s,
+        pose_age_s=pose_age_s,
         moving=motion.moving,
         homing=motion.homing,
         target=motion.target,

@@ -138,7 +138,7 @@ def _at_the_top(seen: Snapshot, tracker: TrackerState | None) -> dict[str, Any]:
 
 
 def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
-    control, now_s = tracker.control, seen.time_monotonic_s
+    control = tracker.control
     link = seen.links.get(tracker.name)
     since = iso_utc(control.since_utc_s)
     return {
@@ -163,14 +163,14 @@ def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
         "decision": None
         if control.decision is None
         else record_json(replace(control.decision, tracker=tracker.name))
-        | {"age_s": number(round(now_s - control.decision.time_monotonic_s, 3))},
+        | {"age_s": number(round(seen.age_s(control.decision.time_monotonic_s), 3))},
         "law": {"name": tracker.law} | dict(tracker.law_shown),
         "next_decision_s": number(control.next_decision_s),
         "next_decision": None
         if tracker.next is None
         else _next(tracker.next, seen.time_utc_s + control.next_decision_s),
         "tracker": _positioner(tracker.positioner, tracker) | {"limits": _limits(tracker.limits)},
-        "load": None if tracker.load is None else _load(tracker.load, tracker.name, now_s),
+        "load": None if tracker.load is None else _load(tracker.load, tracker.name, seen),
         "wind": [{name: number(value) for name, value in status._asdict().items()} for status in tracker.wind],
         "wind_m_s": number(tracker.wind_m_s),
         "stow_release_in_s": number(tracker.stow_release_in_s),
@@ -276,7 +276,7 @@ def _wish(wish: Wish | None, typed_for: str | None) -> dict[str, Any] | None:
 
 
 def _scan(seen: Snapshot) -> dict[str, Any] | None:
-    scan, now_s = seen.scan, seen.time_monotonic_s
+    scan = seen.scan
     if scan is None:
         return None
     return {
@@ -284,7 +284,7 @@ def _scan(seen: Snapshot) -> dict[str, Any] | None:
         "session": scan.session,
         "sequence": scan.sequence,
         "time": iso_utc(scan.time_utc_s),
-        "age_s": number(round(now_s - scan.time_monotonic_s, 3)),
+        "age_s": number(round(seen.age_s(scan.time_monotonic_s), 3)),
         "stale": seen.scan_is_stale,
         "simulated": scan.simulated,
         "calibration": scan.calibration or None,
@@ -292,14 +292,14 @@ def _scan(seen: Snapshot) -> dict[str, Any] | None:
             name: {
                 "irradiance_w_m2": number(face.irradiance_w_m2),
                 "quality": seen.face_quality(name).value,
-                "age_s": number(round(now_s - face.time_monotonic_s, 3)),
+                "age_s": number(round(seen.age_s(face.time_monotonic_s), 3)),
             }
             for name, face in zip(FACES, scan.faces, strict=True)
         },
     }
 
 
-def _load(load: LoadState, tracker: str, now_s: float) -> dict[str, Any]:
+def _load(load: LoadState, tracker: str, seen: Snapshot) -> dict[str, Any]:
     curve = load.curve
     return {
         "connected": load.identity is not None,
@@ -307,7 +307,8 @@ def _load(load: LoadState, tracker: str, now_s: float) -> dict[str, Any]:
         "identity": load.identity,
         "curve": None
         if curve is None
-        else record_json(replace(curve, tracker=tracker)) | {"age_s": number(round(now_s - curve.time_monotonic_s, 3))},
+        else record_json(replace(curve, tracker=tracker))
+        | {"age_s": number(round(seen.age_s(curve.time_monotonic_s), 3))},
     }
 
 

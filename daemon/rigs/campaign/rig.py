@@ -125,6 +125,8 @@ class HandledRig:
         Why the service is to hold its trackers from the start, or None.
     synchronised
         What the kernel says of the PC's clock; None: nothing.
+    slept_s
+        For how long the PC has slept [s].
     begins_anew
         Whether where the positioner rested before says nothing.
     """
@@ -133,6 +135,7 @@ class HandledRig:
     begins_anew = False
     clock_lasts = False
     synchronised: bool | None = None
+    slept_s: float = 0.0
 
     def __init__(
         self,
@@ -218,6 +221,7 @@ class HandledRig:
                 lambda: self.wind_m_s,
                 simulated=True,
                 clock_synchronised=lambda: self.synchronised,
+                asleep_s=lambda: self.slept_s,
                 clock_lasts=self.clock_lasts,
             ),
             self.clock,

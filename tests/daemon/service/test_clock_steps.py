@@ -9,9 +9,15 @@ import pytest
 from daemon.base.records import CurveQuality, Decision, Event, IvCurve, Move
 from daemon.base.state import StateFolder
 from daemon.service.inheritance import Started, started_in
+from daemon.service.recent import Recent
 from daemon.service.rig import Role
+from daemon.service.state import state_json
+from daemon.service.status import InputStatus, LinkStatus
 from tests.support.phases import at_rest, tracking
 from tests.support.rig import HandWeather, ServiceRig
+
+WIND = InputStatus("wind", "roof/wind", 1.0, stowing=False)
+LINK = LinkStatus("broker:1883", True, 0.0, None, 1, 0, 0, 0, 0, None, (), (WIND,))
 
 
 @pytest.mark.parametrize("step_s", [3600.0, -3600.0, 86400.0, -86400.0])
@@ -32,6 +38,35 @@ def test_a_step_of_the_clock_moves_nothing_and_changes_no_rhythm(run_rig, step_s
     # An even sky: only the clock could make this tracker move.
     rig = run_rig(scenario, weather=HandWeather(dni=0, dhi=200))
     assert any(re.match(r"the clock was set \w+ by .* UTC$", event.text) for event in rig.of(Event))
+
+
+def test_the_ages_that_people_read_have_a_sleep_of_the_machine_in_them(run_rig):
+    def ages_s(rig, recent):
+        state = state_json(rig.see(recent, links={"tracker": LINK}))
+        faces = [face["age_s"] for face in state["scan"]["faces"].values()]
+        parts = (state["scan"], state["tracker"]["pose"], state["decision"], *state["wind"], *state["mqtt"]["inputs"])
+        return [*faces, *(part["age_s"] for part in parts)], state["scan"]["stale"] and state["tracker"]["pose"][
+            "stale"
+        ]
+
+    async def scenario(rig):
+        recent = Recent()
+        rig.bus.subscribe(recent.note)
+        await tracking(rig)
+        await asyncio.sleep(60)
+        before_s, stale = ages_s(rig, recent)
+        assert max(before_s) < 400
+        assert not stale
+        rig.slept_s = rig.clock.step_s = 7200.0
+        during_s, stale = ages_s(rig, recent)
+        assert during_s == pytest.approx([age_s + 7200.0 for age_s in before_s])
+        assert stale
+        await asyncio.sleep(20)
+        after_s, stale = ages_s(rig, recent)
+        assert max(after_s[:6]) < 20, "what came after the sleep is as old as it is"
+        assert not stale
+
+    run_rig(scenario)
 
 
 def test_a_cube_on_a_machine_of_its_own_tells_of_its_clock(run_rig):
