@@ -27,7 +27,7 @@ from sim_drivers.network_files import Network, network_of
 from sim_drivers.weather import Conditions, WeatherError
 from solar.ephemeris import Site, sun_position
 from solar.frames import Array
-from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
+from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, kilowatts_note
 from solar.tables import (
     NO_READING,
     broken_line,
@@ -40,8 +40,6 @@ from solar.tables import (
 )
 
 LONGEST_GAP_S = 3600.0
-# Under thick clouds there is several times as much.
-_HIGH_SUN_DEG, _DARKEST_W_M2 = 20.0, 2.0
 IRRADIANCES = ("ghi", "dni", "dhi")
 OPTIONAL = ("wind_speed", "temp_air")
 
@@ -187,8 +185,8 @@ def site_mismatch(weather: MeasuredWeather, site: Site) -> str | None:
     """
     elevation_deg = sun_position(weather.utc_s, *site).elevation_deg
     ghi, dni, dhi = (weather.irradiance_w_m2[key] for key in IRRADIANCES)
-    if np.any(elevation_deg > _HIGH_SUN_DEG) and ghi.max() < _DARKEST_W_M2:
-        return f"{weather.name} has at most {ghi.max():.3g} W/m2 of ghi by day: if it is in kW/m2, multiply it by 1000"
+    if (too_dark := kilowatts_note(weather.name, "of ghi", float(ghi.max()), weather.utc_s, site)) is not None:
+        return too_dark
     sunny = dni > 200.0
     if np.count_nonzero(sunny) < 10:
         return None

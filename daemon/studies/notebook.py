@@ -20,6 +20,7 @@ from daemon.store.export import KINDS, export
 from daemon.studies.inputs import instant, settings_for
 from daemon.studies.recorded import RecordedScan, read_csv
 from daemon.studies.replay import replay as run_replay
+from daemon.studies.replay import unit_note
 from daemon.studies.simulate import simulate as run_simulation
 from solar.ephemeris import Site
 from solar.irradiance import possible
@@ -184,12 +185,13 @@ def replay(
     Warns
     -----
     UserWarning
-        Of a law that failed, so that another pointed.
+        Of readings that look like kW/m2, and of a law that failed, so that another pointed.
     """
     settings = settings_for(_path(config, "config"), law=law, site=_place(site))
     with TemporaryDirectory(prefix="heliocube-") as folder:
         out = Path(folder) / "positions.csv"
         rows = _rows(faces)
+        _warn(*filter(None, [unit_note("the frame", rows, settings.site.place())]))
         _warn(*_in_a_loop_of_its_own(lambda progress: run_replay(settings, rows, out, progress)).failed_laws)
         return pd.read_csv(out, index_col="time", parse_dates=["time"])
 

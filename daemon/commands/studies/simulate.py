@@ -215,6 +215,7 @@ def replay(
             raise UserError(f"there is no file {faces}: name a CSV file with the columns time,east,south,west,zenith")
     from daemon.studies.recorded import read_csv, rows_of_store
     from daemon.studies.replay import replay as run_replay
+    from daemon.studies.replay import unit_note
 
     if faces is not None:
         recording = read_csv(faces)
@@ -224,6 +225,9 @@ def replay(
     else:
         assert store is not None  # noqa: S101 - narrowing; one of the two is there
         rows = rows_of_store(store)
+    in_kilowatts = unit_note(f"the store {store}" if faces is None else str(faces), rows, settings.site.place())
+    if in_kilowatts is not None:
+        warn(in_kilowatts)
     # The last reading belongs to it.
     span = (rows[0].time_utc_s, rows[-1].time_utc_s + 1.0)
     local = checked_report(report_to, zone, settings, span, force=force)
@@ -240,7 +244,8 @@ def replay(
             pages = report_replay(settings, span, rows, replayed, out, report_to, local, force=force)
     warnings, law = replayed.failed_laws, settings.law.driver
     if as_json:
-        page = {"simulated": True, "rows": done, "law": law, "warnings": warnings, "table": out, "reports": pages}
+        told = [*filter(None, [in_kilowatts]), *warnings]
+        page = {"simulated": True, "rows": done, "law": law, "warnings": told, "table": out, "reports": pages}
         print_json(page)
     else:
         say(f"{counted(done, 'row')} by {law} on a SIMULATED tracker: {out}")

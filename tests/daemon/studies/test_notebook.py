@@ -65,6 +65,13 @@ def test_what_the_command_says_of_a_weather_file_is_a_warning():
     assert told[0].filename == __file__
 
 
+def test_readings_in_kilowatts_are_a_warning():
+    readings = heliocube.read_faces(heliocube.sample("mixed")).iloc[600:610] / 1000.0
+    with pytest.warns(UserWarning, match=r"the frame has at most 0\.\d+ W/m2 on any face by day") as told:
+        heliocube.replay(readings, site=heliocube.Site(48.7176, 2.209, 156.0), law="flat")
+    assert told[0].filename == __file__
+
+
 def test_a_law_that_failed_is_a_warning(monkeypatch):
     def fails(_law, _now):
         raise ZeroDivisionError("no such sky")

@@ -2,6 +2,7 @@
 
 import csv
 import gzip
+import re
 import signal
 from datetime import UTC, datetime
 
@@ -124,6 +125,18 @@ def test_a_row_names_the_law_that_decided_and_not_the_one_that_was_chosen(replay
     rows = replayed(readings(NOON + np.arange(0, 3600, 30.0)), "sun-vector", "--config", config)
     laws = [row["law"] for row in rows if row["mode"] == "tracking"]
     assert list(dict.fromkeys(laws)) == ["sun-vector", "chronometric"], "the last of the travel is the clock's"
+
+
+def test_readings_in_kilowatts_are_told_and_those_of_a_night_are_not(heliocube, tmp_path):
+    times, out = NOON + np.arange(0, 300, 60.0), tmp_path / "positions.csv"
+    told = []
+    for at in (times, times + 43200.0):
+        kilowatts = [(time, *(str(float(value) / 1000.0) for value in faces)) for time, *faces in readings(at)]
+        source = write(tmp_path / "faces.csv", kilowatts)
+        told += [heliocube("replay", source, "--site", PLACE, "--law", "flat", "--out", out, "--force")]
+    warning = rf"warning: {source} has at most 0.\d+ W/m2 on any face by day: if it is in kW/m2, multiply it by 1000\n"
+    assert [code for code, _ in told] == [0, 0]
+    assert [bool(re.search(warning, said)) for _, said in told] == [True, False]
 
 
 def test_a_gap_by_day_is_bridged_by_the_sun_and_one_by_night_at_the_night_position(replayed):
