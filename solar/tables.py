@@ -4,7 +4,6 @@ import csv
 import gzip
 import re
 import zlib
-from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -27,6 +26,9 @@ _AUTUMN = (4, 10, 11)
 _LATEST_HOUR = 3
 _EVIDENT = 3
 _LAST_BYTES = 65536
+_DECIMALS = re.compile(r"(?=\S)[+-]?\d*(?:[.,](\d*))?", re.ASCII)
+# Of numbers written as short as they go, every tenth has a decimal less: one that all so many before have is a rule.
+_RULE = 30
 
 
 class CellError(ValueError):
@@ -83,12 +85,13 @@ class BrokenLine(NamedTuple):
 
 
 def broken_line(path: Path, separator: str) -> BrokenLine | None:
-    """Return the last line of a CSV file, plain or ``.gz``, if it has neither its end nor all cells of the header.
+    """Return the last line of a CSV file, plain or ``.gz``, if it has neither its end nor all that is due.
 
-    A logger that loses its power leaves such a line, and of the last number in it perhaps the first digit alone. A line
-    with all its cells counts, as many programs write no end behind the last. A cell that is never closed is left to
-    the reader, and so is a pipe, which can be read but once. Raises `OSError`, `UnicodeDecodeError`, and for a damaged
-    ``.gz`` `EOFError` or `zlib.error`.
+    That is all cells of the header, and in the last one as many decimals as all numbers above it have, 30 at least. A
+    logger that loses its power leaves such a line, and of the last number in it perhaps the first digit alone. Any
+    other line with all its cells counts, as many programs write no end behind the last. A cell that is never closed is
+    left to the reader, and so is a pipe, which can be read but once. Raises `OSError`, `UnicodeDecodeError`, and for a
+    damaged ``.gz`` `EOFError` or `zlib.error`.
     """
     if not path.is_file() or not _unfinished(path).strip(f"{separator} \t".encode()):
         return None
@@ -96,10 +99,25 @@ def broken_line(path: Path, separator: str) -> BrokenLine | None:
         with opened(path) as file:
             rows = numbered_rows(file, separator)
             due = len(next(rows, (1, []))[1])
-            number, cells = deque(rows, 1).pop()
-    except (CellError, IndexError):
+            number, cells, decimals = 0, due, []
+            for line, found in rows:
+                number, cells = line, len(found)
+                decimals.append(_decimals(found[-1]) if found else None)
+    except CellError:
         return None
-    return BrokenLine(number, len(cells), due) if len(cells) < due else None
+    return BrokenLine(number, cells, due) if cells < due or _lacks_decimals(decimals) else None
+
+
+def _decimals(cell: str) -> int | None:
+    """Return how many decimals a number has, whole or cut off; None for other text and an empty cell."""
+    found = _DECIMALS.fullmatch(cell.strip())
+    return None if found is None else len(found[1] or "")
+
+
+def _lacks_decimals(column: Sequence[int | None]) -> bool:
+    """Tell whether the last number of a column has fewer decimals than all those above it."""
+    above = [known for known in column[:-1] if known is not None]
+    return len(above) >= _RULE and column[-1] is not None and column[-1] < min(above)
 
 
 def _unfinished(path: Path) -> bytes:
@@ -117,8 +135,9 @@ def _unfinished(path: Path) -> bytes:
 def whole_lines(path: Path, separator: str | None, apart: int = 1) -> Iterator[tuple[Path, BrokenLine | None]]:
     """Yield a table unpacked and without a last line that breaks off, and that line.
 
-    It has no end then, and fewer cells than the line so many before it: what a record of two lines has in the first is
-    no measure for the second. `separator` None is a blank or more. Raises as `broken_line`.
+    It has no end then, and fewer cells than the line so many before it, or a decimal too few in the last one, as of
+    `broken_line`: what a record of two lines has in the first is no measure for the second. `separator` None is a blank
+    or more. Raises as `broken_line`.
     """
     packed = path.suffix.lower() == ".gz"
     if not packed and not _unfinished(path).strip():
@@ -130,7 +149,8 @@ def whole_lines(path: Path, separator: str | None, apart: int = 1) -> Iterator[t
     if len(lines) > apart and not lines[-1].endswith((b"\r", b"\n")) and lines[-1].strip():
         between = None if separator is None else separator.encode()
         cells, due = (len(line.split(between)) for line in (lines[-1], lines[-1 - apart]))
-        if cells < due:
+        last_cells = [line.split(between)[-1].decode("latin-1") for line in reversed(lines[::-apart]) if line.strip()]
+        if cells < due or _lacks_decimals([*map(_decimals, last_cells)]):
             broken = BrokenLine(len(lines), cells, due)
             lines.pop()
     with TemporaryDirectory(prefix="heliocube-") as folder:

@@ -323,6 +323,12 @@ def test_a_last_line_of_a_network_s_file_that_breaks_off_counts_nowhere_and_is_t
     assert read(last.rstrip()).note() is None
 
 
+def test_a_network_s_last_number_with_fewer_decimals_than_all_above_it_breaks_off(tmp_path):
+    rows = [f"1,2016,75,12{minute:02},700,800,100.5\n" for minute in range(31)]
+    path = written(tmp_path, "".join([*MIDC_RAW.splitlines(keepends=True)[:1], *rows, "1,2016,75,1231,720,820,11"]))
+    assert load_weather(path).note().endswith("the last line, 33, breaks off at cell 7 of 7 and is left out")
+
+
 def test_a_typical_year_that_ends_early_has_its_last_hour_in_the_same_year(tmp_path):
     path = written(tmp_path, tmy3({"06/15": 1997}), "724666TYA.csv")
     assert load_weather(path, typical_year=2022).end_utc_s == utc("2022-06-16T06:30")

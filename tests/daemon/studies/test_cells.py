@@ -124,6 +124,42 @@ def test_a_last_line_with_all_its_cells_counts_without_an_end_of_line(tmp_path, 
     assert not any(notes(path))
 
 
+NUMBERED = [
+    (count, notes, head.removesuffix(",remark"), row.removesuffix(",dull").rpartition(",")[0])
+    for count, notes, head, row in LOGGED
+]
+
+
+def with_last_number(folder, head, row, above, last):
+    """A file whose last column has these numbers, and no end of its last line."""
+    cells = [row] * bool(row)
+    times = (f"2022-10-14T10:{minute:02}Z" for minute in range(60))
+    return logged(
+        folder,
+        False,
+        head,
+        *(",".join([at, *cells, number]) for at, number in zip(times, [*above, last], strict=False)),
+    )
+
+
+@pytest.mark.parametrize(("count", "notes", "head", "row"), NUMBERED)
+@pytest.mark.parametrize("last", ["-", "1", "12."])
+def test_a_last_number_with_fewer_decimals_than_all_above_it_breaks_off(tmp_path, count, notes, head, row, last):
+    path = with_last_number(tmp_path, head, row, ["1.5", *["12.25"] * 30], last)
+    assert count(path) == 31
+    (note,) = notes(path)
+    due = head.count(",") + 1
+    assert note.endswith(f"the last line, 33, breaks off at cell {due} of {due} and is left out")
+
+
+@pytest.mark.parametrize(("count", "notes", "head", "row"), NUMBERED)
+@pytest.mark.parametrize(("above", "last"), [(["1.5"] * 30, "1.2"), (["1.5"] * 30 + ["2"], "1"), (["1.5"] * 29, "1")])
+def test_a_last_number_that_may_be_whole_counts(tmp_path, count, notes, head, row, above, last):
+    path = with_last_number(tmp_path, head, row, above, last)
+    assert count(path) == len(above) + 1
+    assert not any(notes(path))
+
+
 @pytest.mark.parametrize(("count", "notes", "head", "row"), LOGGED)
 @pytest.mark.parametrize("blank", ["   ", "\t", ",,"])
 def test_blanks_behind_the_last_line_are_no_line_that_breaks_off(tmp_path, count, notes, head, row, blank):
