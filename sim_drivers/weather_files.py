@@ -31,6 +31,7 @@ from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, kilowatts_note
 from solar.tables import (
     NO_READING,
     broken_line,
+    second_header_hint,
     separator_of,
     summer_time_hint,
     unreadable,
@@ -265,7 +266,7 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
     if bad is not None:
         raise WeatherFileError(
             f"weather file {path}, line {line[bad]}: {cells['time'].iloc[bad]!r} is not a time such as "
-            "2016-06-05T12:00:00Z"
+            f"2016-06-05T12:00:00Z{second_header_hint(cells['time'].iloc[bad], bad)}"
         )
     utc_s = _seconds(pd.DatetimeIndex(times))
     _check_order(utc_s, lambda row: f"weather file {path}, line {line[row]}", cells["time"])

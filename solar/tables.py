@@ -202,6 +202,12 @@ def summer_time_hint(text: str, seconds: Sequence[float]) -> str:
     )
 
 
+def second_header_hint(text: str, row: int) -> str:
+    """Return the end of a sentence that refuses a time without a digit in the first row, counted from 0, or nothing."""
+    units = row == 0 and not any(map(str.isdigit, text))
+    return "; take a second line of the header, such as units, out" if units else ""
+
+
 def _never_closed(line: int) -> CellError:
     return CellError(
         f"line {line}: a cell begins with a quotation mark and none ends it: take the mark out, or close it"

@@ -26,6 +26,7 @@ from solar.tables import (
     broken_line,
     numbered_rows,
     opened,
+    second_header_hint,
     summer_time_hint,
     why_unread,
 )
@@ -158,7 +159,10 @@ def _rows(
     path: Path, file: TextIO, separator: str, impossible: list[str], broken: BrokenLine | None
 ) -> Iterator[RecordedScan]:
     rows = numbered_rows(file, separator)
-    header = [name.strip().lower() for name in next(rows, (1, []))[1]]
+    first = next(rows, None)
+    if first is None:
+        raise UserError(f"{path} is empty: name a CSV file with the columns {','.join(COLUMNS)}")
+    header = [name.strip().lower() for name in first[1]]
     missing = [name for name in COLUMNS if name not in header]
     if missing:
         raise UserError(f"{path}, line 1: the column {missing[0]} is missing; the header must name {','.join(COLUMNS)}")
@@ -184,7 +188,7 @@ def _row(cells: list[str], width: int, places: list[int], before: list[float]) -
     if len(cells) != width:
         raise ValueError(f"there are {len(cells)} cells where the header has {width}")
     stamp, *values = [cells[place].strip() for place in places]
-    time_utc_s = _utc(stamp)
+    time_utc_s = _utc(stamp, len(before))
     if before and not (time_utc_s > before[-1]):
         hint = summer_time_hint(stamp, [*before, time_utc_s])
         raise ValueError(f"the time {stamp} is not later than that of the line before{hint}")
@@ -192,12 +196,13 @@ def _row(cells: list[str], width: int, places: list[int], before: list[float]) -
     return RecordedScan(time_utc_s, (east, south, west, zenith))
 
 
-def _utc(text: str) -> float:
+def _utc(text: str, row: int) -> float:
     try:
         instant = datetime.fromisoformat(text)
         return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).timestamp()
     except (ValueError, OverflowError):
-        raise ValueError(f"the time {text!r} is not ISO 8601, such as 2022-10-14T10:20:05Z") from None
+        hint = second_header_hint(text, row)
+        raise ValueError(f"the time {text!r} is not ISO 8601, such as 2022-10-14T10:20:05Z{hint}") from None
 
 
 def _irradiance(name: str, text: str) -> float:

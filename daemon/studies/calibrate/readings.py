@@ -20,7 +20,15 @@ from daemon.studies.inputs import check_frame, check_table, impossible_note, not
 from daemon.studies.recorded import stored_faces
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
-from solar.tables import NO_READING, broken_line, summer_time_hint, unreadable, utc_times, why_unread
+from solar.tables import (
+    NO_READING,
+    broken_line,
+    second_header_hint,
+    summer_time_hint,
+    unreadable,
+    utc_times,
+    why_unread,
+)
 
 _MV, _W_M2 = "_mv", "_w_m2"
 _REFERENCE_NAMES = ("ghi", "ghi_w_m2")
@@ -182,7 +190,8 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array, str]:
     bad = np.flatnonzero(times.isna())
     if bad.size:
         line, text = _line_of(path, bad[0]), frame["time"].iloc[bad[0]]
-        raise UserError(f"{path}, line {line}: '{text}' is not a time such as 2022-03-01T12:00:00Z")
+        hint = second_header_hint(text, int(bad[0]))
+        raise UserError(f"{path}, line {line}: '{text}' is not a time such as 2022-03-01T12:00:00Z{hint}")
     utc_s = np.array([time.replace(tzinfo=UTC).timestamp() for time in times.dt.tz_localize(None)], dtype=np.float64)
     back = np.flatnonzero(np.diff(utc_s) <= 0.0)
     if back.size:

@@ -230,3 +230,25 @@ def test_what_a_logger_writes_beyond_its_range_is_an_impossible_reading_and_an_i
     assert read_csv(path).first_impossible == "line 2: south INF"
     path.write_text("time,ghi,dni,dhi\n2022-10-14T10:00Z,INF,2,3\n2022-10-14T10:01Z,1,2,3\n")
     assert measured_weather(path).note().endswith("first in line 2: ghi INF, not in -50..2500")
+
+
+def test_an_empty_file_of_readings_is_told_for_what_it_is(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text("")
+    with pytest.raises(UserError, match=rf"^{path} is empty: name a CSV file with the columns time,east"):
+        read_csv(path)
+
+
+@pytest.mark.parametrize(("read", "head", "row"), [*TABLES[:2], TABLES[3], WEATHER])
+def test_a_second_line_of_a_header_is_told_with_what_to_do(tmp_path, read, head, row):
+    path = tmp_path / "table.csv"
+    for time in ("", "UTC"):
+        path.write_text(f"{head}\n{time}{',W/m2' * head.count(',')}\n{row}\n")
+        with pytest.raises(
+            UserError, match=rf"{path}, line 2: .*; take a second line of the header, such as units, out$"
+        ):
+            read(path)
+    path.write_text(f"{head}\n{row}\nUTC{',1' * head.count(',')}\n")
+    with pytest.raises(UserError, match=rf"{path}, line 3: ") as refused:
+        read(path)
+    assert "second line" not in str(refused.value)

@@ -156,7 +156,7 @@ def test_a_number_that_no_face_can_read_is_a_missing_reading_and_is_counted(tmp_
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "line 1: the column time is missing"),
+        ("", "is empty: name a CSV file with the columns time,east"),
         ("time,east,west,zenith\n", "line 1: the column south is missing"),
         ("time,east,south,west,zenith,east\n", "line 1 has two columns east: leave in the one that counts"),
         (HEADER, "has no readings below its header"),
