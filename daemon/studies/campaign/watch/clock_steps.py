@@ -41,8 +41,9 @@ class ClockSteps:
         stepped_s = clock.step_s - began_off_s + sum(slept_s for at_s, slept_s in self._slept if at_s > begun_s)
         known = min(abs(clock.step_s), abs(clock.step_s - began_off_s), abs(stepped_s)) > CLOCK_STEP_S
         wrong = known and now_s - self._set[-1][0] > _NOTICED_WITHIN_S
-        # To be parked when it is night in truth takes no clock.
-        parked = control.mode is Mode.NIGHT and mount.service.sun_elevation_deg(clock.utc() - clock.step_s) < 0.0
+        # To be parked when it is night in truth takes no clock; in that of its start a service may believe to the end.
+        true_s, sun_deg = clock.utc() - clock.step_s, mount.service.sun_elevation_deg
+        parked = control.mode is Mode.NIGHT and min(sun_deg(true_s), sun_deg(true_s + began_off_s)) < 0.0
         if wrong and not parked and not _ordered_before(mount):
             text = f"{target} is sent in mode {control.mode} with the clock off by {clock.step_s:g} s: {control.why}"
             self._fails("clock", text)

@@ -21,6 +21,20 @@ def test_a_move_by_a_clock_that_was_set_wrong_is_seen_however_late(plant, later_
     assert promises(plant) == [], "it is night in truth"
 
 
+def test_a_night_by_the_clock_of_its_start_may_go_on_after_another_step(plant):
+    plant.service.sun_elevation_deg = lambda utc_s: -20.0 if utc_s < plant.now_s - 40_000.0 else 30.0
+    plant.clock.step_s = -43200.0
+    plant.watch.decided.steps.note(-43200.0, plant.now_s)
+    plant.watch.service_begins()
+    plant.wait(60)
+    plant.control.mode, plant.clock.step_s = Mode.NIGHT, 43200.0
+    plant.clock.utc = lambda: plant.now_s + plant.clock.step_s
+    plant.watch.decided.steps.note(43200.0, plant.now_s)
+    plant.wait(60)
+    plant.order(0, 90)
+    assert promises(plant) == []
+
+
 def test_a_service_that_has_never_known_another_time_is_not_blamed_for_it(plant):
     plant.clock.step_s = 40.0
     plant.watch.decided.steps.note(40.0, plant.now_s)
