@@ -1,7 +1,7 @@
 """`heliocube campaign`: faults and commands at random, against where the axes truly stand."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -10,7 +10,7 @@ from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json, teller
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, checked_seed, chosen_workers
 
-_DRAWN = ("--seeds", "--from", "--hours", "--trackers", "--only", "--without")
+_DRAWN = ("--seeds", "--from", "--hours", "--trackers", "--positioner", "--only", "--without")
 """The options of schedules that are drawn."""
 
 
@@ -22,6 +22,10 @@ def campaign(
     ] = 1,
     hours: Annotated[float, typer.Option(min=0.1, max=8760, help="Hours of virtual time for each seed.")] = 3.0,
     trackers: Annotated[int, typer.Option(min=1, max=10, metavar="N", help="How many trackers the service has.")] = 1,
+    positioner: Annotated[
+        Literal["pozsol", "rotctld"],
+        typer.Option(help="Its unit, or a rotator with the faults that it can have."),
+    ] = "pozsol",
     only: Annotated[
         str | None,
         typer.Option(metavar="FAULTS", help="Only these faults, separated by commas; or COMPONENT or COMPONENT:FAULT."),
@@ -66,7 +70,7 @@ def campaign(
     from daemon.studies.campaign.matrix import chosen_schedules
 
     # Only what they name is looked at here: a mistake is told before the simulator is loaded.
-    schedules = chosen_schedules(seeds, first, hours, _words(only), _words(without), schedule, trackers)
+    schedules = chosen_schedules(seeds, first, hours, _words(only), _words(without), schedule, trackers, positioner)
     from daemon.commands.studies.simulate import progress_bar
     from daemon.studies.campaign.attack import Attack
     from daemon.studies.campaign.reliability import write_reliability

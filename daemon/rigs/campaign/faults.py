@@ -11,6 +11,8 @@ from daemon.base.timeloop import VirtualTimeLoop
 from daemon.bridge.sender import pack
 from daemon.rigs.campaign.plant import PLUGGED, Plant, PlantTracker, nothing
 from daemon.rigs.campaign.rig import CALM_M_S, KEY
+from daemon.rigs.campaign.rotator import DEAF, SENT_AWAY
+from daemon.rigs.campaign.taps import Sleepless
 from sim_drivers.pozsol.core import FAULTS as UNIT_FAULTS
 
 Value = tuple[float, ...]
@@ -80,6 +82,7 @@ def _unplugged(device: str) -> PlantFault:
 
 async def _restart_unit(mount: PlantTracker, _value: Value, *, keep_position: bool) -> None:
     """Switch it off and on: the unit's USB is gone for a second."""
+    assert isinstance(mount.unit, Sleepless)  # noqa: S101 - narrowing; it is no fault of a rotator
     mount.plug(up=False)
     mount.unit.power_cycle(mount.clock.monotonic(), keep_position=keep_position)
     await asyncio.sleep(1.0)
@@ -314,3 +317,13 @@ FAULTS: dict[str, PlantFault] = {
     "end": _shared(_end, _replace_process),
 }
 """Every fault that a schedule may name."""
+OF_A_ROTATOR = frozenset(
+    (
+        "unplug_positioner",
+        "positioner_silent",
+        DEAF,
+        SENT_AWAY,
+        *(name for name, fault in FAULTS.items() if fault.of_all),
+    )
+)
+"""Those that a rotator behind rotctld can have as well."""

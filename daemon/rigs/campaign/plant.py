@@ -15,11 +15,12 @@ from daemon.config.settings import Settings
 from daemon.motion.motion import Motion
 from daemon.rigs.campaign.disk import Disk
 from daemon.rigs.campaign.rig import HandledRig, HandWeather, SteppingClock
-from daemon.rigs.campaign.taps import DriverTap, Sleepless, UnitTap, Witness
+from daemon.rigs.campaign.rotator import RotatorTap, SleeplessRotator, build_rotator_driver
+from daemon.rigs.campaign.taps import DriverTap, PozsolTap, Sleepless, UnitTap, Witness
 from daemon.service.rig import Role
 from daemon.service.service import Service
 from daemon.tracker.control import Control
-from drivers.interfaces import Positioner
+from drivers.interfaces import AxisName, Positioner
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import Setup
@@ -28,10 +29,9 @@ from solar.frames import Angles
 
 HOMED = "homing finished"
 PLUGGED = ("multiplexer", "voltmeter")
+ROTCTLD = "rotctld"
 UNIT_GOES_TO = Angles(35.0, 30.0)
 """Where the unit's own tracking and its stow modes drive, far from what the service ever asks for by itself."""
-_OWN_TARGET_EVERY_S = 300
-_STOW_APART_DEG = 5.0
 _WRITE_S = 0.004
 """As to a real port through its thread: what else happens while a packet is on its way can come in between."""
 
@@ -71,8 +71,8 @@ class PlantTracker:
         self.plugged = True
         self.is_silent = False
         self.records: list[Record] = []
-        self.unit: Sleepless
-        self.line: UnitTap
+        self.unit: Sleepless | SleeplessRotator
+        self.line: UnitTap | RotatorTap
         self.name, self.settings = plant.settings.trackers[place]
         self.called = f"{self.name}: " if plant.settings.tracker else ""
 
@@ -80,11 +80,16 @@ class PlantTracker:
         self, unit: PositionerCore, settings: Settings, build: Callable[[PositionerCore, Settings], Positioner]
     ) -> Positioner:
         """Return the driver of the unit with a tap before and behind it."""
+        rotator: object = unit
+        if isinstance(rotator, SleeplessRotator):
+            self.unit, self.line = rotator, (tap := RotatorTap(rotator, self.clock, self.witness))
+            self.plant.cables.positioners.append(tap)
+            return DriverTap(build_rotator_driver(rotator, tap, settings, self.clock), tap, self.witness)
         self.unit = Sleepless(unit, self.clock.slept_too)
         self.line = UnitTap(self.unit, self.witness)
         driver = build(self.line, settings)  # type: ignore[arg-type] # it passes for the unit
         assert isinstance(driver, PozsolPositioner)  # noqa: S101 - narrowing
-        return DriverTap(driver, self.line, self.witness)
+        return PozsolTap(driver, self.line, self.witness)
 
     @property
     def clock(self) -> SteppingClock:
@@ -127,8 +132,24 @@ class PlantTracker:
         return self.control.mode
 
     def truth(self) -> Angles:
-        """Return where its axes really stand."""
+        """Return where it really stands, as A and B."""
         return self.unit.truth(self.clock.monotonic())
+
+    def axes(self) -> Angles:
+        """Return where its axes really stand: A and B, or a rotator's azimuth and elevation."""
+        return self.unit.axes(self.clock.monotonic())
+
+    def range_deg(self, axis: AxisName) -> tuple[float, float]:
+        """Return what an order may never drive an axis beyond: the limits, or on its way a rotator's own range."""
+        if isinstance(self.unit, SleeplessRotator):
+            return self.unit.limits[axis]
+        limits = self.settings.limits
+        return (limits.a_min_deg, limits.a_max_deg) if axis == "a" else (limits.b_min_deg, limits.b_max_deg)
+
+    @property
+    def has_reference_run(self) -> bool:
+        """Whether it can be homed."""
+        return self.settings.instruments.positioner.has_reference_run
 
     def wishes(self) -> bytes:
         """Return what persons have asked of it, as it is kept."""
@@ -159,8 +180,8 @@ class PlantTracker:
         self.witness.link_changes()
 
     @property
-    def _cable(self) -> InMemoryStream:
-        cable: InMemoryStream = self.plant.cables.positioners[self.place]
+    def _cable(self) -> InMemoryStream | RotatorTap:
+        cable: InMemoryStream | RotatorTap = self.plant.cables.positioners[self.place]
         return cable
 
 
@@ -235,6 +256,12 @@ class Plant(HandledRig):
             getattr(self.cables, device).link_up = up
         for mount in self.mounts:
             mount.lay()
+
+    def build_unit(self, settings: Settings, setup: Setup | None) -> PositionerCore:
+        """Return the simulated unit of a tracker, or its rotator."""
+        if settings.instruments.positioner.driver == ROTCTLD:
+            return SleeplessRotator(settings, self.clock, UNIT_GOES_TO)  # type: ignore[return-value] # it passes for one
+        return super().build_unit(settings, setup)
 
     def drive(self, unit: PositionerCore, settings: Settings) -> Positioner:
         """Return the driver of the next unit with a tap before and behind it."""
@@ -334,55 +361,3 @@ class Plant(HandledRig):
         for outcome in await asyncio.gather(*ending, return_exceptions=True):
             if isinstance(outcome, Exception):
                 self.mounts[0].witness.fails("service-died", f"the service did not end in order: {outcome!r}")
-
-
-def build_plant(
-    loop: VirtualTimeLoop,
-    start: datetime,
-    directory: Path,
-    witnesses: Sequence[Witness],
-    *,
-    law: str,
-    rehome: str,
-    synchronous: bool,
-    sky_w_m2: tuple[float, float],
-) -> Plant:
-    """Return a plant, its service not yet started.
-
-    Parameters
-    ----------
-    loop, start, witnesses
-        As for `Plant`.
-    directory
-        Where the service keeps its files.
-    law, rehome
-        As in the settings.
-    synchronous
-        Whether the unit drives both axes at once.
-    sky_w_m2
-        DNI and DHI.
-    """
-    settings = Settings.model_validate(
-        {
-            "bridge": {"listen": "127.0.0.1:0", "send_to": ()},
-            "law": {"driver": law},
-            "motion": {"rehome": rehome},
-            "safety": {"stow_at_least_s": 120.0},
-            "store": {"directory": str(directory)},
-            "tracker": _tables(len(witnesses)),
-        }
-    )
-    setup = Setup(synchronous=synchronous, own_target=_own_target, wind_stow=UNIT_GOES_TO, snow_stow=UNIT_GOES_TO)
-    return Plant(loop, settings, start, HandWeather(*sky_w_m2), setup, witnesses)
-
-
-def _tables(trackers: int) -> list[dict[str, Any]]:
-    """Return a table for each of several trackers, whose stow positions differ: an order for another one shows."""
-    if trackers == 1:
-        return []
-    return [{"name": f"t{place}", "safety": {"stow_a_deg": _STOW_APART_DEG * place}} for place in range(trackers)]
-
-
-def _own_target(now_s: float) -> Angles:
-    """Return where the unit's own tracking points: it never stays for long."""
-    return UNIT_GOES_TO if int(now_s // _OWN_TARGET_EVERY_S) % 2 else Angles(-20.0, 60.0)

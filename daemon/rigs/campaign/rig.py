@@ -156,10 +156,7 @@ class HandledRig:
         self.scene = Scene(SITE, weather, sky_model="isotropic", seed=1, sensors=SENSORS)
         self.switch = MultiplexerCore(inputs=self._sensor, latency_s=0.0)
         self.meter = VoltmeterCore(input_voltage=self.switch.output_voltage, random=np.random.default_rng(1))
-        self.units = [
-            PositionerCore(loop.time(), setup) if setup else build_unit(named.settings, self.clock)
-            for named in settings.trackers
-        ]
+        self.units = [self.build_unit(named.settings, setup) for named in settings.trackers]
         self.unit = self.units[0]
         self.cables = SimpleNamespace()
         self.connect(settings)
@@ -173,6 +170,10 @@ class HandledRig:
         self.records: list[Record] = []
         self.bus.subscribe(self.note)
         self.service = self.serve(settings, role)
+
+    def build_unit(self, settings: Settings, setup: Setup | None) -> PositionerCore:
+        """Return the simulated unit of a tracker."""
+        return PositionerCore(self.clock.monotonic(), setup) if setup else build_unit(settings, self.clock)
 
     def note(self, record: Record) -> None:
         """Keep a record that was published."""

@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager
 from typing import Protocol
 
 from daemon.base.records import Scan
-from drivers.interfaces import AxisName
+from drivers.interfaces import AxisName, Positioner
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from sim_drivers.pozsol.core import PositionerCore
 from solar.frames import Angles
@@ -71,6 +71,8 @@ class Sleepless:
         """Return where the axes really stand."""
         return self._core.truth(self._at(now))
 
+    axes = truth
+
     def screens(self, now: float) -> bytes:
         """Return all screens."""
         return self._core.screens(self._at(now))
@@ -130,25 +132,30 @@ class UnitTap:
             self._unit.feed(data, now)
 
 
+class Line(Protocol):
+    """What one process sends through."""
+
+    dead: bool
+
+
 class DriverTap:
-    """The positioner's driver, with every order that goes through it noted.
+    """A positioner's driver, with every order that goes through it noted.
 
     Parameters
     ----------
     driver, line
-        The driver, and the unit as it reaches it.
+        The driver, and what it sends through.
     witness
         Notes targets and reference runs.
     """
 
-    def __init__(self, driver: PozsolPositioner, line: UnitTap, witness: Witness) -> None:
+    def __init__(self, driver: Positioner, line: Line, witness: Witness) -> None:
         self._driver = driver
         self._witness = witness
         self._line = line
         self.open, self.close = driver.open, driver.close
         self.read_telemetry, self.disable_autonomy = driver.read_telemetry, driver.disable_autonomy
         self.stop, self.halt, self.clear_faults = driver.stop, driver.halt, driver.clear_faults
-        self.repeated_s, self.standing, self.recall = driver.repeated_s, driver.standing, driver.recall
 
     async def move_to(self, a_deg: float, b_deg: float, *, first: AxisName = "a") -> None:
         """Move there; see the driver."""
@@ -163,3 +170,11 @@ class DriverTap:
         if not self._line.dead:
             self._witness.homes(axis)
         await self._driver.home(axis)
+
+
+class PozsolTap(DriverTap):
+    """The same of the POZSOL's driver, which tells more than others."""
+
+    def __init__(self, driver: PozsolPositioner, line: Line, witness: Witness) -> None:
+        super().__init__(driver, line, witness)
+        self.repeated_s, self.standing, self.recall = driver.repeated_s, driver.standing, driver.recall

@@ -8,6 +8,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from random import Random
+from typing import Literal
 
 from daemon.studies.campaign.schedule import MOST_TRACKERS, Happening, Schedule
 
@@ -111,7 +112,12 @@ _RELEASED_TOGETHER = 0.6
 
 
 def draw(
-    seed: int, hours: float, without: Collection[str] = (), only: Collection[str] = (), trackers: int = 1
+    seed: int,
+    hours: float,
+    without: Collection[str] = (),
+    only: Collection[str] = (),
+    trackers: int = 1,
+    positioner: Literal["pozsol", "rotctld"] = "pozsol",
 ) -> Schedule:
     """Return the schedule of a seed.
 
@@ -127,6 +133,8 @@ def draw(
         Faults that there are; empty for all. Commands are not touched by it.
     trackers
         How many the service has. The same things happen at the same times as with one, each to one of them or to all.
+    positioner
+        Driver of their positioners.
     """
     random = Random(seed)  # noqa: S311 - reproducibility is the point; nothing secret depends on it
     spans = {name: span for name, span in SPANS.items() if name not in without and (not only or name in only)}
@@ -146,6 +154,7 @@ def draw(
         sky=random.choice(((700.0, 90.0), (700.0, 90.0), (0.0, 150.0), (300.0, 200.0))),
         events=_among(trackers, seed, sorted((event for event in events if event.at_s < hours * 3600), key=_at_s)),
         trackers=trackers,
+        positioner=positioner,
     )
 
 

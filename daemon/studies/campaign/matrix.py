@@ -3,6 +3,7 @@
 import math
 from collections.abc import Collection, Iterable
 from pathlib import Path
+from typing import Literal
 
 from daemon.base import plugins
 from daemon.base.errors import UserError
@@ -167,6 +168,7 @@ def chosen_schedules(
     without: Collection[str],
     file: Path | None,
     trackers: int = 1,
+    positioner: Literal["pozsol", "rotctld"] = "pozsol",
 ) -> list[Schedule]:
     """Return the schedules that a person asks for.
 
@@ -180,6 +182,8 @@ def chosen_schedules(
         A schedule that `reduce` has left, in place of all that.
     trackers
         How many the service has.
+    positioner
+        Driver of their positioners.
 
     Raises
     ------
@@ -208,12 +212,18 @@ def chosen_schedules(
     if unknown:
         raise UserError(f"--without: there is no fault or command {', '.join(unknown)}")
     faults = chosen_faults(only)
-    return [draw(seed, hours, without, faults, trackers) for seed in range(first, first + seeds)]
+    if positioner == "rotctld":
+        from daemon.rigs.campaign.faults import OF_A_ROTATOR  # noqa: PLC0415 - the whole service
+
+        for name in faults:
+            _refuse_of_rotator(name, OF_A_ROTATOR)
+        faults = faults or tuple(name for name in SPANS if name in OF_A_ROTATOR)
+    return [draw(seed, hours, without, faults, trackers, positioner) for seed in range(first, first + seeds)]
 
 
 def refuse_unknown(schedule: Schedule, commands: Collection[str]) -> None:
     """Raise `UserError` for the first event that simulator or service does not know: to skip it would be a lie."""
-    from daemon.rigs.campaign.faults import FAULTS  # noqa: PLC0415 - the whole service: a wrong name does not wait for it
+    from daemon.rigs.campaign.faults import FAULTS, OF_A_ROTATOR  # noqa: PLC0415 - the whole service: a wrong name does not wait for it
 
     for event in schedule.events:
         if event.tracker is not None and event.tracker >= schedule.trackers:
@@ -222,6 +232,13 @@ def refuse_unknown(schedule: Schedule, commands: Collection[str]) -> None:
             raise UserError(f"the service has no command '{event.name}'; leave it out with --without {event.name}")
         if event.what == "fault" and event.name not in FAULTS:
             raise UserError(f"the campaign has no fault '{event.name}'; it has {', '.join(FAULTS)}")
+        if event.what == "fault" and schedule.positioner == "rotctld":
+            _refuse_of_rotator(event.name, OF_A_ROTATOR)
+
+
+def _refuse_of_rotator(name: str, known: Collection[str]) -> None:
+    if name not in known:
+        raise UserError(f"{name} cannot be simulated: a rotator behind rotctld has only {', '.join(sorted(known))}")
 
 
 def _refuse_values(file: Path, events: Iterable[Happening]) -> None:

@@ -14,8 +14,8 @@ from typing import Any
 
 from daemon.base.records import Mode, ModeChange, Move
 from daemon.base.timeloop import VirtualTimeLoop, virtual_time
+from daemon.rigs.campaign.build import build_plant
 from daemon.rigs.campaign.faults import FAULTS, PROCESS, PlantFault
-from daemon.rigs.campaign.plant import build_plant
 from daemon.service.operator_commands import OF_ALL
 from daemon.studies.campaign.bounded import WARM_AFTER_S, Bounded, LogLine
 from daemon.studies.campaign.door import DirectDoor, Door, Together
@@ -94,6 +94,7 @@ class CampaignRun:
             rehome=schedule.rehome,
             synchronous=schedule.synchronous,
             sky_w_m2=schedule.sky,
+            positioner=schedule.positioner,
         )
         for mount, watch in zip(self.plant.mounts, self.watches, strict=True):
             watch.attach(mount)
@@ -249,13 +250,14 @@ class CampaignRun:
         while mount.clock.monotonic() - begun_s < RECOVERS_WITHIN_S:
             if turn and turn % _ASKED_AGAIN_AFTER == 0:
                 await person.give("clear")
-            if not mount.motion.homing and not mount.has_homed(begun_s):
+            homed = mount.has_homed(begun_s) or not mount.has_reference_run
+            if not mount.motion.homing and not homed:
                 # Under a stow it is refused, so it is asked for until it has been made.
                 await person.give("home")
             await asyncio.sleep(60.0)
             turn += 1
             at_rest = not mount.motion.doubt and not mount.motion.moving
-            if mount.mode in WORKS and at_rest and mount.has_homed(begun_s):
+            if mount.mode in WORKS and at_rest and (mount.has_homed(begun_s) or not mount.has_reference_run):
                 break
         else:
             text = f"mode {mount.mode}: {mount.control.why} {RECOVERS_WITHIN_S:g} s after everything was set right"

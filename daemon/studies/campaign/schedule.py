@@ -85,6 +85,8 @@ class Schedule:
         In the order of their time.
     trackers
         How many the service has.
+    positioner
+        Driver of their positioners.
     """
 
     __pydantic_config__: ClassVar = _AS_WRITTEN
@@ -98,6 +100,7 @@ class Schedule:
     sky: tuple[_NotNegative, _NotNegative]
     events: tuple[Happening, ...]
     trackers: Annotated[int, Field(ge=1, le=MOST_TRACKERS)] = 1
+    positioner: Literal["pozsol", "rotctld"] = "pozsol"
 
     @property
     def begin(self) -> datetime:
@@ -107,6 +110,7 @@ class Schedule:
     def text(self) -> str:
         """Return it for people: a line for each event."""
         of_several = f" {self.trackers} trackers," if self.trackers > 1 else ""
+        of_several += " behind rotctld," if self.positioner == "rotctld" else ""
         head = (
             f"seed {self.seed}, {self.hours:g} h from {self.start}, law {self.law}, rehome {self.rehome},"
             f"{of_several} {'both axes at once' if self.synchronous else 'one axis at a time'}, DNI/DHI {self.sky}"

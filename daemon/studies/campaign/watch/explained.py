@@ -6,6 +6,7 @@ from typing import Literal, NamedTuple
 from drivers.interfaces import AxisName
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field
+from drivers.positioners.rotctld.protocol import SET_POSITION
 
 RUN_OUT_S = 3.0
 AT_TARGET = 1.5
@@ -17,6 +18,7 @@ _LEAVES_SWITCH = 30.0
 _TARGETS: dict[int, AxisName] = {
     Field.A_ANGLE: "a", Field.B_ANGLE: "b", Field.A_DESTINATION: "a", Field.B_DESTINATION: "b"
 }  # fmt: skip
+_ROTCTLD = b"+"
 _HOMES: dict[bytes, AxisName] = {wire.HOME_A.encode(): "a", wire.HOME_B.encode(): "b"}
 
 Why = Literal["hand", "home", "order", "run-out"]
@@ -39,6 +41,8 @@ class Explained:
     ----------
     packets
         How many packets have reached the unit.
+    by_position
+        Whether it tells nobody where it heads: on the way to where it was sent, nobody can know of another target.
     """
 
     def __init__(self) -> None:
@@ -48,27 +52,38 @@ class Explained:
         self._run_out_s = -math.inf
         self._held = False
         self._released_s = -math.inf
+        self.by_position = False
         self.packets = 0
 
     def packet(self, data: bytes, now_s: float) -> None:
         """Note a packet: whatever it was about, the last order is over, or there is a new one to come."""
         self.packets += 1
+        if data.startswith(_ROTCTLD):
+            self.by_position = True
+            if SET_POSITION.encode() in data:
+                self._send_off("a", now_s)
+                self._send_off("b", now_s)
+            else:
+                self._take_back(now_s)
+            return
         at = data.find(b"$")
         if not 0 <= at < len(data) - 1:
             return
         code, value = data[at + 1], data[at + 2 : at + 3].lower()
         if code in _TARGETS:
-            axis = _TARGETS[code]
-            if self._destination[axis] is not None:
-                # On a reversal it runs the old way first.
-                self._run_out_s = now_s + RUN_OUT_S
-            self._destination[axis] = None
-            self._sent_off.add(axis)
+            self._send_off(_TARGETS[code], now_s)
         elif code == Field.ACTION and value in _HOMES:
             self._take_back(now_s)
             self._homing.add(_HOMES[value])
         elif code == Field.STATUS or (code == Field.ACTION and value == wire.STOP.encode()):
             self._take_back(now_s)
+
+    def _send_off(self, axis: AxisName, now_s: float) -> None:
+        if self._destination[axis] is not None:
+            # On a reversal it runs the old way first.
+            self._run_out_s = now_s + RUN_OUT_S
+        self._destination[axis] = None
+        self._sent_off.add(axis)
 
     def _take_back(self, now_s: float) -> None:
         if self._homing or any(destination is not None for destination in self._destination.values()):
@@ -116,7 +131,7 @@ class Explained:
 
     def _is_ordered(self, axis: AxisName, turned_deg: float, counted: Counted) -> bool:
         destination = self._destination[axis]
-        if destination is None or abs(counted.destination - destination) > _SAME_DESTINATION:
+        if destination is None or (not self.by_position and abs(counted.destination - destination) > _SAME_DESTINATION):
             return False
         way = destination - counted.position
         return abs(way) <= AT_TARGET or (way > 0) == (turned_deg > 0)

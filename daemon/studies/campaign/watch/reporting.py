@@ -9,7 +9,8 @@ from daemon.base.records import Event, Mode, ModeChange, Record
 from daemon.rigs.campaign.plant import PlantTracker
 from daemon.studies.campaign.watch.true_count import COUNTED_DEG
 
-WORTH_REPORTING_DEG = 0.5
+WORTH_REPORTING_DEG, WORTH_BY_POSITION_DEG = 0.5, 1.2
+"""What is told by its positions alone shows later: after half a second, and a quarter of a degree beyond."""
 REPORTED_WITHIN_S = 10.0
 """The unit shows some things in its slow screens only, and control decides every 5 s."""
 MOVE_ENDS_WITHIN_S = 60.0
@@ -60,14 +61,14 @@ class Reporting:
         """Note that a fault begins or ends, or that a hand is at the unit."""
         self._cause_s = now_s
 
-    def unexplained(self, turned_deg: float, now_s: float) -> None:
-        """Note that an axis turns without an order while the service could know."""
+    def unexplained(self, turned_deg: float, now_s: float, *, by_position: bool = False) -> None:
+        """Note that an axis turns without an order while the service could know, `by_position` by that alone."""
         self._cause_s = now_s
         if self._begun_s is None or now_s - self._turned_s > REPORTED_WITHIN_S:
             self._begun_s, self._turned_deg = now_s, 0.0
         self._turned_s = now_s
         self._turned_deg += abs(turned_deg)
-        if self._turned_deg >= WORTH_REPORTING_DEG:
+        if self._turned_deg >= (WORTH_BY_POSITION_DEG if by_position else WORTH_REPORTING_DEG):
             self._unreported.append((self._begun_s, self._turned_deg))
             self._begun_s = None
 
@@ -104,7 +105,7 @@ class Reporting:
 
 
 def _counts(mount: PlantTracker, now_s: float) -> bool:
-    at = mount.truth()
+    at = mount.axes()
     shown_deg = mount.unit.shown_deg("a", now_s), mount.unit.shown_deg("b", now_s)
     return max(abs(shown_deg[0] - at.a_deg), abs(shown_deg[1] - at.b_deg)) < COUNTED_DEG
 

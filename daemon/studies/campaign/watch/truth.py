@@ -237,7 +237,7 @@ class TruthWatch:
 
     def sample(self) -> None:
         """Compare truth and promises once."""
-        now_s, at = self.now_s, self.mount.truth()
+        now_s, at = self.now_s, self.mount.axes()
         before, gone_s, self._at = self._at, now_s - self._sampled_s, at
         self._sampled_s = now_s
         if self.mount.motion.target is not None:
@@ -269,7 +269,7 @@ class TruthWatch:
             until_s = min(until_s, self.reference.compared_s + REFERENCE_EVERY_S)
         # The storm itself is one of them.
         self.storms.excused = self.lasting > 1 or self.reference.excused or self.reference.wrong_s is not None
-        self.storms.check(self.mount, at, now_s, self.reach.since_s, live=live)
+        self.storms.check(self.mount, self.mount.truth(), now_s, self.reach.since_s, live=live)
         if live:
             self.reporting.check(self.mount, now_s, by_hand=self.explained.by_hand(now_s))
         else:
@@ -305,7 +305,7 @@ class TruthWatch:
             self._check_unexplained(axis, at_deg, now_s)
             # One axis may have taken a target that the other did not take: the move fails, and that is reported.
             if not self._sendings and now_s - self._sent_s > UNEXPLAINED_S and self._counts(axis, at_deg):
-                self.reporting.unexplained(turned_deg, now_s)
+                self.reporting.unexplained(turned_deg, now_s, by_position=self.explained.by_position)
             return -math.inf
         self._unexplained_s[axis] = None
         self.reporting.stands()
@@ -341,8 +341,7 @@ class TruthWatch:
 
     def _check_limits(self, axis: AxisName, at_deg: float, turned_deg: float) -> float:
         """Return how far it is to the limit that the axis turns to [deg]; below 0 beyond it."""
-        limits = self.mount.settings.limits
-        low, high = (limits.a_min_deg, limits.a_max_deg) if axis == "a" else (limits.b_min_deg, limits.b_max_deg)
+        low, high = self.mount.range_deg(axis)
         beyond_deg = low - at_deg if turned_deg < 0 else at_deg - high
         if beyond_deg > LIMIT_DEG and self._counts(axis, at_deg):
             self.fails("limits", f"axis {axis} is driven to {at_deg:.3f} deg, beyond {low:g} to {high:g}")
@@ -377,7 +376,7 @@ class TruthWatch:
 
     def is_wrong(self) -> bool:
         """Tell whether the unit's count is not what is true."""
-        return self.reference.is_wrong(self.mount, self._at or self.mount.truth(), self.now_s)
+        return self.reference.is_wrong(self.mount, self._at or self.mount.axes(), self.now_s)
 
     def _check_reference(self, at: Angles, now_s: float) -> None:
         if not any(self.moving.values()) and self.mount.is_served:

@@ -41,6 +41,12 @@ class Scripted:
     def truth(self):
         return Angles(self.at["a"], self.at["b"])
 
+    axes = truth
+
+    def range_deg(self, axis):
+        limits = self.settings.limits
+        return (limits.a_min_deg, limits.a_max_deg) if axis == "a" else (limits.b_min_deg, limits.b_max_deg)
+
     def course(self, axis, now_s):
         self.close_looks += 1
         return self.at[axis] * 5, self.destination[axis]

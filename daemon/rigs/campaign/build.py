@@ -1,0 +1,73 @@
+"""The campaign's plant, built for a schedule."""
+
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.config.settings import Settings
+from daemon.rigs.campaign.plant import UNIT_GOES_TO, Plant
+from daemon.rigs.campaign.rig import HandWeather
+from daemon.rigs.campaign.taps import Witness
+from sim_drivers.pozsol.setup import Setup
+from solar.frames import Angles
+
+_OWN_TARGET_EVERY_S = 300
+_STOW_APART_DEG = 5.0
+
+
+def build_plant(
+    loop: VirtualTimeLoop,
+    start: datetime,
+    directory: Path,
+    witnesses: Sequence[Witness],
+    *,
+    law: str,
+    rehome: str,
+    synchronous: bool,
+    sky_w_m2: tuple[float, float],
+    positioner: str = "pozsol",
+) -> Plant:
+    """Return a plant, its service not yet started.
+
+    Parameters
+    ----------
+    loop, start, witnesses
+        As for `Plant`.
+    directory
+        Where the service keeps its files.
+    law, rehome
+        As in the settings.
+    synchronous
+        Whether the unit drives both axes at once.
+    sky_w_m2
+        DNI and DHI.
+    positioner
+        Its driver.
+    """
+    settings = Settings.model_validate(
+        {
+            "instruments": {"positioner": {"driver": positioner}},
+            "bridge": {"listen": "127.0.0.1:0", "send_to": ()},
+            "law": {"driver": law},
+            "motion": {"rehome": rehome},
+            "safety": {"stow_at_least_s": 120.0},
+            "store": {"directory": str(directory)},
+            "tracker": _tables(len(witnesses)),
+        }
+    )
+    setup = Setup(synchronous=synchronous, own_target=_own_target, wind_stow=UNIT_GOES_TO, snow_stow=UNIT_GOES_TO)
+    return Plant(loop, settings, start, HandWeather(*sky_w_m2), setup, witnesses)
+
+
+def _tables(trackers: int) -> list[dict[str, Any]]:
+    """Return a table for each of several trackers, whose stow positions differ: an order for another one shows."""
+    if trackers == 1:
+        return []
+    return [{"name": f"t{place}", "safety": {"stow_a_deg": _STOW_APART_DEG * place}} for place in range(trackers)]
+
+
+def _own_target(now_s: float) -> Angles:
+    """Return where the unit's own tracking points: it never stays for long."""
+    return UNIT_GOES_TO if int(now_s // _OWN_TARGET_EVERY_S) % 2 else Angles(-20.0, 60.0)

@@ -1,0 +1,64 @@
+"""The campaign on a rotator: what it can have happens to it, and what it cannot have is refused."""
+
+from dataclasses import replace
+
+import pytest
+
+from daemon.base.errors import UserError
+from daemon.base.records import Mode
+from daemon.rigs.campaign.faults import OF_A_ROTATOR
+from daemon.studies.campaign.door import DirectDoor, DoorReply
+from daemon.studies.campaign.draw import draw
+from daemon.studies.campaign.matrix import chosen_schedules
+from daemon.studies.campaign.run import run_schedule
+from daemon.studies.campaign.schedule import Happening, Schedule
+
+GOTO = Happening(145.0, "command", "goto", (-45.0, 30.0))
+
+
+class Forgetful(DirectDoor):
+    """A door that says done to a stop and lets it fall."""
+
+    async def give(self, service, name, value, why, place=0):
+        return DoorReply(True, "") if name == "stop" else await super().give(service, name, value, why, place)
+
+
+def run(*events, door=None, heal=False):
+    schedule = replace(draw(1, 0.1, positioner="rotctld"), events=events, sky=(700.0, 90.0), start="2022-06-21T12:00")
+    assert schedule == Schedule.from_json(schedule.json())
+    return run_schedule(schedule, door, heal=heal)
+
+
+def test_a_rotator_is_stopped_told_of_and_set_right_when_another_client_sends_it_away():
+    sent = Happening(120.0, "fault", "own_tracking", lasts_s=5.0)
+    outcome = run(sent, heal=True)
+    assert outcome.violations == ()
+    assert Mode.FAULT in {mode for _, mode in outcome.entered}
+
+
+def test_a_stop_of_a_rotator_is_measured_and_one_that_does_not_reach_it_is_seen():
+    stop = Happening(150.0, "command", "stop")
+    (latency_s,) = run(GOTO, stop).stop_latencies_s
+    assert latency_s < 0.7
+    assert run(GOTO, stop, door=Forgetful()).promises >= {"moves-under-stop"}
+
+
+def test_a_rotator_may_leave_the_limits_on_its_way_and_never_its_range(monkeypatch):
+    assert run(GOTO).violations == ()
+    narrow = {"a": (0.0, 360.0), "b": (60.0, 90.0)}
+    monkeypatch.setattr("daemon.rigs.campaign.plant.PlantTracker.range_deg", lambda _mount, axis: narrow[axis])
+    assert "limits" in run(GOTO).promises
+
+
+def test_what_no_rotator_can_have_is_refused_and_not_skipped(tmp_path):
+    drawn = {
+        event.name
+        for seed in range(200)
+        for event in chosen_schedules(1, seed, 3, (), (), None, 1, "rotctld")[0].events
+        if event.what == "fault"
+    }
+    assert drawn == OF_A_ROTATOR
+    with pytest.raises(UserError, match="a_slip cannot be simulated: a rotator behind rotctld has only"):
+        chosen_schedules(1, 1, 1.0, ("a_slip",), (), None, 1, "rotctld")
+    with pytest.raises(UserError, match="a_slip cannot be simulated"):
+        run(Happening(120.0, "fault", "a_slip"))
