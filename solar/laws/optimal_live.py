@@ -127,9 +127,10 @@ class LiveOptimal(ThreeFacesLaw):
 
     def turn(self, utc_s: float) -> bool:
         """Begin a new day when the sun has passed its lowest point since the last call, or go on with a later one."""
-        day, before, later = int(solar_days(utc_s, self.site.longitude_deg)), self._kept(), self._later
+        day = int(solar_days(utc_s, self.site.longitude_deg))
         if day == self._day:
             return False
+        before, later = self._kept(), self._later
         self._later = before if day < self._day else None
         self._day = day
         self._heard = self._heard.on(day)
