@@ -243,13 +243,23 @@ async def _order(positioner: PozsolPositioner, targets: tuple[float, float], say
     await positioner.move_to(*targets)
 
 
+def _why_given_up(*, stands: bool) -> str:
+    if stands:
+        return f"has told nothing of its buttons in the {_MOVE_WITHIN_S:g} s of a move, so nothing more is moved"
+    limit = f"still moves after {_MOVE_WITHIN_S:g} s, so it was stopped"
+    return f"{limit}: a smaller --move-deg is enough for a slow drive"
+
+
 async def _watch(positioner: PozsolPositioner, axis: AxisName, clock: Clock) -> str:
     """Follow one axis until it stands, and return what was seen; `RefusedError` where it must go no further."""
     begin_s = last_s = first_s = clock.monotonic()
     seen = await positioner.read_telemetry()
     start = position = seen.position_a if axis == "a" else seen.position_b
     start_deg = seen.a_deg if axis == "a" else seen.b_deg
-    while clock.monotonic() < last_s + _STILL_S and clock.monotonic() < begin_s + _MOVE_WITHIN_S:
+    # What the unit tells of its buttons comes later than where its axes stand: whoever has pressed one stopped them.
+    while clock.monotonic() < last_s + _STILL_S or seen.status_monotonic_s <= last_s:
+        if clock.monotonic() >= begin_s + _MOVE_WITHIN_S:
+            raise RefusedError("positioner", _why_given_up(stands=clock.monotonic() >= last_s + _STILL_S))
         await asyncio.sleep(_LOOK_EVERY_S)
         seen = await positioner.read_telemetry()
         _refuse_pressed(seen)
@@ -260,9 +270,6 @@ async def _watch(positioner: PozsolPositioner, axis: AxisName, clock: Clock) -> 
             if position == start:
                 first_s = clock.monotonic()
             position, last_s = now_position, clock.monotonic()
-    if clock.monotonic() < last_s + _STILL_S:
-        limit = f"still moves after {_MOVE_WITHIN_S:g} s, so it was stopped"
-        raise RefusedError("positioner", f"{limit}: a smaller --move-deg is enough for a slow drive")
     end_deg, took_s = (seen.a_deg if axis == "a" else seen.b_deg), max(last_s - first_s, _LOOK_EVERY_S)
     if position == start:
         return "it did not move"

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from collections import Counter
 
 import pytest
 
@@ -10,19 +11,20 @@ from daemon.base.timeloop import call_until
 from daemon.config.settings import Settings
 from daemon.rigs.probe_positioner import probe_positioner
 from drivers.errors import RefusedError
+from drivers.positioners.pozsol.wire import SEPARATOR, Field
 from drivers.transcript import no_tap
 from sim_drivers.pozsol.core import DEAF
 from sim_drivers.pozsol.setup import AxisDrive, Setup
 
 
-async def probed(host, say, **sections):
+async def probed(host, say, tap=no_tap, **sections):
     settings = Settings.model_validate(
         {
             "instruments": {"kind": "real", "positioner": {"port": str(host.port.link), "telemetry_stale_s": 10.0}},
             **sections,
         }
     )
-    return await probe_positioner(settings, SystemClock(), 0.5, 2.0, no_tap, say)
+    return await probe_positioner(settings, SystemClock(), 0.5, 2.0, tap, say)
 
 
 @pytest.mark.parametrize("for_good", [False, True])
@@ -133,7 +135,10 @@ def test_an_axis_that_still_moves_when_its_time_is_over_is_stopped_and_not_sent_
 
 @pytest.mark.parametrize("when", ["before", "on the way"])
 def test_nothing_more_is_moved_once_a_button_is_pressed_at_the_unit(positioner_host, when):
-    said, stands = [], []
+    said, stands, told = [], [], Counter()
+
+    def tap(direction, data):
+        told[direction] += data.count(bytes((SEPARATOR, Field.STATUS)))
 
     async def scene():
         now = asyncio.get_running_loop().time
@@ -142,12 +147,16 @@ def test_nothing_more_is_moved_once_a_button_is_pressed_at_the_unit(positioner_h
         async with positioner_host(slow) as host:
 
             async def press():
-                await call_until(0.02, lambda: when == "before" or host.core.truth(now()).a_deg >= 0.1)
+                if when == "on the way":
+                    await call_until(0.02, lambda: host.core.truth(now()).a_deg >= 0.1)
+                    # Just after the unit has told of its buttons: it stands by the press long before it tells again.
+                    before = told["<"]
+                    await call_until(0.02, lambda: told["<"] > before)
                 host.core.inject("buttons_both", now())
 
             pressing = asyncio.create_task(press())
             try:
-                await probed(host, said.append)
+                await probed(host, said.append, tap)
             finally:
                 pressing.cancel()
                 stands.append(host.core.truth(now()))
