@@ -1,5 +1,6 @@
 """Where an archive is: the URL of a PostgreSQL database, with the name of an installation behind it."""
 
+import logging
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,6 +27,10 @@ _SAID = re.compile(r'(?:.* failed: )?[^:"]+:  (.+)')
 # SQLSTATEs of what the database has against records, besides those of data (22) and of constraints (23): what a trigger
 # raises, in any language, a check of a view, a limit such as that of an index, and a column of another type.
 _OF_RECORDS = ("P0", "2F", "38", "39", "44", "54", "42804")
+
+
+# What it could not undo after something else went wrong, as after Ctrl-C: that is told, and the connection is closed.
+logging.getLogger("psycopg").setLevel(logging.ERROR)
 
 
 class ArchiveError(UserError):

@@ -5,6 +5,7 @@ import signal
 
 import pytest
 
+from daemon.archive.address import connected, parse_archive
 from tests.daemon.store.test_aside import until
 from tests.daemon.store.test_store import keep
 from tests.daemon.store.test_tables import scan
@@ -58,3 +59,15 @@ def test_the_copy_of_an_archive_does_not_stay_when_the_connection_of_the_termina
         running.send_signal(signal.SIGHUP)
         assert running.wait(PATIENCE_S) == 130
     assert list(temporary.iterdir()) == []
+
+
+def test_what_the_library_cannot_undo_after_an_interruption_is_not_said_beside_it(database, caplog):
+    def interrupted():
+        with connected(parse_archive(database), "a test") as connection, connection.transaction():
+            # As where it comes just between a question and the wait for its answer.
+            connection.pgconn.send_query(b"SELECT pg_sleep(0.1)")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert caplog.messages == []
