@@ -205,9 +205,9 @@ class Tracker:
         arguments = [HELIOCUBE, *words, "--config", self.config]
         return subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
-    def until_it_takes(self, a_deg, b_deg, within_s=PATIENCE_S):
+    def until_it_takes(self, a_deg, b_deg):
         """Send a target until the tracker has taken it."""
-        deadline_s, said = time.monotonic() + within_s, ""
+        deadline_s, said = time.monotonic() + PATIENCE_S, ""
         while time.monotonic() < deadline_s:
             with contextlib.suppress(OSError):
                 self.post("auto")

@@ -142,9 +142,9 @@ def driver_on(firmware, a=A, b=B, **options):
     return PozsolPositioner(line, time.monotonic, a, b, **{"stale_s": 30.0} | options)
 
 
-async def opened(positioner, within_s=PATIENCE_S):
+async def opened(positioner):
     """Open, and return who it is; once more where a busy machine lets the emulator print its screens too slowly."""
-    deadline_s = time.monotonic() + within_s
+    deadline_s = time.monotonic() + PATIENCE_S
     while True:
         try:
             return await positioner.open()
@@ -153,9 +153,9 @@ async def opened(positioner, within_s=PATIENCE_S):
                 raise
 
 
-async def until(condition, within_s=PATIENCE_S):
-    """Wait for what must come; the limit is for a broken program, not for a slow machine."""
-    async with asyncio.timeout(within_s):
+async def until(condition):
+    """Wait for what must come."""
+    async with asyncio.timeout(PATIENCE_S):
         done = await condition()
         while not done:
             await asyncio.sleep(0.1)

@@ -241,17 +241,17 @@ def _number(file):
     return file if isinstance(file, int) else file.fileno()
 
 
-def run(*arguments, timeout=PATIENCE_S, env=None, cwd=None):
+def run(*arguments, env=None, cwd=None):
     """Run `heliocube` to its end, and return what subprocess.run with capture_output and text does."""
     with contextlib.ExitStack() as stack:
         out, err = (stack.enter_context(_memory(name)) for name in ("out", "err"))
         process = start(arguments, out, err, env, cwd)
         try:
-            code = process.wait(timeout)
+            code = process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired as error:
             process.kill()
             process.wait()
-            raise subprocess.TimeoutExpired(error.cmd, timeout, _text(out), _text(err)) from None
+            raise subprocess.TimeoutExpired(error.cmd, PATIENCE_S, _text(out), _text(err)) from None
         return subprocess.CompletedProcess(process.args, code, _text(out), _text(err))
 
 

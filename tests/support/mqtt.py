@@ -72,7 +72,7 @@ class Observer:
     def on(self, topic):
         return [message for message in self.heard if message.topic.value == topic]
 
-    async def until(self, topic, holds=lambda _: True, after=0, within_s=PATIENCE_S):
+    async def until(self, topic, holds=lambda _: True, after=0):
         """Return the first payload on a topic, as JSON if it is any, for which `holds`."""
 
         def found():
@@ -81,7 +81,7 @@ class Observer:
                     return [told]
             return None
 
-        return (await until(found, f"a message on {topic} in {[m.topic.value for m in self.heard][-20:]}", within_s))[0]
+        return (await until(found, f"a message on {topic} in {[m.topic.value for m in self.heard][-20:]}"))[0]
 
 
 def _read(payload):

@@ -52,11 +52,11 @@ class Unit:
                 return message
         return None
 
-    def end(self, number, within_s=PATIENCE_S):
+    def end(self, number):
         """Send a signal and return the exit status."""
         self.process.send_signal(number)
         self.process.send_signal(signal.SIGCONT)
-        return self.process.wait(within_s)
+        return self.process.wait(PATIENCE_S)
 
     def close(self):
         if self.process.poll() is None:

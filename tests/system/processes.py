@@ -44,8 +44,8 @@ class Process:
     def exit_code(self):
         return self._process.poll()
 
-    def wait(self, within_s=PATIENCE_S):
-        return self._process.wait(within_s)
+    def wait(self):
+        return self._process.wait(PATIENCE_S)
 
     def ask_to_stop(self):
         self._process.send_signal(signal.SIGTERM)

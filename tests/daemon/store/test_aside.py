@@ -29,9 +29,9 @@ __all__ = ["keep"]
 PAGE = 4096
 
 
-def until(condition, within_s=PATIENCE_S):
-    """Wait for another thread; the limit is for a broken program."""
-    deadline_s = time.monotonic() + within_s
+def until(condition):
+    """Wait for another thread."""
+    deadline_s = time.monotonic() + PATIENCE_S
     while not condition():
         assert time.monotonic() < deadline_s, "not in time"
         time.sleep(0.005)

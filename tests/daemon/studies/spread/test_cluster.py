@@ -15,6 +15,7 @@ import pytest
 from daemon.base.errors import ExitCode, UserError
 from daemon.studies.spread.workers import Workers, gather
 from tests.support import PATIENCE_S, ROOT, forks
+from tests.system.processes import wait_until
 
 pytestmark = [
     pytest.mark.system,
@@ -42,20 +43,12 @@ def cluster(tmp_path):
     words = ("--nworkers", 2, "--nthreads", 1, "--scheduler-file", told, "--local-directory", tmp_path)
     running.append(begin("dask_worker", "--host", "127.0.0.1", *words, log=tmp_path / "workers.log"))
     try:
-        yield json.loads(wait_for(lambda: told.exists() and told.read_text()))["address"]
+        yield json.loads(wait_until(lambda: told.exists() and told.read_text(), "the address"))["address"]
     finally:
         for process in reversed(running):
             process.terminate()
         for process in reversed(running):
             process.communicate(timeout=PATIENCE_S)
-
-
-def wait_for(found, within_s=PATIENCE_S):
-    until = time.monotonic() + within_s
-    while not (answer := found()):
-        assert time.monotonic() < until
-        time.sleep(0.05)
-    return answer
 
 
 def energy(table, out, *words):
@@ -81,11 +74,11 @@ def test_a_cluster_writes_the_same_bytes_although_a_worker_is_killed(cluster, ta
         client.wait_for_workers(2, timeout=PATIENCE_S)
         busy, pid = next(iter(client.run(os.getpid).items()))
         asleep = client.submit(time.sleep, PATIENCE_S, workers=[busy])
-        wait_for(lambda: asleep.key in client.processing()[busy])
+        wait_until(lambda: asleep.key in client.processing()[busy], "a busy worker")
         with (tmp_path / "said").open("wb") as said, (tmp_path / "told").open("wb") as told:
             study = forks.start(energy(table, tmp_path / "far", "--cluster", cluster), said, told)
         # Behind the one asleep: a share of the study, which cannot end without it.
-        wait_for(lambda: len(client.processing()[busy]) > 1)
+        wait_until(lambda: len(client.processing()[busy]) > 1, "work for the busy worker")
         assert study.poll() is None
         os.kill(pid, signal.SIGKILL)
         assert study.wait(PATIENCE_S) == 0, (tmp_path / "told").read_text()

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,7 @@ import pytest
 from daemon.base.errors import ExitCode, InterruptedEarlyError, UserError
 from daemon.studies.spread.errors import WorkersError
 from daemon.studies.spread.workers import HERE, Workers, gather, spread
-from tests.support import PATIENCE_S
+from tests.system.processes import wait_until
 
 
 def square(number):
@@ -100,13 +99,6 @@ def test_no_worker_outlives_the_process_that_began_it(tmp_path):
         list(spread(say_and_sleep, sys.argv[1:] * 2, Workers(2)))
     """
     with subprocess.Popen([sys.executable, "-c", textwrap.dedent(program), tmp_path]) as process:
-        _wait_for(lambda: len(list(tmp_path.iterdir())) == 2)
+        wait_until(lambda: len(list(tmp_path.iterdir())) == 2, "two workers")
         process.kill()
-    _wait_for(lambda: not any(Path("/proc", path.name).exists() for path in tmp_path.iterdir()))
-
-
-def _wait_for(happened):
-    until = time.monotonic() + PATIENCE_S
-    while not happened():
-        assert time.monotonic() < until
-        time.sleep(0.05)
+    wait_until(lambda: not any(Path("/proc", path.name).exists() for path in tmp_path.iterdir()), "their end")

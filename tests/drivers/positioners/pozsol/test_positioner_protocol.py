@@ -39,9 +39,9 @@ def positioner_on(link, a=A, b=B, **options):
     return PozsolPositioner(line, time.monotonic, a, b, **{"stale_s": 10.0} | options)
 
 
-async def until(condition, within_s=PATIENCE_S):
+async def until(condition):
     """Wait for what must come; the limit is for a broken program."""
-    async with asyncio.timeout(within_s):
+    async with asyncio.timeout(PATIENCE_S):
         done = await condition()
         while not done:
             await asyncio.sleep(0.05)
@@ -176,7 +176,7 @@ def test_a_simulated_unit_loses_no_command_because_the_machine_held_it_up(positi
                 seen = await positioner.read_telemetry()
                 return (seen.destination_a, seen.destination_b) == pytest.approx((150.0, 200.0), abs=1.0)
 
-            await until(taken, 10.0)
+            await until(taken)
             await positioner.close()
 
     asyncio.run(scene())
