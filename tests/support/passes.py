@@ -17,6 +17,7 @@ _INTERRUPTED, _NOTHING_COLLECTED = 2, 5
 _SHARE = Path("/proc/self/autogroup")
 _NICE = re.compile(r"nice (-?\d+)")
 SMALL_SHARE = 6
+POLITE = "10"
 # Linux from 6.12, as some distributions have it, to 6.18.44 computes a session's place in the queue wrongly whenever
 # one of its processes begins or ends a wait: docs/develop/tests.md.
 _FIRST_WRONG, _FIRST_RIGHT = (6, 12), (6, 18, 45)
@@ -123,8 +124,11 @@ def main(workers, waiting, *arguments):
     pytest = (sys.executable, "-m", "pytest", "--dist", "worksteal")
     live = (*pytest, "--live", "only", "-n", waiting, "-o", "cache_dir=.pytest_cache/live", *given)
     computing = (*pytest, "--live", "without", "-n", workers, *given)
+    at_once = len(os.sched_getaffinity(0)) > 1
+    # A small share for what has no deadline: instruments and services beside it have some.
+    polite = ("nice", "-n", POLITE) if at_once else ()
     with behind_the_kernel():
-        return run(live, computing, at_once=len(os.sched_getaffinity(0)) > 1, say=_say)
+        return run(live, (*polite, *computing), at_once=at_once, say=_say)
 
 
 if __name__ == "__main__":
