@@ -139,7 +139,7 @@ async def clear(positioner, **options):
 def driver_on(firmware, a=A, b=B, **options):
     """Return the real driver on the firmware's port; what a busy machine holds up for seconds is no lost link."""
     line = SerialLine(lambda: open_port(str(firmware.link)), time.monotonic, write_s=10.0)
-    return PozsolPositioner(line, time.monotonic, a, b, **{"stale_s": 30.0} | options)
+    return PozsolPositioner(line, time.monotonic, a, b, **{"stale_s": 60.0} | options)
 
 
 async def opened(positioner):

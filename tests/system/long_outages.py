@@ -9,7 +9,7 @@ from tests.system.processes import wait_until
 from tests.system.rig import HIGH_SUN, PHASES, ROLES, Rig, brisk
 
 OUT_S = 70.0
-pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
+pytestmark = pytest.mark.system
 
 
 @pytest.mark.parametrize("device", ROLES)

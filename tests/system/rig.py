@@ -140,7 +140,7 @@ insecure = true
 motor_speed_mm_s = 6.4
 sensor_noise_mv = 0.005
 [instruments.positioner]
-telemetry_stale_s = 30.0
+telemetry_stale_s = 60.0
 {positioner}
 """
 """The rig at a brisk rhythm: a scan every half second, a decision every four seconds, motors twice as fast.

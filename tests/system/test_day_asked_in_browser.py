@@ -30,7 +30,9 @@ def test_what_is_read_for_a_day_is_given_up_when_its_view_is_left(browser, tmp_p
         site.holds = "/read/history/events"
         with page.page.expect_request("**/read/history/events*"):
             page.show("day")
-        with page.page.expect_event("requestfailed", lambda request: "/history/events" in request.url, timeout=20_000):
+        with page.page.expect_event(
+            "requestfailed", lambda request: "/history/events" in request.url, timeout=browsers.WITHIN_MS
+        ):
             page.show("fleet")
         page.show("day")
         page.sees(".day .log", "an event of the day")

@@ -291,7 +291,6 @@ def lighten(lock):
     lock.write_text("\n".join(kept) + "\n")
 
 
-@pytest.mark.timeout(600)
 @pytest.mark.skipif(os.geteuid() != 0, reason="installing needs root")
 @pytest.mark.skipif(shutil.which("systemd-sysusers") is None, reason="systemd-sysusers is not installed")
 @pytest.mark.long

@@ -11,7 +11,7 @@ from tests.support import forks
 from tests.system.processes import Process, wait_until
 from tests.system.rig import HIGH_SUN, Rig, brisk
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.system
 
 MAKES = ["chroma63600", "agilent6063b"]
 

@@ -8,7 +8,7 @@ from tests.support import forks
 from tests.system.processes import wait_until
 from tests.system.rig import WITHIN_DEG, Rig, brisk, law_says
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.system
 # Not near the zenith, where an azimuth turns far for a small change of the sky.
 LOWER_SUN = ("--weather", "clear", "--site", "30,0", "--start", "2022-09-21T11:50Z")
 

@@ -16,7 +16,7 @@ from tests.system.rig import HIGH_SUN, PHASES, ROLES, Rig, brisk
 
 # Destinations, tracking off, stop and homing, clearing of faults.
 ALLOWED = {44, 46, 48, 50, 56, 57, 136}
-pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
+pytestmark = pytest.mark.system
 
 
 def test_under_a_measured_sky_each_cycle_ends_where_the_law_says(tmp_path, start_bench, start_service, measured):
