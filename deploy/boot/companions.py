@@ -5,7 +5,6 @@ import json
 from boot.host import NotSeen, wait
 from boot.machine import Machine
 
-WITHIN_S = 90.0
 SILENT_AFTER_S = 10.0
 LETTERBOX_PORT = 20600
 LETTERS = "/run/letters"
@@ -45,7 +44,7 @@ class Companions:
         notify.write_text(notify.read_text(encoding="utf-8") + f"silent_after_s = {SILENT_AFTER_S}\n", encoding="utf-8")
         units = ("heliocube-dashboard.service", "heliocube-notify.service")
         self._machine.systemctl("enable", "--now", "--no-block", *units)
-        took_s = max(self._machine.wait_active(unit, WITHIN_S) for unit in units)
+        took_s = max(self._machine.wait_active(unit) for unit in units)
         users = {self._machine.show(unit, "DynamicUser")["DynamicUser"] for unit in units}
         if users != {"yes"}:
             raise NotSeen("they run as a user that is not their own")
@@ -69,7 +68,7 @@ class Companions:
             titles = [f"{letter.get('title', '')} {letter.get('message', '')}" for letter in letters]
             return next((title[:100] for title in titles if word in title), "")
 
-        return wait(found, WITHIN_S, f"a message about {word}")
+        return wait(found, f"a message about {word}")
 
     def report_nightly(self) -> str:
         """See that the timer is armed, and that its service does its work when it is started as the timer does."""

@@ -13,7 +13,6 @@ from boot import probes
 from boot.host import ROOT, LeftOut, NotSeen, run
 
 # Most of it is the guest's own start, without any help of the processor.
-WITHIN_S = 150.0
 TOOLS = {"qemu-system-x86_64": "qemu-system-x86", "cpio": "cpio", "apt-get": "apt", "dpkg-deb": "dpkg"}
 KERNEL = "linux-image-cloud-amd64"
 """Of Debian, for machines that are emulated; what it depends on is the kernel itself."""
@@ -102,7 +101,7 @@ class Emulated:
             _pack(_guest(work / "guest", units), image)
             ended = "ended"
             try:
-                run(*_qemu(kernel, image, console), within_s=WITHIN_S)
+                run(*_qemu(kernel, image, console))
             except NotSeen as error:
                 ended = str(error)
             return _read(console, ended)

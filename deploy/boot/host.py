@@ -10,6 +10,8 @@ from typing import TypeVar
 
 ROOT = Path(__file__).resolve().parents[2]
 Found = TypeVar("Found")
+PATIENCE_S = 300.0
+"""For what only a broken program does not do at all; a slow machine takes a minute for what others do at once."""
 
 TOOLS = {
     "mmdebstrap": "mmdebstrap",
@@ -38,37 +40,37 @@ def need_tools() -> None:
         raise LeftOut(f"a boot needs what is not installed: apt-get install {' '.join(missing)}")
 
 
-def run(*command: object, within_s: float = 600.0, **options: object) -> str:
+def run(*command: object, **options: object) -> str:
     """Run a command on this machine and return its standard output; what it says goes into the error.
 
     Raises
     ------
     NotSeen
-        It failed, or took longer than `within_s`.
+        It failed, or took longer than `PATIENCE_S`.
     """
     words = [str(part) for part in command]
     try:
-        done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=within_s, **options)  # type: ignore[call-overload]  # noqa: S603
+        done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=PATIENCE_S, **options)  # type: ignore[call-overload]  # noqa: S603
     except subprocess.TimeoutExpired:
-        raise NotSeen(f"{' '.join(words)[:120]} took longer than {within_s:g} s") from None
+        raise NotSeen(f"{' '.join(words)[:120]} took longer than {PATIENCE_S:g} s") from None
     if done.returncode != 0:
         said = "\n".join((done.stdout + done.stderr).strip().splitlines()[-15:])
         raise NotSeen(f"{' '.join(words)[:120]} ended with {done.returncode}: {said}")
     return str(done.stdout)
 
 
-def wait(found: Callable[[], Found], within_s: float, what: Callable[[], str] | str, pause_s: float = 0.2) -> Found:
-    """Call `found` until it returns something true and return that; the limit is for a broken program.
+def wait(found: Callable[[], Found], what: Callable[[], str] | str, pause_s: float = 0.2) -> Found:
+    """Call `found` until it returns something true and return that.
 
     Raises
     ------
     NotSeen
-        With `what`, after `within_s`.
+        With `what`, after `PATIENCE_S`.
     """
-    deadline_s = time.monotonic() + within_s
+    deadline_s = time.monotonic() + PATIENCE_S
     while not (seen := found()):
         if time.monotonic() > deadline_s:
-            raise NotSeen(f"not within {within_s:g} s: {what() if callable(what) else what}")
+            raise NotSeen(f"not within {PATIENCE_S:g} s: {what() if callable(what) else what}")
         time.sleep(pause_s)
     return seen
 

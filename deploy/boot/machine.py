@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from boot.host import LeftOut, NotSeen, own_cgroups, run, wait
+from boot.host import PATIENCE_S, LeftOut, NotSeen, own_cgroups, run, wait
 
 FOREIGN = "203.0.113.5"
 """An address that the machine has and that is not its own network's: of RFC 5737, for documentation."""
@@ -60,7 +60,7 @@ class Machine:
                 start_new_session=True,
             )
         try:
-            wait(self._is_up, 60.0, "systemd in the tree does not run")
+            wait(self._is_up, "systemd in the tree does not run")
         except NotSeen as error:
             said = self._console.read_text(errors="replace").strip().splitlines()[-3:]
             raise LeftOut(f"no container boots here ({error}): {' / '.join(said)}") from None
@@ -87,7 +87,7 @@ class Machine:
         path = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
         env = {"PATH": path, "LANG": "C.UTF-8", "COLUMNS": "200"}
         return subprocess.run(  # noqa: S603
-            [*inside, *command], capture_output=True, text=True, check=False, input=text, timeout=300, env=env
+            [*inside, *command], capture_output=True, text=True, check=False, input=text, timeout=PATIENCE_S, env=env
         )
 
     def run(self, *command: str, text: str | None = None) -> str:
@@ -111,10 +111,10 @@ class Machine:
         """Whether a unit is active now: for ours, whether it has said so by notify."""
         return self.show(unit, "ActiveState")["ActiveState"] == "active"
 
-    def wait_active(self, unit: str, within_s: float) -> float:
+    def wait_active(self, unit: str) -> float:
         """Wait until a unit is active and return how long that took [s]."""
         began_s = time.monotonic()
-        wait(lambda: self.is_active(unit), within_s, lambda: f"{unit} active; {self.journal(unit, 8)}")
+        wait(lambda: self.is_active(unit), lambda: f"{unit} active; {self.journal(unit, 8)}")
         return time.monotonic() - began_s
 
     def journal(self, unit: str, lines: int) -> str:

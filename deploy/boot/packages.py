@@ -9,7 +9,7 @@ from pathlib import Path
 from boot.host import ROOT, NotSeen, run, wait
 from boot.machine import Machine
 from boot.records import ROLES, Records
-from boot.restarts import BACK_WITHIN_S, Restarts
+from boot.restarts import Restarts
 from boot.rig import UNITS, Rig
 from boot.tree import CHECKOUT, ENVIRONMENTS, PACKAGES, Tree
 
@@ -102,7 +102,7 @@ class Packages:
         took_s = time.monotonic() - began_s
         self._see_running(machine, self._new)
         held = restarts.hold_until_released(pose)
-        wait(lambda: self._caught_up(records), BACK_WITHIN_S, "the tracker's records after the upgrade")
+        wait(lambda: self._caught_up(records), "the tracker's records after the upgrade")
         return f"{took_s:.0f} s; {held}; {records.lose_no_scan(before)}"
 
     def go_back(self, machine: Machine, rig: Rig, restarts: Restarts) -> str:
@@ -120,7 +120,7 @@ class Packages:
     def _see_running(self, machine: Machine, package: str) -> None:
         """Wait until both units are active, and see that their processes are those of a package."""
         for unit in UNITS:
-            machine.wait_active(unit, BACK_WITHIN_S)
+            machine.wait_active(unit)
             running = machine.run("cat", f"/proc/{machine.show(unit, 'MainPID')['MainPID']}/cmdline").partition("\0")[0]
             if f"/{package.split('_')[1]}/" not in running:
                 raise NotSeen(f"{unit} is {running}")

@@ -4,16 +4,10 @@ import threading
 import time
 from functools import partial
 
-from boot.host import NotSeen, wait
+from boot.host import PATIENCE_S, NotSeen, wait
 from boot.machine import Machine
 from boot.rig import CALM_M_S, CUBE, STORM_M_S, TRACKER, UNITS, Rig
 
-STARTS_WITHIN_S = 60.0
-# The units say 5 s from an end to the next start.
-BACK_WITHIN_S = 5.0 + STARTS_WITHIN_S
-# A frozen process is asked to abort after WatchdogSec, which it cannot hear, and killed after TimeoutStopSec.
-FREEZE_ENDS_WITHIN_S = 30.0 + 15.0 + BACK_WITHIN_S
-TRACKS_WITHIN_S = 60.0
 STOWED_DEG = 0.2
 KILLS = 10
 
@@ -39,7 +33,7 @@ class Restarts:
     def become_active(self) -> str:
         """See that both units say by notify that they are ready."""
         self._machine.systemctl("enable", "--now", "--no-block", *UNITS)
-        took = {unit: self._machine.wait_active(unit, STARTS_WITHIN_S) for unit in UNITS}
+        took = {unit: self._machine.wait_active(unit) for unit in UNITS}
         kinds = {self._machine.show(unit, "Type")["Type"] for unit in UNITS}
         if kinds != {"notify"}:
             raise NotSeen(f"the units are of type {', '.join(sorted(kinds))}")
@@ -51,11 +45,11 @@ class Restarts:
 
     def hold_until_wind(self, before: tuple[float, float]) -> str:
         """Wait until only the wind is missing, see that nothing has moved, let it be heard, and wait for tracking."""
-        wait(self._waits_for_wind, TRACKS_WITHIN_S, lambda: f"waiting for the wind; {self._rig.mode()}")
+        wait(self._waits_for_wind, lambda: f"waiting for the wind; {self._rig.mode()}")
         _, reason = self._rig.mode()
         self._rig.must_not_move(before)
         self._rig.wind(CALM_M_S)
-        self._rig.wait_mode("tracking", TRACKS_WITHIN_S)
+        self._rig.wait_mode("tracking")
         return f'held with "{reason}", tracks since the wind was heard'
 
     def hold_until_released(self, before: tuple[float, float]) -> str:
@@ -63,16 +57,16 @@ class Restarts:
 
         Where both releases are the same program it tracks by itself, as after any restart.
         """
-        wait(self._holds_or_waits, TRACKS_WITHIN_S, lambda: f"a hold, or waiting for the wind; {self._rig.mode()}")
+        wait(self._holds_or_waits, lambda: f"a hold, or waiting for the wind; {self._rig.mode()}")
         self._rig.must_not_move(before)
         self._rig.wind(CALM_M_S)
-        mode = wait(self._mode_at_work, TRACKS_WITHIN_S, lambda: f"a mode of work; it is {self._rig.mode()}")
+        mode = wait(self._mode_at_work, lambda: f"a mode of work; it is {self._rig.mode()}")
         if mode == "tracking":
             return "held until the wind was heard, and tracks again: both are the same program"
         _, reason = self._rig.mode()
         self._rig.must_not_move(before)
         self._machine.run("heliocube", "auto", "--config", "/etc/heliocube/tracker.toml")
-        self._rig.wait_mode("tracking", TRACKS_WITHIN_S)
+        self._rig.wait_mode("tracking")
         return f'held with "{reason}", tracks since a person said auto'
 
     def _holds_or_waits(self) -> bool:
@@ -99,7 +93,7 @@ class Restarts:
         """See the words of the service in `systemctl status`."""
         words = {CUBE: "", TRACKER: "tracking"}
         for unit, word in words.items():
-            text = wait(partial(self._status_text, unit, word), TRACKS_WITHIN_S, f"a word of {unit}")
+            text = wait(partial(self._status_text, unit, word), f"a word of {unit}")
             if f'Status: "{text[:20]}' not in self._machine.try_to("systemctl", "status", unit).stdout:
                 raise NotSeen(f"{unit} says {text!r}, and systemctl status does not")
             words[unit] = text
@@ -122,13 +116,12 @@ class Restarts:
         began_s = time.monotonic()
         self._machine.systemctl("kill", "--kill-whom=main", "--signal=KILL", *units)
         for unit in units:
-            self._wait_restarted(unit, old[unit], BACK_WITHIN_S)
+            self._wait_restarted(unit, old[unit])
         return {unit: self._active_since_s(unit) - began_s for unit in units}
 
-    def _wait_restarted(self, unit: str, old: int, within_s: float) -> None:
+    def _wait_restarted(self, unit: str, old: int) -> None:
         wait(
             lambda: self._restarts(unit) > old and self._machine.is_active(unit),
-            within_s,
             lambda: f"{unit} back; {self._machine.journal(unit, 8)}",
         )
 
@@ -138,19 +131,19 @@ class Restarts:
     def stay_stowed(self) -> str:
         """See that a storm outlives the process: it comes back stowing, stands still, and lets go only in calm."""
         self._rig.wind(STORM_M_S)
-        self._rig.wait_mode("stow", TRACKS_WITHIN_S)
-        wait(self._is_stowed, TRACKS_WITHIN_S, lambda: f"the stow position; it stands at {self._rig.pose()}")
+        self._rig.wait_mode("stow")
+        wait(self._is_stowed, lambda: f"the stow position; it stands at {self._rig.pose()}")
         before = self._rig.rest()
         took_s = self._kill_and_wait(TRACKER)[TRACKER]
-        reason = self._rig.wait_mode("stow", BACK_WITHIN_S)
-        wait(self._has_readings, TRACKS_WITHIN_S, lambda: f"good readings; {self._rig.mode()}")
+        reason = self._rig.wait_mode("stow")
+        wait(self._has_readings, lambda: f"good readings; {self._rig.mode()}")
         mode, _ = self._rig.mode()
         if mode != "stow":
             raise NotSeen(f"with readings again the mode is {mode}")
         self._rig.must_not_move(before)
-        wait(self._tracks_in_calm, TRACKS_WITHIN_S, lambda: f"mode tracking; it is {self._rig.mode()}")
+        wait(self._tracks_in_calm, lambda: f"mode tracking; it is {self._rig.mode()}")
         # What looks next whether it rests would else find it at rest before this move has begun.
-        wait(lambda: not self._is_stowed(), TRACKS_WITHIN_S, lambda: f"the way back; it stands at {self._rig.pose()}")
+        wait(lambda: not self._is_stowed(), lambda: f"the way back; it stands at {self._rig.pose()}")
         return f'back after {took_s:.1f} s, stowed ("{reason}"), released once it was calm'
 
     def _tracks_in_calm(self) -> bool:
@@ -175,7 +168,7 @@ class Restarts:
 
     def thaw(self) -> str:
         """See that the watchdog has ended what was frozen, and that it then holds as after a kill."""
-        self._wait_restarted(TRACKER, self._old[TRACKER], FREEZE_ENDS_WITHIN_S)
+        self._wait_restarted(TRACKER, self._old[TRACKER])
         entries = self._machine.entries(f"UNIT={TRACKER}", "_PID=1", "--lines=20")
         said = " / ".join(str(entry["MESSAGE"]) for entry in entries)
         if "Watchdog timeout" not in said:
@@ -192,8 +185,8 @@ class Restarts:
         """See that neither of the units is left in `failed` for good by ten kills in a minute."""
         if self._killing is None:
             raise NotSeen("nothing was killed")
-        self._killing.join(KILLS * BACK_WITHIN_S)
-        self._machine.wait_active(CUBE, BACK_WITHIN_S)
+        self._killing.join(KILLS * PATIENCE_S)
+        self._machine.wait_active(CUBE)
         if (count := self._restarts(CUBE) - self._old[CUBE]) < KILLS:
             raise NotSeen(f"{CUBE} was started again {count} times only; {self._machine.journal(CUBE, 8)}")
         name = "StartLimitIntervalUSec"
@@ -212,7 +205,7 @@ class Restarts:
                 return pid if pid not in {"0", last} else ""
 
             try:
-                last = wait(process, BACK_WITHIN_S, f"a process of {unit}")
+                last = wait(process, f"a process of {unit}")
             except NotSeen:
                 break
             self._machine.try_to("systemctl", "kill", "--kill-whom=main", "--signal=KILL", unit)

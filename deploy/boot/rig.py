@@ -13,8 +13,6 @@ CUBE, TRACKER = UNITS
 BENCH = "/run/bench"
 WIND_TOPIC = "weather/roof"
 CALM_M_S, STORM_M_S = 3.0, 25.0
-READY_WITHIN_S = 90.0
-RESTS_WITHIN_S = 60.0
 
 BASIS = f"""
 [site]
@@ -95,7 +93,6 @@ class Rig:
         written = f"{BENCH}/heliocube.toml"
         text = wait(
             lambda: self._machine.try_to("cat", written).stdout,
-            READY_WITHIN_S,
             lambda: f"the bench is ready; {self._machine.journal('bench.service', 8)}",
         )
         self._machine.write("/etc/heliocube/tracker.toml", text, 0o640)
@@ -122,7 +119,7 @@ class Rig:
             seen.append(self.pose())
             return seen[-1] == seen[-2]
 
-        wait(stands, RESTS_WITHIN_S, lambda: f"the axes at rest; they stand at {seen[-1]}", pause_s=0.5)
+        wait(stands, lambda: f"the axes at rest; they stand at {seen[-1]}", pause_s=0.5)
         return seen[-1]
 
     def wind(self, speed_m_s: float) -> None:
@@ -139,14 +136,14 @@ class Rig:
         mode = self.status().get("mode") or {}
         return str(mode.get("name", "")), str(mode.get("why", ""))
 
-    def wait_mode(self, wanted: str, within_s: float) -> str:
+    def wait_mode(self, wanted: str) -> str:
         """Wait for a mode and return its reason."""
 
         def look() -> str:
             mode, reason = self.mode()
             return reason or "for no reason" if mode == wanted else ""
 
-        return wait(look, within_s, lambda: f"mode {wanted}; it is {self.mode()}")
+        return wait(look, lambda: f"mode {wanted}; it is {self.mode()}")
 
     def must_not_move(self, before: tuple[float, float]) -> None:
         """Raise `NotSeen` if the axes stand elsewhere than they did."""
