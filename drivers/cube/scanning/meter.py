@@ -14,7 +14,8 @@ from drivers.errors import (
     ProtocolError,
 )
 from drivers.interfaces import CubeReading, FaceFlaw, FaceSample
-from drivers.scpi import POWER_ON, ScpiLine, ScpiSession, opening
+from drivers.scpi import ScpiLine
+from drivers.scpi_meter import MeterSession, ScpiMeter
 from drivers.settings import CubeSurroundings
 
 if TYPE_CHECKING:
@@ -23,14 +24,12 @@ if TYPE_CHECKING:
 DEVICE = "scanning meter"
 _READING = re.compile(r"\s*([+-]?\d+(?:\.\d+)?(?:E[+-]?\d+)?)\s*(?:VDC)?\s*", re.ASCII | re.IGNORECASE)
 _CHANNEL = re.compile(r"\s*\+?0*(\d{1,3})\s*", re.ASCII)
-_NUMBER = re.compile(r"\d{1,3}", re.ASCII)
-_BLOCK = re.compile(r"#(\d)")
 # These meters measure to 120 % of their range.
 _BEYOND_RANGE = 1.21
 _FACES = 4
 
 
-class ScanningMeterCube:
+class ScanningMeterCube(ScpiMeter["_ScanSession"]):
     """Four faces at the channels of a meter, in volts.
 
     Parameters
@@ -57,34 +56,12 @@ class ScanningMeterCube:
         nplc: float,
         surroundings: CubeSurroundings,
     ) -> None:
-        self._line = line
-        self._dialect = dialect
+        deadline_s = _FACES * surroundings.deadline_s
+        super().__init__(line, lambda: _ScanSession(line, dialect, channels, range_v, nplc, deadline_s))
         self._channels = channels
         self._range_v = range_v
-        self._nplc = nplc
         self._around = surroundings
         self._turn = asyncio.Lock()
-        self._session: _ScanSession | None = None
-
-    async def open(self) -> str:
-        """Connect, identify meter and card, configure, and read the configuration back."""
-        await self.close()
-        session = _ScanSession(
-            self._line, self._dialect, self._channels, self._range_v, self._nplc, _FACES * self._around.deadline_s
-        )
-        try:
-            await self._line.open()
-            identity = await session.start()
-        except BaseException:
-            await self._line.close()
-            raise
-        self._session = session
-        return identity
-
-    async def close(self) -> None:
-        """Release the line; the meter keeps its settings."""
-        self._session = None
-        await self._line.close()
 
     async def read(self) -> CubeReading:
         """Trigger one scan and return it; the faces are stamped as evenly as they were measured between both ends."""
@@ -99,7 +76,8 @@ class ScanningMeterCube:
             try:
                 pairs = await session.scan()
                 end_s = self._around.monotonic_s()
-                await session.look()
+                with session.doubting():
+                    await session.look()
             except (LinkLostError, ConnectError):
                 await self.close()
                 raise
@@ -119,7 +97,7 @@ class ScanningMeterCube:
         return CubeReading(east=east, south=south, west=west, zenith=zenith, unit="V")
 
 
-class _ScanSession(ScpiSession):
+class _ScanSession(MeterSession):
     """One connection to the meter."""
 
     def __init__(
@@ -131,34 +109,31 @@ class _ScanSession(ScpiSession):
         nplc: float,
         deadline_s: float,
     ) -> None:
-        super().__init__(line, DEVICE, deadline_s)
+        super().__init__(line, DEVICE, dialect.proofs(channel_list(channels), range_v, nplc), deadline_s)
         self._dialect = dialect
         self._channels = channels
         self._commands = dialect.commands(channel_list(channels), range_v, nplc)
-        self._proofs = dialect.proofs(channel_list(channels), range_v, nplc)
-        self._identity: str
-        self._looks = 0
+        self._cards: list[str] = []
+
+    def require(self, identity: str) -> None:
+        """Raise `IdentityError` unless it is of the dialect's make."""
+        if not self._dialect.identity.search(identity):
+            raise IdentityError(DEVICE, f"answers {identity[:80]!r}, which is no {self._dialect.name}")
+
+    async def configure(self) -> None:
+        """See that its cards switch voltages, and set it to scan the faces."""
+        self._cards = await self._identified_cards()
+        for command in self._commands:
+            await self._configure(command)
 
     async def start(self) -> str:
-        """Identify, configure, and return the meter's identity."""
-        with opening(DEVICE, "this interface and speed"):
-            await self.quieten()
-            self._identity = await self.ask("*IDN?")
-            if not self._dialect.identity.search(self._identity):
-                raise IdentityError(DEVICE, f"answers {self._identity[:80]!r}, which is no {self._dialect.name}")
-            await self.synchronise()
-            cards = await self._cards()
-            for command in self._commands:
-                await self._configure(command)
-            changed = await self._changed()
-        if changed:
-            raise ProtocolError(DEVICE, f"did not keep its configuration: {changed}")
-        return "; ".join((self._identity, *cards))
+        """Open as any meter, and return the identities of meter and cards."""
+        return "; ".join((await super().start(), *self._cards))
 
     async def scan(self) -> list[tuple[int, str]]:
         """Return channel and reading, as text, in the order of the scan."""
         if self.in_doubt:
-            await self._resynchronise()
+            await self.resynchronise()
         with self.doubting():
             reply = await self.ask(self._dialect.scan)
             parts = reply.split(",")
@@ -168,15 +143,7 @@ class _ScanSession(ScpiSession):
                 raise ProtocolError(DEVICE, f"answered {reply[:80]!r} where four readings and channels were expected")
         return list(zip(channels, parts[::2], strict=True))
 
-    async def look(self) -> None:
-        """Read one setting back, another one each time: a filter of the front panel mixes the faces unnoticed."""
-        self._looks += 1
-        with self.doubting():
-            why = await self._differs(*self._proofs[self._looks % len(self._proofs)])
-        if why:
-            raise LinkLostError(DEVICE, why)
-
-    async def _cards(self) -> list[str]:
+    async def _identified_cards(self) -> list[str]:
         if self._dialect.card is None:
             return []
         question, right = self._dialect.card
@@ -202,61 +169,6 @@ class _ScanSession(ScpiSession):
                     DEVICE, f"{error.message}; is there a scanner card in it, and has it these channels?"
                 ) from error
             raise
-
-    async def _changed(self) -> str:
-        """Return the first setting that is not as it was set, or an empty text."""
-        for query, expected in self._proofs:
-            if why := await self._differs(query, expected):
-                return why
-        return ""
-
-    async def _differs(self, query: str, expected: str | float) -> str:
-        answer = await self.ask(query)
-        return "" if _same(answer, expected) else f"{query} is answered by {answer[:80]}, not {expected}"
-
-    async def _resynchronise(self) -> None:
-        try:
-            await self.quieten()
-            await self.synchronise()
-            restarted = bool(await self.events() & POWER_ON) or await self.ask("*IDN?") != self._identity
-            why = "it has restarted and lost its configuration" if restarted else await self._changed()
-        except (DeadlineError, ProtocolError) as error:
-            raise LinkLostError(DEVICE, f"has gone silent: {error.message}") from error
-        if why:
-            raise LinkLostError(DEVICE, why)
-        await self.write("*CLS")
-
-
-def _same(answer: str, expected: str | float) -> bool:
-    text = _unblocked(answer.strip()).strip("\"'")
-    if isinstance(expected, str):
-        if expected.startswith("(@"):
-            return _listed(text) == _listed(expected)
-        return text.lstrip("+") == expected
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        return False
-    return all(abs(number - expected) <= 1e-6 * expected for number in numbers)
-
-
-def _unblocked(text: str) -> str:
-    """Return what stands in a block of definite length, ``#214(@101,102,103)``, or the text as it is."""
-    head = _BLOCK.match(text)
-    return text if head is None else text[2 + int(head[1]) :]
-
-
-def _listed(text: str) -> list[int] | None:
-    """Return the channels of ``(@1:3,5)``, sorted; None for what is no list."""
-    if not (text.startswith("(@") and text.endswith(")")):
-        return None
-    channels: list[int] = []
-    for part in text[2:-1].split(","):
-        first, _, last = part.strip().partition(":")
-        if not (_NUMBER.fullmatch(first) and _NUMBER.fullmatch(last or first)):
-            return None
-        channels += range(int(first), int(last or first) + 1)
-    return sorted(channels)
 
 
 def _voltage(text: str, range_v: float) -> tuple[float, FaceFlaw | None]:
