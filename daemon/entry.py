@@ -135,6 +135,7 @@ def _plainly_given(words: Sequence[str]) -> dict[str, str] | None:
 def _at_once(command: str, given: dict[str, str]) -> None:
     from daemon.api.client import find  # noqa: PLC0415 - not needed by the other commands
     from daemon.commands.status.times import in_local  # noqa: PLC0415 - as above
+    from daemon.commands.wrapping import wrapped  # noqa: PLC0415 - as above
 
     paths = {name: Path(given[name]) for name in ("config", "token_file") if name in given}
     said = {name: given[name] for name in ("why", "tracker") if name in given}
@@ -142,7 +143,7 @@ def _at_once(command: str, given: dict[str, str]) -> None:
         client = find(paths.get("config"), given.get("api"), paths.get("token_file"))
         reply = client.command(command, **said)
     except UserError as error:
-        sys.stderr.write(f"heliocube: {in_local(str(error))}\n")
+        sys.stderr.write(wrapped(f"heliocube: {in_local(str(error))}", sys.stderr) + "\n")
         sys.exit(error.exit_code)
-    sys.stdout.write(f"{in_local(reply.text)}\n")
+    sys.stdout.write(wrapped(in_local(reply.text), sys.stdout) + "\n")
     sys.exit(reply.exit_code)

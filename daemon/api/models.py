@@ -22,7 +22,10 @@ class Page(BaseModel):
 class ErrorPage(Page):
     """What cannot be done, and what to do about it."""
 
-    error: str = Field(description="One sentence.", min_length=1)
+    error: str = Field(
+        description="One sentence; of a command to several trackers at once also a line each, what went wrong first.",
+        min_length=1,
+    )
 
 
 class CommandPage(Page):
@@ -33,7 +36,9 @@ class CommandPage(Page):
     accepted: Literal[True]
     done: bool = Field(description="Whether telemetry has shown the whole effect.")
     state: Literal["done", "under-way", "not-seen"]
-    text: str = Field(description="What the tracker did, in a sentence.")
+    text: str = Field(
+        description="What the tracker did, in a sentence; of several at once a line each, what went wrong first."
+    )
 
 
 class HealthPage(Page):

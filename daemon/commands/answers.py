@@ -1,23 +1,19 @@
 """Answers: for scripts as JSON alone on standard output, for people in lines that a terminal has room for."""
 
-import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from textwrap import wrap
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any
 
 import typer
 
 from daemon.base.errors import InterruptedEarlyError
+from daemon.commands.wrapping import wrapped
 
 JsonOption = Annotated[
     bool,
     typer.Option("--json", help="Print only the answer, as JSON, on standard output; the rest goes to standard error."),
 ]
-
-# Of a terminal that does not tell.
-_COLUMNS = 80
 
 
 def print_json(page: Mapping[str, Any] | list[Any]) -> None:
@@ -57,29 +53,3 @@ def say(text: str, *, err: bool = False, hang: int = 2, end: str = "\n") -> None
 def warn(text: str) -> None:
     """Tell a warning of a result on standard error."""
     say(f"heliocube: warning: {text}", err=True)
-
-
-def wrapped(text: str, stream: TextIO, *, hang: int = 2) -> str:
-    """Return text whose lines fit the terminal behind a stream, broken between words; as it is for a file or a pipe.
-
-    What is broken goes on `hang` columns further to the right than its line begins, or less for a long word.
-    """
-    if not stream.isatty():
-        return text
-    columns = _columns(stream)
-    lines: list[str] = []
-    for line in text.split("\n"):
-        begins = len(line) - len(line.lstrip())
-        room = columns - begins - max(map(len, line.split()), default=0)
-        indent = " " * (begins + min(hang, max(room, 2)))
-        parts = wrap(line, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
-        lines += parts or [""]
-    return "\n".join(lines)
-
-
-def _columns(stream: TextIO) -> int:
-    told = os.environ.get("COLUMNS", "")
-    try:
-        return int(told) if told.isdigit() else os.get_terminal_size(stream.fileno()).columns or _COLUMNS
-    except OSError:
-        return _COLUMNS

@@ -11,9 +11,10 @@ from rich.console import Console
 from rich.text import Text
 
 from daemon.base.records import FACES
-from daemon.commands.answers import JsonOption, print_json, say, wrapped
+from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.file_check import absent_addresses, check_file, lacking_by_role
 from daemon.commands.options import CONFIG_VARIABLE, CubeOption, PositionerOption, RoleChoice
+from daemon.commands.wrapping import wrapped
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.

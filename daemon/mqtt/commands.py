@@ -128,7 +128,9 @@ class Commands:
             self._answer(answer, _kind(command.wanted))
 
     def _refuse(self, name: str, identifier: str | None, error: CommandError) -> None:
-        self._log(self._budget.spend(self._clock.monotonic(), f"the command {name} over MQTT is refused: {error}"))
+        # Of several trackers it has a line each, and the log's is one.
+        sentence = " ".join(str(error).split())
+        self._log(self._budget.spend(self._clock.monotonic(), f"the command {name} over MQTT is refused: {sentence}"))
         self._answer(refusal_json(name, identifier, str(error)), _kind(name))
 
     def _answer(self, found: dict[str, Any], kind: str) -> None:

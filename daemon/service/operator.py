@@ -33,7 +33,7 @@ _REASONS = 2
 
 
 class CommandError(Exception):
-    """A command was not carried out; the message is one sentence.
+    """A command was not carried out; the message is one sentence; of several trackers a line each behind it.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Answer:
     seen
         ``done``: it has arrived, or stands; ``under-way``: it is seen to move there, or to home; ``not-seen``: neither.
     text
-        What the tracker did, in a sentence.
+        What the tracker did, in a sentence; of several trackers at once a line each, what went wrong first.
     """
 
     seen: Seen

@@ -238,15 +238,21 @@ class Operators:
         outcomes = await asyncio.gather(
             *(_by(operator, command) for operator in chosen.values()), return_exceptions=True
         )
-        results = "; ".join(f"{name}: {_sentence(found)}" for name, found in zip(chosen, outcomes, strict=True))
         for found in outcomes:
             if isinstance(found, BaseException) and not isinstance(found, CommandError):
                 raise found
-        answers = [found for found in outcomes if isinstance(found, Answer)]
-        if len(answers) < len(outcomes):
-            raise CommandError(f"not by all {len(outcomes)} trackers: {results}")
-        worst = next(seen for seen in (Seen.NOT_SEEN, Seen.UNDER_WAY, Seen.DONE) if seen in {a.seen for a in answers})
-        return Answer(worst, f"all {len(outcomes)} trackers: {results}")
+        by_name = dict(zip(chosen, outcomes, strict=True))
+        refusing = [name for name, found in by_name.items() if not isinstance(found, Answer)]
+        seen = {name: found.seen for name, found in by_name.items() if isinstance(found, Answer)}
+        unseen = [name for name in seen if seen[name] is Seen.NOT_SEEN]
+        lines = _a_line_each(by_name, [*refusing, *unseen])
+        if len(refusing) == len(by_name):
+            raise CommandError(f"NOT done by any of {len(by_name)} trackers:{lines}")
+        if refusing:
+            raise CommandError(f"NOT done by {len(refusing)} of {len(by_name)} trackers, {', '.join(refusing)}:{lines}")
+        worst = next(each for each in (Seen.NOT_SEEN, Seen.UNDER_WAY, Seen.DONE) if each in seen.values())
+        but = f", no effect seen yet at {', '.join(unseen)}" if unseen else ""
+        return Answer(worst, f"all {len(by_name)} trackers{but}:{lines}")
 
 
 async def _by(operator: Operator, command: Command) -> Answer:
@@ -259,6 +265,13 @@ async def _by(operator: Operator, command: Command) -> Answer:
         raise CommandError(as_typed(str(error), tracker), wrong=error.wrong) from error
     finally:
         TRACKER.reset(before)
+
+
+def _a_line_each(by_name: Mapping[str, Answer | BaseException], first: Sequence[str]) -> str:
+    """Return what came of a command as lines by tracker, those that somebody has to look at before the others."""
+    width = max(map(len, by_name)) + 1
+    named = [*first, *(name for name in by_name if name not in first)]
+    return "".join(f"\n  {f'{name}:':<{width}}  {_sentence(by_name[name])}" for name in named)
 
 
 def _sentence(outcome: Answer | BaseException) -> str:

@@ -126,7 +126,9 @@ class Person:
             watch.fails("bad-input", f"goto {value} changed what was asked before, or sent something")
 
     def _check_sentence(self, name: str, sentence: str, trackers: int = 1) -> None:
-        if not sentence or "\n" in sentence or len(sentence) > _LONGEST_SENTENCE * trackers:
+        # One that all refuse has a line for each behind its own.
+        lines = 1 if trackers == 1 else 1 + trackers
+        if not sentence or len(sentence.split("\n")) > lines or len(sentence) > _LONGEST_SENTENCE * trackers:
             self._watch.fails("sentence", f"{name} is refused with {sentence!r}")
 
     def _check_refusal(self, name: str, sentence: str) -> None:

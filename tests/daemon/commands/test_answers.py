@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from typer.main import get_command
 
-from daemon.commands.answers import print_json, wrapped
+from daemon.commands.answers import print_json
 from daemon.commands.main import app
+from daemon.commands.wrapping import wrapped
 from tests.support import PATIENCE_S, ROOT, forks
 
 # What runs until it is ended, leads a person through something, writes files of known names, or answers in JSON anyway.

@@ -105,7 +105,7 @@ def test_a_stop_for_one_that_names_another_stops_both_since_nobody_can_tell_whic
             reply = await lab.until("heliocube/west/reply")
             assert [tracker.control.wishes.stop is not None for tracker in both] == [True, True]
             assert not reply["accepted"]
-            start = "this is for west, and the body names the tracker 'east'; a stop is for all then: all 2 trackers: "
+            start = "this is for west, and the body names the tracker 'east'; a stop is for all then: all 2 trackers:\n"
             assert reply["text"].startswith(start)
 
     scaled(scenario)
