@@ -205,7 +205,10 @@ class Operators:
         if command.tracker is None:
             if len(self._of) == 1 or command.wanted in OF_ALL:
                 return self._of
-            raise CommandError(f"'{command.wanted}' needs the name of a tracker, one of {names}", wrong=True)
+            how = as_typed(f"heliocube {command.wanted}", "NAME")
+            raise CommandError(
+                f"'{command.wanted}' needs the name of a tracker: '{how}', where NAME is one of {names}", wrong=True
+            )
         if command.tracker not in self._of:
             raise CommandError(self._none_of_that_name(command), wrong=True)
         return {command.tracker: self._of[command.tracker]}

@@ -65,7 +65,11 @@ def test_the_tracker_of_a_command_stands_in_the_body_or_in_the_query(serve):
         assert (await call.post("hold?tracker=east")).status == 200
         assert east.control.mode is Mode.HOLD
         for name, body, sentence in [
-            ("auto", b"", "'auto' needs the name of a tracker, one of east, west"),
+            (
+                "auto",
+                b"",
+                "'auto' needs the name of a tracker: 'heliocube auto --tracker NAME', where NAME is one of east, west",
+            ),
             ("auto?tracker=north", b"", "there is no tracker 'north'; the trackers are east, west"),
         ]:
             reply = await call.post(name, body)

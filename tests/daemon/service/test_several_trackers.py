@@ -110,7 +110,7 @@ def test_a_stop_without_a_name_is_for_all_and_other_commands_ask_for_one(run_rig
         assert head == "all 2 trackers:"
         assert [line[:17] for line in lines] == ["  east:  stopped ", "  west:  stopped "]
         assert modes(rig) == [Mode.HOLD] * 2
-        with pytest.raises(CommandError, match="'auto' needs the name of a tracker, one of east, west"):
+        with pytest.raises(CommandError, match="'heliocube auto --tracker NAME', where NAME is one of east, west"):
             await give(rig, "auto")
         with pytest.raises(CommandError, match="there is no tracker 'north'; the trackers are east, west"):
             await give(rig, "auto", tracker="north")
