@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import errno
 import logging
 import math
 import os
@@ -16,7 +17,7 @@ import uvicorn
 from anyio.to_thread import current_default_thread_limiter
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from daemon.base.addresses import SEND_NO_MORE_ONCE_CLOSED, Address, parse_address
+from daemon.base.addresses import DEFAULT_DASHBOARD, SEND_NO_MORE_ONCE_CLOSED, Address, parse_address
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier, on_signals
@@ -31,6 +32,14 @@ _REQUEST_WITHIN_S = 10.0
 _READ_WITHIN_S = 10.0
 # Each file of the page is read in a thread, and a browser asks for six at once; its unit allows 16 threads in all.
 _FILES_AT_ONCE = 8
+_WHY_NOT_BOUND = {
+    errno.EADDRINUSE: "is another dashboard running? Else set dashboard.listen or --listen to another port",
+    errno.EADDRNOTAVAIL: "it is not an address of this machine now; if it is to come, start the dashboard again then,"
+    " as its unit does every 5 s, else set dashboard.listen or --listen to one of its own",
+    errno.EAFNOSUPPORT: "this system has no IPv6: set dashboard.listen or --listen to an address such as"
+    f" {DEFAULT_DASHBOARD}",
+    errno.EACCES: "a port below 1024 needs an administrator's rights: set dashboard.listen or --listen to another port",
+}
 
 
 class _Server(uvicorn.Server):
@@ -124,18 +133,18 @@ def bind(listen: str) -> socket.socket:
         address = parse_address(listen)
     except ValueError as error:
         raise UserError(f"--listen: {error}") from None
-    bound = socket.socket(address.family, socket.SOCK_STREAM)
+    bound: socket.socket | None = None
     try:
+        bound = socket.socket(address.family, socket.SOCK_STREAM)
         if os.name == "posix":  # Windows would let two programs share the port
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         bound.bind((address.host, address.port))
         bound.listen()
     except OSError as error:
-        bound.close()
-        raise UserError(
-            f"cannot listen on {address}: {error.strerror}; is another dashboard running? Else set"
-            " dashboard.listen or --listen to another port"
-        ) from None
+        if bound is not None:
+            bound.close()
+        why = _WHY_NOT_BOUND.get(error.errno or 0, "set dashboard.listen or --listen to another address or port")
+        raise UserError(f"cannot listen on {address}: {error.strerror}; {why}") from None
     return bound
 
 

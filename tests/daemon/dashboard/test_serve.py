@@ -20,6 +20,7 @@ from daemon.base.timeloop import VirtualTimeLoop
 from daemon.dashboard.app import STATIC
 from daemon.dashboard.serve import bind, serve
 from tests.support import PATIENCE_S, ROOT
+from tests.support.addresses import SocketWithoutIpv6
 from tests.support.endless import ACCEPTED
 
 PAGE = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
@@ -293,3 +294,26 @@ def test_an_open_page_hears_that_its_files_are_others_though_the_release_has_the
     (tmp_path / "static" / "js" / "live.js").write_text("// another\n")
     monkeypatch.setattr("daemon.dashboard.app.STATIC", tmp_path / "static")
     assert asyncio.run(page_told()) != before
+
+
+@pytest.mark.parametrize(
+    ("listen", "why"),
+    [
+        # RFC 5737: of nobody's machine.
+        (
+            "192.0.2.1:20574",
+            "it is not an address of this machine now; if it is to come, start the dashboard again then",
+        ),
+        (
+            "[::1]:20574",
+            "this system has no IPv6: set dashboard.listen or --listen to an address such as 127.0.0.1:20574",
+        ),
+    ],
+)
+def test_an_address_that_it_cannot_have_ends_it_with_a_sentence(heliocube, monkeypatch, listen, why):
+    monkeypatch.setattr(socket, "socket", SocketWithoutIpv6)
+    code, out, err = heliocube("dashboard", "--listen", listen)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"heliocube: cannot listen on {listen}: ")
+    assert why in err
+    assert err.count("\n") == 1
