@@ -75,6 +75,7 @@ def send_csv(
                 secret,
                 SystemClock(),
                 SystemRandom(),
+                settings.site.place(),
                 speed=speed,
                 keep_times=keep_times,
                 on_progress=lambda done, total: progress(done / total),

@@ -18,9 +18,8 @@ from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.store.export import KINDS, export
 from daemon.studies.inputs import instant, settings_for
-from daemon.studies.recorded import RecordedScan, read_csv
+from daemon.studies.recorded import RecordedScan, read_csv, unit_note
 from daemon.studies.replay import replay as run_replay
-from daemon.studies.replay import unit_note
 from daemon.studies.simulate import simulate as run_simulation
 from solar.ephemeris import Site
 from solar.irradiance import possible

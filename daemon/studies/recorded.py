@@ -3,7 +3,7 @@
 import math
 import sqlite3
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -17,8 +17,9 @@ from daemon.base.records import FACES, Quality
 from daemon.store.schema import FILE_NAME, open_for_reading
 from daemon.studies.inputs import check_names, check_table, not_utf8, with_point
 from drivers.numbers import read_number
+from solar.ephemeris import Site
 from solar.frames import Array
-from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
+from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, kilowatts_note
 from solar.tables import (
     NO_READING,
     BrokenLine,
@@ -120,6 +121,14 @@ def read_csv(path: Path) -> Recording:
         first_impossible=impossible[0] if impossible else "",
         broken=broken,
     )
+
+
+def unit_note(name: str, rows: Sequence[RecordedScan], site: Site) -> str | None:
+    """Return in a sentence that the readings of a source with that name look like kW/m2, or None."""
+    faces = np.array([row.irradiances_w_m2 for row in rows])
+    highest_w_m2 = float(np.fmax.reduce(faces, axis=None, initial=np.nan))
+    utc_s = np.array([row.time_utc_s for row in rows])
+    return kilowatts_note(name, "on any face", highest_w_m2, utc_s, site)
 
 
 def rows_of_store(directory: Path) -> list[RecordedScan]:

@@ -31,9 +31,8 @@ from daemon.service.service import Service
 from daemon.service.tracker import Tracker
 from daemon.studies.failed_laws import failed_laws
 from daemon.studies.recorded import RecordedScan
-from solar.ephemeris import DAY_S, Site, sun_direction
+from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Angles, Array
-from solar.irradiance import kilowatts_note
 from solar.laws.law import Law
 
 COLUMNS = ("time", "a_set", "b_set", "a", "b", "mode", "law", "dni_est", "dhi_est", "albedo_est", "simulated")
@@ -107,14 +106,6 @@ def replay(settings: Settings, rows: Sequence[RecordedScan], out: Path, progress
     finally:
         part.unlink(missing_ok=True)
     return Replayed(qualities, log.events, failed_laws(log.trackers))
-
-
-def unit_note(name: str, rows: Sequence[RecordedScan], site: Site) -> str | None:
-    """Return in a sentence that the readings of a source with that name look like kW/m2, or None."""
-    faces = np.array([row.irradiances_w_m2 for row in rows])
-    highest_w_m2 = float(np.fmax.reduce(faces, axis=None, initial=np.nan))
-    utc_s = np.array([row.time_utc_s for row in rows])
-    return kilowatts_note(name, "on any face", highest_w_m2, utc_s, site)
 
 
 class _Log:

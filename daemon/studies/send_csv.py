@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 from daemon.base.addresses import BridgeError
 from daemon.base.records import FaceReading, Quality, Scan
 from daemon.bridge.sender import BridgeSender
-from daemon.studies.recorded import RecordedScan, read_csv
+from daemon.studies.recorded import RecordedScan, read_csv, unit_note
 
 if TYPE_CHECKING:
     from random import Random
 
     from daemon.base.clock import Clock
     from daemon.config.links import BridgeSettings
+    from solar.ephemeris import Site
 
 
 async def send_csv(
@@ -24,6 +25,7 @@ async def send_csv(
     key: bytes | None,
     clock: "Clock",
     rng: "Random",
+    site: "Site",
     *,
     speed: float = 1.0,
     keep_times: bool = False,
@@ -41,6 +43,8 @@ async def send_csv(
         The file (see `read_csv`); where to send, signed with what (see `BridgeSender`); the time to pace by.
     rng
         Names the session.
+    site
+        Where the readings are from: whether the sun is high there tells whether so dark a sky can be.
     speed
         How many times faster than the file's own times.
     keep_times
@@ -48,7 +52,7 @@ async def send_csv(
     on_progress
         Called after each scan with the number sent and the number in the file.
     warn
-        Called before the first scan with a sentence for what is missing in the file.
+        Called before the first scan with a sentence for what is missing in the file, and for readings in kW/m2.
     source
         Name of the cube.
 
@@ -64,6 +68,8 @@ async def send_csv(
     rows = recording.rows
     for note in recording.notes():
         warn(f"{path}: {note}")
+    if (in_kilowatts := unit_note(str(path), rows, site)) is not None:
+        warn(in_kilowatts)
     session = f"{rng.getrandbits(64):016x}"
     await sender.open()
     try:

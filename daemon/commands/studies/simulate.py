@@ -213,9 +213,8 @@ def replay(
         check_ordinary(faces, "a cube's readings")
         if not faces.exists():
             raise UserError(f"there is no file {faces}: name a CSV file with the columns time,east,south,west,zenith")
-    from daemon.studies.recorded import read_csv, rows_of_store
+    from daemon.studies.recorded import read_csv, rows_of_store, unit_note
     from daemon.studies.replay import replay as run_replay
-    from daemon.studies.replay import unit_note
 
     if faces is not None:
         recording = read_csv(faces)

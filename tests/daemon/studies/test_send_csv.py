@@ -17,8 +17,10 @@ from daemon.bridge.receiver import BridgeReceiver
 from daemon.config.links import BridgeSettings
 from daemon.studies.recorded import read_csv
 from daemon.studies.send_csv import send_csv
+from solar.ephemeris import Site
 
 KEY = bytes(range(1, 33))
+SITE = Site(48.7, 2.2, 156.0)
 START = "2022-10-14T10:20:00Z"
 START_S = datetime.fromisoformat(START).timestamp()
 HEADER = "time,east,south,west,zenith\n"
@@ -75,6 +77,7 @@ def sent(path, ahead_s=7200.0, **options):
                 KEY,
                 clock,
                 Random(1),
+                SITE,
                 on_progress=lambda done, total: progress.append((done, total)),
                 **options,
             )
@@ -112,6 +115,13 @@ def test_what_is_missing_in_the_file_is_told_and_a_last_line_that_breaks_off_is_
         f"{path}: the last line, 5, breaks off at cell 4 of 5 and is left out",
         f"{path}: 2 of 12 readings are missing",
     ]
+
+
+def test_readings_in_kilowatts_are_warned_of(tmp_path):
+    told = []
+    path = written(tmp_path, HEADER + f"{START},0.1032,0.1189,0.09875,0.1714\n")
+    sent(path, warn=told.append)
+    assert told == [f"{path} has at most 0.171 W/m2 on any face by day: if it is in kW/m2, multiply it by 1000"]
 
 
 def test_a_pipe_is_read_as_a_file(tmp_path):
