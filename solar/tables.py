@@ -202,6 +202,11 @@ def summer_time_hint(text: str, seconds: Sequence[float]) -> str:
     )
 
 
+def zone_note(texts: Iterable[str]) -> str:
+    """Return in a sentence what ISO 8601 times that name no zone are taken for, or nothing where each names one."""
+    return "" if all(map(_OFFSET.search, texts)) else "times that name no zone are taken as UTC"
+
+
 def second_header_hint(text: str, row: int) -> str:
     """Return the end of a sentence that refuses a time without a digit in the first row, counted from 0, or nothing."""
     units = row == 0 and not any(map(str.isdigit, text))

@@ -30,6 +30,7 @@ from solar.tables import (
     second_header_hint,
     summer_time_hint,
     why_unread,
+    zone_note,
 )
 
 COLUMNS = ("time", *FACES)
@@ -64,6 +65,8 @@ class Recording:
         Where the first of them stands, and what it says; empty without any.
     broken
         The last line, where the file breaks off in it; it is none of the rows.
+    zone
+        What its times are taken for, where one names no zone, in a sentence; empty where each does.
     """
 
     rows: list[RecordedScan]
@@ -71,10 +74,13 @@ class Recording:
     impossible: int
     first_impossible: str
     broken: BrokenLine | None = None
+    zone: str = ""
 
     def notes(self) -> list[str]:
-        """Return what a person should know of the missing readings, a sentence each."""
-        found = [self.broken.note()] if self.broken else []
+        """Return what a person should know of the times and the missing readings, a sentence each."""
+        found = [self.zone] if self.zone else []
+        if self.broken:
+            found.append(self.broken.note())
         if self.missing:
             found.append(f"{self.missing} of {len(FACES) * len(self.rows)} readings are missing")
         if self.impossible:
@@ -99,10 +105,11 @@ def read_csv(path: Path) -> Recording:
     """
     separator = check_table(path)
     impossible: list[str] = []
+    unzoned: list[str] = []
     try:
         with opened(path) as file:
             broken = broken_line(path, separator)
-            rows = list(_rows(path, file, separator, impossible, broken))
+            rows = list(_rows(path, file, separator, impossible, unzoned, broken))
     except FileNotFoundError:
         raise UserError(f"{path} does not exist: name a CSV file with the columns {','.join(COLUMNS)}") from None
     except (OSError, EOFError, zlib.error) as error:
@@ -120,6 +127,7 @@ def read_csv(path: Path) -> Recording:
         impossible=len(impossible),
         first_impossible=impossible[0] if impossible else "",
         broken=broken,
+        zone=zone_note(unzoned),
     )
 
 
@@ -165,7 +173,7 @@ def stored_faces(
 
 
 def _rows(
-    path: Path, file: TextIO, separator: str, impossible: list[str], broken: BrokenLine | None
+    path: Path, file: TextIO, separator: str, impossible: list[str], unzoned: list[str], broken: BrokenLine | None
 ) -> Iterator[RecordedScan]:
     rows = numbered_rows(file, separator)
     first = next(rows, None)
@@ -187,6 +195,8 @@ def _rows(
         except ValueError as error:
             raise UserError(f"{path}, line {line}: {error}") from None
         before = [*before[-1:], row.time_utc_s]
+        if not unzoned and zone_note([cells[places[0]]]):
+            unzoned.append(cells[places[0]])
         for name, place, value in zip(FACES, places[1:], row.irradiances_w_m2, strict=True):
             if not (LOWEST_W_M2 <= value <= HIGHEST_W_M2 or math.isnan(value)):
                 impossible.append(f"line {line}: {name} {cells[place].strip()}")

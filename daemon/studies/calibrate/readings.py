@@ -28,6 +28,7 @@ from solar.tables import (
     unreadable,
     utc_times,
     why_unread,
+    zone_note,
 )
 
 _MV, _W_M2 = "_mv", "_w_m2"
@@ -52,7 +53,7 @@ class FaceReadings:
     calibrations
         Identifiers of the calibrations those were made with; empty for the gains of the settings.
     note
-        What a person should know of numbers that cannot be, taken as missing, in a sentence; empty without any.
+        What a person should know of the times, and of numbers that cannot be, taken as missing; empty without any.
     simulated
         Whether any of them comes from a model or a bench.
     """
@@ -79,12 +80,12 @@ class ReferenceReadings:
 
 def read_reference(path: Path) -> ReferenceReadings:
     """Read a CSV with the columns time and ghi; raises `UserError` that names the file, the line and the cell."""
-    frame, utc_s, broken = _table(path)
+    frame, utc_s, told = _table(path)
     name = next((name for name in _REFERENCE_NAMES if name in frame), None)
     if name is None:
         raise UserError(f"{path} has no column ghi; found: {', '.join(map(str, frame.columns))}")
     ghi, wrong = _possible(path, frame, [name])
-    note = "; ".join(filter(None, (broken, wrong)))
+    note = "; ".join(filter(None, (told, wrong)))
     there = np.isfinite(ghi[:, 0])
     if not there.any():
         raise UserError(f"{path} has no reading in its column {name}" + (f": {note}" if note else ""))
@@ -100,7 +101,7 @@ def read_csv(path: Path) -> FaceReadings:
     reading.
     Raises `UserError` that names the file, the line and the cell.
     """
-    frame, utc_s, broken = _table(path)
+    frame, utc_s, told = _table(path)
     for ending in (_MV, _W_M2):
         names = [face + ending for face in FACES]
         if set(names) <= set(frame.columns):
@@ -122,7 +123,7 @@ def read_csv(path: Path) -> FaceReadings:
         faces=faces,
         in_mv=ending == _MV,
         calibrations=made_with,
-        note="; ".join(filter(None, (broken, wrong))),
+        note="; ".join(filter(None, (told, wrong))),
         simulated=_simulated(frame),
     )
 
@@ -159,7 +160,7 @@ def span_text(utc_s: Array) -> str:
 
 
 def _table(path: Path) -> tuple[pd.DataFrame, Array, str]:
-    """Return a table's rows, their instants [s UTC], and in a sentence that the file breaks off; empty if not."""
+    """Return a table's rows, their instants [s UTC], and what a person should know of these, or nothing."""
     separator = check_table(path)
     try:
         frame = pd.read_csv(
@@ -198,7 +199,8 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array, str]:
         row = int(back[0]) + 1
         remedy = summer_time_hint(frame["time"].iloc[row], utc_s[: row + 1].tolist()) or "; sort the file"
         raise UserError(f"{path}, line {_line_of(path, row)}: the time does not come after the one before{remedy}")
-    return frame, utc_s, f"{path}: {broken.note()}" if broken else ""
+    told = [zone_note(frame["time"]), broken.note() if broken else ""]
+    return frame, utc_s, "; ".join(f"{path}: {note}" for note in told if note)
 
 
 def _simulated(frame: pd.DataFrame) -> bool:

@@ -16,7 +16,7 @@ from daemon.studies.compare.measurements import OPTIONAL, REQUIRED, SIMULATED, M
 from daemon.studies.inputs import check_frame, check_table, impossible_note, not_utf8
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, possible
-from solar.tables import broken_line, unreadable, utc_times, why_unread
+from solar.tables import broken_line, unreadable, utc_times, why_unread, zone_note
 
 TOGETHER_WITHIN_S = 5.0
 _NUMBERS = ("pmpp_w", *OPTIONAL)
@@ -94,8 +94,8 @@ def read_tables(paths: Sequence[Path]) -> tuple[pd.DataFrame, list[str]]:
     notes: list[str] = []
     frames = []
     for path in paths:
-        frame, broken = _read(path)
-        notes += filter(None, (broken, _leave_out_impossible(frame, path)))
+        frame, told = _read(path)
+        notes += filter(None, (*told, _leave_out_impossible(frame, path)))
         frames.append(frame)
     together = pd.concat(frames, ignore_index=True)
     _refuse_contradictions(together)
@@ -156,8 +156,8 @@ def pair(frame: pd.DataFrame, names: tuple[str, str], within_s: float = TOGETHER
     )
 
 
-def _read(path: Path) -> tuple[pd.DataFrame, str]:
-    """Return a file's measurements, and in a sentence that the file breaks off; empty if not."""
+def _read(path: Path) -> tuple[pd.DataFrame, tuple[str, str]]:
+    """Return a file's measurements, and in a sentence each that it breaks off and names no zone; empty if not."""
     try:
         table, broken = (pd.read_parquet(path).reset_index(), "") if path.suffix.lower() == ".parquet" else _csv(path)
     except FileNotFoundError:
@@ -189,7 +189,9 @@ def _read(path: Path) -> tuple[pd.DataFrame, str]:
             f"{path}, row {found.index[row] + 1}: pmpp_w is {found['pmpp_w'].iloc[row]:g} W, which no module of a"
             f" tracker gives ({low:g}..{high:g} W)"
         )
-    return found, broken
+    named = isinstance(table["time"].dtype, pd.DatetimeTZDtype)
+    zone = "" if named else zone_note(table["time"].astype(str))
+    return found, (broken, zone and f"{path}: {zone}")
 
 
 def _csv(path: Path) -> tuple[pd.DataFrame, str]:

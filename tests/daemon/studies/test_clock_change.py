@@ -1,4 +1,4 @@
-"""Tables whose times go back by the hour that summer time ends with."""
+"""Tables in local time: whose times go back by the hour that summer time ends with, and who name no zone."""
 
 import pytest
 
@@ -6,6 +6,7 @@ from daemon.base.errors import UserError
 from daemon.rigs.measured import measured_weather
 from daemon.studies.calibrate.readings import read_csv as read_faces
 from daemon.studies.calibrate.readings import read_reference
+from daemon.studies.compare.pairs import read_tables
 from daemon.studies.recorded import read_csv
 
 HINT = (
@@ -58,3 +59,20 @@ def test_local_times_that_run_twice_through_an_hour_of_autumn_are_told_for_what_
 )
 def test_other_times_that_go_back_are_refused_without_a_guess(tmp_path, table, times):
     assert "summer time" not in refusal(tmp_path, table, times)
+
+
+@pytest.mark.parametrize(
+    ("notes", "head", "row"),
+    [
+        (lambda path: [f"{path}: {note}" for note in read_csv(path).notes()], *TABLES[0][1:]),
+        (lambda path: [read_faces(path).note], *TABLES[1][1:]),
+        (lambda path: [read_reference(path).note], *TABLES[2][1:]),
+        (lambda path: read_tables([path])[1], "time,tracker,pmpp_w", "east,100"),
+    ],
+)
+def test_what_times_without_a_zone_are_taken_for_is_told_once(tmp_path, notes, head, row):
+    path = tmp_path / "table.csv"
+    path.write_text(f"{head}\n2022-03-27T01:59:55+01:00,{row}\n2022-03-27T03:00:00,{row}\n2022-03-27T03:00:05,{row}\n")
+    assert notes(path) == [f"{path}: times that name no zone are taken as UTC"]
+    path.write_text(f"{head}\n2022-03-27T01:59:55+01:00,{row}\n2022-03-27T01:00:00Z,{row}\n")
+    assert list(filter(None, notes(path))) == []
