@@ -25,7 +25,8 @@ def mu_prime(faces: ArrayLike, *, uniform_threshold: float = 0.01) -> Array:
     Parameters
     ----------
     faces
-        Irradiances [W/m2], shape (..., 4); of a frame with the columns east, south, west and zenith these, by name.
+        Irradiances [W/m2], shape (..., 4); of a frame whose columns have names those called east,
+        south, west and zenith.
     uniform_threshold
         I_S - I_min counts as zero (B = 90 deg) unless it is more than this share of I_Z: under a uniform sky it is
         noise about zero. The jump of B at the threshold is atan(uniform_threshold).
@@ -37,7 +38,7 @@ def mu_prime(faces: ArrayLike, *, uniform_threshold: float = 0.01) -> Array:
     Raises
     ------
     ValueError
-        The last axis has not four faces, one is no number, or the threshold is no share.
+        The last axis has not four faces, a frame lacks one by name, one is no number, or the threshold is no share.
     """
     _check_share("uniform threshold", uniform_threshold)
     east, south, west, zenith, valid = _split(faces)
@@ -61,7 +62,8 @@ def sun_vector(
     Parameters
     ----------
     faces
-        Irradiances [W/m2], shape (..., 4); of a frame with the columns east, south, west and zenith these, by name.
+        Irradiances [W/m2], shape (..., 4); of a frame whose columns have names those called east,
+        south, west and zenith.
     albedo
         Of the ground around the cube.
     uniform_threshold
@@ -76,7 +78,8 @@ def sun_vector(
     Raises
     ------
     ValueError
-        The last axis has not four faces, one is no number, or the albedo, the threshold or the uncertainty is no share.
+        The last axis has not four faces, a frame lacks one by name, one is no number, or the albedo, the threshold or
+        the uncertainty is no share.
     """
     for name, value in (
         ("albedo", albedo),
@@ -144,12 +147,20 @@ def _split(faces: ArrayLike) -> tuple[Array, Array, Array, Array, np.ndarray]:
 
 
 def _readings(faces: Any) -> Array:
-    try:
+    if hasattr(faces, "iloc"):
         # numpy would take the columns of a frame in the order in which they stand.
+        names = list(faces.columns if hasattr(faces, "columns") else faces.index)
+        missing = [name for name in _FACES if name not in names]
+        if not missing:
+            faces = faces[list(_FACES)]
+        elif any(isinstance(name, str) for name in names):
+            raise ValueError(
+                f"the faces have no column {', '.join(missing)}: east, south, west and zenith are needed; found:"
+                f" {', '.join(map(str, names))}"
+            )
+    try:
         if hasattr(faces, "iloc"):
-            names = faces.columns if hasattr(faces, "columns") else faces.index
-            named = faces[list(_FACES)] if set(_FACES) <= set(names) else faces
-            return np.asarray(named.to_numpy(dtype=np.float64, na_value=np.nan))
+            return np.asarray(faces.to_numpy(dtype=np.float64, na_value=np.nan))
         return np.asarray(faces, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"the faces must be numbers [W/m2], NaN where one is missing ({error})") from None

@@ -106,6 +106,17 @@ def test_a_frame_gives_its_faces_by_name(law):
     np.testing.assert_array_equal(direction(frame.iloc[0]), expected[0])
 
 
+@pytest.mark.parametrize("law", [heliocube.mu_prime, heliocube.sun_vector])
+def test_a_frame_without_the_faces_by_name_is_told_which_are_missing(law):
+    # Four columns as an array has, of which nobody knows which is which.
+    frame = pd.DataFrame({"zenith": [540.0], "west_w_m2": [150.0], "south": [620.0], "east_w_m2": [310.0]})
+    why = "no column east, west: east, south, west and zenith are needed; found: zenith, west_w_m2, south, east_w_m2"
+    for faces in (frame, frame.iloc[0]):
+        with pytest.raises(ValueError, match=why):
+            law(faces)
+    assert law(pd.DataFrame([[310.0, 620.0, 150.0, 540.0]])) == pytest.approx(law([[310.0, 620.0, 150.0, 540.0]]))
+
+
 @pytest.mark.parametrize(
     "wrong", [["a", 1, 2, 3], {"east": 1.0}, [[1, 2, 3, 4], [1, 2]], pd.DataFrame([["x", 1, 2, 3]])]
 )
