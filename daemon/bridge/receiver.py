@@ -130,6 +130,10 @@ class BridgeReceiver:
         """Examine what came over a transport that knows no IP addresses, like a datagram."""
         self._take(data, sender, None)
 
+    def take_own(self, data: bytes) -> None:
+        """Examine what this process sends itself while its address is not there, as if it came from that address."""
+        self._take(data, str(self._listen), self._listen.host)
+
     def _take(self, data: bytes, sender: str | Peer, host: str | None, waited_s: float = 0.0) -> bool:
         now_s = self._clock.monotonic() - waited_s
         utc_s = self._clock.utc() - waited_s

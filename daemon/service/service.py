@@ -295,6 +295,9 @@ class Service:
         self._expiry.check(scan.time_utc_s, scan.time_monotonic_s)
         if self.sender is not None:
             self.sender.send(scan)
+        if self.receiver is not None and self.receiver.deaf_why is not None:
+            # What this machine has in itself needs no address of its network.
+            self.receiver.take_own(pack(scan, self._key))
         if self._send_beyond is not None:
             self._send_beyond(pack(scan, self._key))
         if self.role is Role.CUBE:

@@ -248,8 +248,8 @@ _ALL = (
         Severity.WARNING,
         "for a minute the address of `bridge.listen`, or the network of `bridge.multicast_group`, has not been on this"
         " machine, or the port that was waited for is another program's; ends when it has been there for a minute",
-        "no scan of the cube is heard: unless a person, a stow or a fault keeps it elsewhere, the tracker follows the"
-        " ephemeris",
+        "no scan of a cube elsewhere is heard: unless the process has a cube of its own, or a person, a stow or a fault"
+        " keeps it elsewhere, the tracker follows the ephemeris",
         "compare the address with those of this machine (`ip address`): check its network, cable and DHCP, and the"
         " service listens there within 5 s; or correct bridge.listen or bridge.multicast_interface, then restart the"
         " service",

@@ -90,6 +90,21 @@ def test_a_tracker_whose_address_is_not_there_follows_the_sun_and_says_so_at_eve
     serve(scenario, role=Role.TRACKER, bridge=bridge, safety={"fallback_after_s": 90})
 
 
+@pytest.mark.parametrize(
+    ("accept_from", "mode"),
+    [((), Mode.TRACKING), (("198.51.100.1",), Mode.TRACKING), (("198.51.100.2",), Mode.FALLBACK)],
+)
+def test_a_cube_of_the_same_process_is_heard_without_the_address_by_the_rules_for_it(run_rig, accept_from, mode):
+    async def scenario(rig):
+        await rig.until_mode(mode, 120)
+        service = rig.service
+        assert "not an address of this machine now" in service.receiver.deaf_why
+        assert (service.receiver.statistics.accepted > 0) is (mode is Mode.TRACKING)
+
+    bridge = {"listen": "198.51.100.1:20571", "accept_from": accept_from, "key_file": "the-rig-has-its-own.key"}
+    run_rig(scenario, bridge=bridge, safety={"fallback_after_s": 90})
+
+
 def test_a_cube_in_another_process_that_has_fallen_silent_is_in_trouble(run_rig):
     async def scenario(rig):
         recent = Recent()
