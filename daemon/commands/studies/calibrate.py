@@ -45,9 +45,14 @@ SerialOption = Annotated[
 
 @app.command()
 def cube(
-    reference: Annotated[Path, typer.Argument(help="CSV of the reference: time, ghi [W/m2].")],
+    reference: Annotated[
+        Path, typer.Argument(metavar="REFERENCE", help="CSV of the reference: time, ghi [W/m2].", show_default=False)
+    ],
     sensors: Annotated[
-        Path | None, typer.Argument(help="CSV of the cube: time, east_mv .. zenith_mv, or east_w_m2 .. zenith_w_m2.")
+        Path | None,
+        typer.Argument(
+            metavar="SENSORS", help="CSV of the cube: time, east_mv .. zenith_mv, or east_w_m2 .. zenith_w_m2."
+        ),
     ] = None,
     store: StoreOption = None,
     start: FromOption = None,
@@ -119,7 +124,10 @@ def cube(
 @app.command()
 def field(
     sensors: Annotated[
-        Path | None, typer.Argument(help="CSV of the cube: time, east_mv .. zenith_mv, or east_w_m2 .. zenith_w_m2.")
+        Path | None,
+        typer.Argument(
+            metavar="SENSORS", help="CSV of the cube: time, east_mv .. zenith_mv, or east_w_m2 .. zenith_w_m2."
+        ),
     ] = None,
     store: StoreOption = None,
     start: FromOption = None,
@@ -201,4 +209,6 @@ def _warn(*notes: str) -> None:
 def _print(lines: list[str], identifier: str, out: Path) -> None:
     for line in lines:
         say(line)
-    say(f"\ncalibration {identifier} written to {out}; set cube.calibration_file to use it")
+    doubtful = any(line.startswith("Doubtful: ") for line in lines)
+    then = "do not use it until what is doubtful is known" if doubtful else "set cube.calibration_file to use it"
+    say(f"\ncalibration {identifier} written to {out}; {then}")

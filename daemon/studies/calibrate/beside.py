@@ -115,14 +115,16 @@ def compare(
     reference_zero = zero_of(reference, site)
     dark, dark_error, nights = night_offset(utc_s, voltage, site)
     minute, ghi, mv = _common(reference, utc_s, voltage)
+    spans = f"{reference.source} has {span_text(reference.utc_s)}, {readings.source} has {span_text(utc_s)}"
     if not minute.size:
-        raise UserError(
-            f"reference and sensors do not overlap: {reference.source} has {span_text(reference.utc_s)}, "
-            f"{readings.source} has {span_text(utc_s)}; check the files and that times are UTC"
-        )
+        raise UserError(f"reference and sensors do not overlap: {spans}; check the files and that times are UTC")
     ghi = ghi - reference_zero
     clear = clear_and_stable(minute, ghi, site)
     daylight = int(np.count_nonzero(sun_position(minute, *site).elevation_deg > 0.0))
+    if not daylight:
+        raise UserError(
+            f"reference and sensors overlap at night alone: {spans}; check the files, --site, and that times are UTC"
+        )
     if not clear.any():
         raise UserError(
             f"none of the {daylight} common minutes by daylight has a clear and stable sky; measure on cloudless days, "

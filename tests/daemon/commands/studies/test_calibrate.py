@@ -143,6 +143,7 @@ def test_series_of_which_most_are_dropped_are_called_doubtful(heliocube, tmp_pat
     assert code == 0
     assert f"{line}check that" in " ".join(told.split())
     assert "# Doubtful: " in out.read_text()
+    assert told.endswith(f" written to {out}; do not use it until what is doubtful is known\n")
     right = ("calibrate", "cube", *tables, *SITE, "--out", tmp_path / "right.toml", "--lag", "3600", "--json")
     assert json.loads(heliocube(*right)[1])["doubtful"] is False
 
@@ -329,6 +330,7 @@ def test_a_field_calibration_that_the_readings_cannot_support_says_what_is_missi
         ({"reference": "time,ghi\nnoon,1\n"}, "line 2: 'noon' is not a time such as"),
         ({"reference": "time,ghi\n2022-03-11T12:00Z,1\n2022-03-11T12:00Z,2\n"}, "line 3: the time does not come after"),
         ({"reference": "time,ghi\n2021-03-11T12:00Z,1\n2021-03-11T12:01Z,2\n"}, "reference and sensors do not overlap"),
+        ({}, "reference and sensors overlap at night alone"),
         ({"sensors": "time,east_mv\n2022-03-11T12:00Z,1\n"}, "needs the columns east_mv, south_mv, west_mv, zenith_mv"),
         ({"sensors": "time,east_mv,south_mv,west_mv,zenith_mv\n2022-03-11T12:00Z,1,,1,1\n"}, "has no instant at which"),
         ({"more": ["--serial", "RG7"]}, "--serial: 'RG7' is not NAME=NUMBER"),
