@@ -322,7 +322,7 @@ def _compare_sites(
     else:
         Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")
     if ended is not None:
-        raise type(ended)(f"{ended}: {out} has {len(outcomes)} of {len(sites)} sites")
+        raise type(ended)(f"{ended}: {out} has {len(outcomes)} of the table's {len(sites)} lines")
     if refused:
         raise UserError(f"{len(refused)} of {len(sites)} sites could not be used: {out} says why")
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from daemon.base.errors import UserError
+from daemon.base.words import counted
 from daemon.config.file import override
 from daemon.config.plugged import FALLBACK_LAW
 from daemon.config.settings import Settings
@@ -254,8 +255,8 @@ def notes(settings: Settings, afternoon: WeatherName, cube_law: str, seeds: int)
     assumed = (
         f"SIMULATED. T-Cube runs {cube_law}, T-Chrono chronometric, as two services fed by one cube:"
         f" a scan every {cube.scan_every_s:g} s, noise of {simulated.sensor_noise_mv:g} mV, gain errors of"
-        f" {100.0 * simulated.sensor_gain_error:g} %. Built-in weather, seeds 1 to {seeds} for each sky:"
-        f" on 12 October clear until 10:20, overcast until 12:10, then '{afternoon}'; on 14 October overcast."
+        f" {100.0 * simulated.sensor_gain_error:g} %. Built-in weather, {counted(seeds, 'seed')} from 1 on for each"
+        f" sky: on 12 October clear until 10:20, overcast until 12:10, then '{afternoon}'; on 14 October overcast."
         " The gain is equation (16) on Pmpp after the second-order correction, which is fitted on a simulated clear day"
         " in August with both trackers flat. Ours are the median of the seeds, the quartiles between which half of them"
         " lie, the lowest and the highest, and how many lie within what is asked for. T-Cube's travel has no limit of"
