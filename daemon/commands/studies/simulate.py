@@ -33,7 +33,10 @@ if TYPE_CHECKING:
 def progress_bar(console: Console, what: str = "simulating") -> Iterator[Callable[[float], None]]:
     """Show a progress bar on a terminal, nothing elsewhere; yields the function that takes the share done, 0..1."""
     columns = (TextColumn(what), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
+    # Of its own it would know no speed where a step takes longer than half a minute.
+    with Progress(
+        *columns, console=console, disable=not console.is_terminal, transient=True, speed_estimate_period=math.inf
+    ) as progress:
         task = progress.add_task(what, total=1.0)
 
         def advance(share: float) -> None:

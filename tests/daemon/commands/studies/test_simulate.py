@@ -1,11 +1,14 @@
 """`heliocube simulate` of many trackers, as a person asks for it."""
 
 import csv
+import io
 import json
 import re
 
 import pytest
+from rich.console import Console
 
+from daemon.commands.studies.simulate import progress_bar
 from solar.laws.flat import FlatLaw
 from tests.support import forks
 
@@ -154,3 +157,13 @@ def test_a_night_has_no_gain_and_the_summary_says_so(heliocube, tmp_path):
     _, told, _ = heliocube("simulate", "--start", "2022-10-14T00:00Z", "--days", 0.01, "--out", tmp_path / "out")
     assert "0.00 where an ideal chronometric tracker stands: no light" in told
     assert "- %" not in told
+
+
+def test_the_time_that_is_left_is_told_where_each_step_takes_longer_than_half_a_minute():
+    now_s, shown = [0.0], io.StringIO()
+    with progress_bar(Console(file=shown, force_terminal=True, get_time=lambda: now_s[0]), "repeating") as progress:
+        for number in range(1, 4):
+            now_s[0] = 40.0 * number
+            progress(0.1 * number)
+        now_s[0] += 1.0
+    assert "0:04:40" in shown.getvalue()
