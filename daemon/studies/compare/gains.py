@@ -148,11 +148,14 @@ def _irradiation_pct(pairs: Pairs, hours: float, gap_s: float) -> float:
 
 
 def as_text(rows: Sequence[Gain], names: tuple[str, str]) -> str:
-    """Return the gains as a table for people."""
-    heads = ("hours", f"{names[0]}/Wh", f"{names[1]}/Wh", "gain/%", "uncorrected/%", "irradiation/%")
+    """Return the gains as a table for people; that in irradiation only where it is known of any."""
+    heads = ["hours", f"{names[0]}/Wh", f"{names[1]}/Wh", "gain/%", "uncorrected/%", "irradiation/%"]
+    if all(np.isnan(row.irradiation_pct) for row in rows):
+        heads.pop()
     lines: list[Sequence[str]] = [("date", "period", "from UTC", "to UTC", *heads)]
     for row in rows:
-        percent = [signed(value, 2, "") for value in (row.gain_pct, row.uncorrected_pct, row.irradiation_pct)]
+        known = (row.gain_pct, row.uncorrected_pct, row.irradiation_pct)[: len(heads) - 3]
+        percent = [signed(value, 2, "") for value in known]
         energies = (f"{row.hours:.2f}", f"{row.cube_wh:.1f}", f"{row.chrono_wh:.1f}")
         lines.append((row.date, row.period[:17], row.start[11:16], row.end[11:16], *energies, *percent))
     return "\n".join(table(lines, keys=4)) + "\n"

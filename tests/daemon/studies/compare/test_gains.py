@@ -1,6 +1,7 @@
 """Equation (16) of measured powers: what the night's readings and the site's hemisphere may not change."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -84,6 +85,9 @@ def test_a_day_of_the_site_that_is_two_of_utc_says_so(site, label):
     rows = gains(pairs, None, [], site)
     assert [row.date for row in rows] == ["2022-10-14"]
     assert "from UTC  to UTC" in as_text(rows, ("one", "other"))
+    assert "irradiation" not in as_text(rows, ("one", "other")), "nobody has measured it"
+    known = [replace(rows[0], irradiation_pct=2.0), *rows]
+    assert "irradiation/%" in as_text(known, ("one", "other"))
     assert gain_table(rows, ("one", "other")).columns[2:4] == ("from UTC", "to UTC")
     assert power_figure(pairs, None, "").axes[0].get_xlabel() == label
 
