@@ -85,6 +85,8 @@ class Runs:
         self._poll_every_s = poll_every_s
         self._interrupted = False
         self._stow = False
+        self._sleeps = SleepGauge(clock)
+        self._slept = False
         self.target: Target | None = None
         self.last_move: Move | None = None
         self.last_move_started_s = -math.inf
@@ -95,7 +97,12 @@ class Runs:
         self._interrupted = self.target is not None or self._guard.homing
 
     def is_interrupted(self) -> bool:
-        """Whether the run that is on is being ended."""
+        """Whether the run that is on is being ended; a sleep of the machine ends a reference run.
+
+        Hours later whoever asked for it may not stand there any more.
+        """
+        if self._guard.homing and self._sleeps.take_s() > _SLEPT_S:
+            self._interrupted = self._slept = True
         return self._interrupted
 
     async def move(self, target: Target, *, stow: bool) -> None:
@@ -215,11 +222,14 @@ class Runs:
         return None if self._stow else self._guard.doubts.reference
 
     async def _watch_move(self, target: Target, start: Pose) -> tuple[MoveOutcome, str]:
-        guard = self._guard
+        guard, sleeps = self._guard, SleepGauge(self._clock)
         await guard.expect_move()
         watch = MoveWatch(target, start, self._limits, self._settings, self._expected, self._clock.monotonic())
         while True:
             telemetry = await guard.poll(moving=True)
+            if sleeps.take_s() > _SLEPT_S:
+                # Whoever wants it may not want it any more.
+                self._changed()
             if self._interrupted or telemetry.button_pressed:
                 await guard.halt()
                 return MoveOutcome.INTERRUPTED, target.why
@@ -275,7 +285,8 @@ class Runs:
         faulty = guard.telemetry is not None and bool(guard.telemetry.faults)
         doubted = faulty or doubts.reference is not None
         started_s = self._clock.monotonic()
-        self._interrupted = False
+        self._interrupted = self._slept = False
+        self._sleeps = SleepGauge(self._clock)
         guard.homing = True
         guard.departs(None)
         doubts.homing_begins()
@@ -292,9 +303,9 @@ class Runs:
             self._report(f"homing failed: {error}")
         except RefusedError as error:
             await guard.halt()
-            if self._interrupted:
+            if self.is_interrupted():
                 left = NOT_FINISHED if doubted else None
-                self._report("homing was stopped before its end")
+                self._report(f"homing was stopped before its end{': the machine slept' if self._slept else ''}")
             else:
                 self._report(f"homing refused: {error.message}")
         finally:
@@ -364,7 +375,7 @@ class Runs:
 
     def _refuse_to_go_on(self) -> None:
         """Raise `RefusedError` after a stop, and after motion that nobody ordered."""
-        if self._interrupted:
+        if self.is_interrupted():
             raise RefusedError("positioner", "a stop came in between")
         if self._guard.unexplained is not None:
             raise RefusedError("positioner", self._guard.unexplained)

@@ -150,9 +150,7 @@ class Control(Doors):
         if isinstance(record, Pose) and self._orders.note_buttons(self._motion.telemetry):
             self._freeze()
             self._keep_wishes()
-            text = "a button is pressed at the unit: the tracker is held until 'heliocube auto'"
-            log.warning(text)
-            self._report(text)
+            self._warn("a button is pressed at the unit: the tracker is held until 'heliocube auto'")
 
     @property
     def state(self) -> ControlState:
@@ -253,13 +251,13 @@ class Control(Doors):
 
     def _watch_clock(self, now_s: float) -> None:
         if (step_s := self._clock_watch.step_s()) is not None:
+            self._warn(told_step(step_s, self._clock.utc()))
             if step_s > self._settings.safety.scan_stale_s:
                 # The machine may have slept: its steady clock stood still, and what is old seems fresh by it.
                 self._readings.forget()
                 self._stow_watch.note_sleep(now_s)
-            text = told_step(step_s, self._clock.utc())
-            log.warning(text)
-            self._report(text)
+                if (text := self._orders.end_goto_on_its_way(self._parking.stands_at)) is not None:
+                    self._warn(text)
 
     def _situation(self, now_s: float, mean: Irradiances | None) -> Situation:
         data, data_why, night_why = self._readings.judge(now_s, mean, sun_known=self._clock_watch.trusted)
@@ -305,7 +303,7 @@ class Control(Doors):
         # What has not begun yet was ordered for a reason that is no longer in force.
         self._motion.forget_waiting()
         if mode is Mode.FAULT:
-            self._orders.end_goto()
+            self._orders.end_goto("a fault")
 
     def _log_mode(self, mode: Mode, why: str, now_s: float) -> None:
         """Log a change of mode; two modes that alternate are told as that, for every change is recorded anyway."""
@@ -389,12 +387,12 @@ class Control(Doors):
         except (DeviceError, ValueError) as error:
             text = str(error)
             if text != self._last_why:
-                log.warning("no move: %s", text)
-                self._report(f"no move: {text}")
+                self._warn(f"no move: {text}")
             self._last_why = text
             return False
         self._last_why = ""
         return True
 
-    def _report(self, text: str) -> None:
+    def _warn(self, text: str) -> None:
+        log.warning("%s", text)
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "control", text))

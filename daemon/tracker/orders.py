@@ -88,10 +88,20 @@ class Orders:
         ended = {} if instead_of is None else {instead_of: None}
         self._set(self.wishes.model_copy(update={name: wish, **ended}))
 
-    def end_goto(self) -> None:
-        """Let a fault end a goto: where a person wanted to go before it may be a wrong place to go to after it."""
+    def end_goto(self, by: str) -> None:
+        """Let what has come end a goto: where a person wanted to go before may be a wrong place to go to after it."""
         if self.hold_at is not None:
-            self.hold_at, self._goto_ended_by = None, "a fault"
+            self.hold_at, self._goto_ended_by = None, by
+
+    def end_goto_on_its_way(self, stands_at: Callable[[float, float], bool]) -> str | None:
+        """Let a sleep of the machine end a goto that has not arrived, and return that in words; None if there is none.
+
+        Hours later whoever gave it may not stand there any more. `stands_at` as for `why_held`.
+        """
+        if self.hold_at is None or stands_at(self.hold_at.a_deg, self.hold_at.b_deg):
+            return None
+        self.end_goto("a sleep of the machine, or a step of its clock,")
+        return self.why_held(stands_at)
 
     def why_held(self, stands_at: Callable[[float, float], bool]) -> str | None:
         """Return why a person holds the tracker, or None; of a goto that has ended on its way, what ended it as well.

@@ -2,13 +2,19 @@
 
 import math
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from daemon.base.records import Mode
 from daemon.rigs.campaign.plant import PlantTracker
 from daemon.studies.campaign.watch.clock_steps import ClockSteps
 from daemon.studies.campaign.watch.storms import FREE
 
+if TYPE_CHECKING:
+    from daemon.tracker.wishes import Wish
+
 STALE_S = 16.0
+# Nearer to its place than this, a goto may have arrived.
+_ARRIVED_DEG = 1.5
 _DECIDES = (Mode.TRACKING, Mode.FALLBACK)
 
 
@@ -30,16 +36,21 @@ class Decided:
         self._fails = fails
         self.steps = ClockSteps(fails)
         self._woke_s = -math.inf
+        self._goto: Wish | None = None
 
     def service_begins(self) -> None:
         """Take note of a new process: it knows nothing of before."""
-        self._woke_s = -math.inf
+        self._woke_s, self._goto = -math.inf, None
 
-    def wakes(self, slept_s: float, now_s: float) -> None:
+    def wakes(self, mount: PlantTracker, slept_s: float, now_s: float) -> None:
         """Take note that the machine has slept for so long [s], until now."""
         self.steps.sleeps(slept_s, now_s)
         if slept_s > STALE_S:
             self._woke_s = now_s
+            hold, truth = mount.control.wishes.hold if mount.is_served else None, mount.truth()
+            if hold is not None and hold.goto_deg is not None:
+                ways_deg = (abs(here - there) for here, there in zip(truth, hold.goto_deg, strict=True))
+                self._goto = hold if max(ways_deg) > _ARRIVED_DEG else None
 
     def check(self, mount: PlantTracker, target: tuple[float, float], now_s: float, begun_s: float) -> None:
         """Look at a target [deg] that is sent, by a service that began at `begun_s`."""
@@ -63,6 +74,8 @@ class Decided:
             self._fails("slept", f"{target} is sent {awake}, and nobody has looked where the unit stands since")
         if mode in FREE and mount.wind_silent_since_s <= woke_s:
             self._fails("slept", f"{target} is sent in mode {mode} {awake}, and the wind has not been heard since")
+        if mode is Mode.HOLD and self._goto is not None and mount.control.wishes.hold is self._goto:
+            self._fails("slept", f"{target} is sent {awake}, by a goto of before it that had not arrived")
         decision = mount.control.state.decision
         if mode not in _DECIDES or decision is None:
             return

@@ -137,7 +137,7 @@ class TruthWatch:
 
     def wakes(self, slept_s: float) -> None:
         """Take note that the machine has slept for so long [s]: where the axes went meanwhile nobody could see."""
-        self.decided.wakes(slept_s, self.now_s)
+        self.decided.wakes(self.mount, slept_s, self.now_s)
         self.link_changes()
         self._at = None
 

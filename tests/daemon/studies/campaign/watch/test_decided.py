@@ -7,23 +7,31 @@ import pytest
 
 from daemon.base.records import Mode
 from daemon.studies.campaign.watch.decided import Decided
+from daemon.tracker.wishes import Wish, Wishes
+from solar.frames import Angles
 
 WOKE_S = 1000.0
 
 
-def sent(at_s, *, seen_s, decided_s, coverage=0.1, silent_s=math.inf, mode=Mode.TRACKING, slept_s=3600.0):
+def sent(
+    at_s, *, seen_s, decided_s, coverage=0.1, silent_s=math.inf, mode=Mode.TRACKING, slept_s=3600.0, goto_deg=None
+):
     """Send a target after a sleep; return what is found wrong with it."""
     found = []
     decision = SimpleNamespace(time_monotonic_s=decided_s, irradiances=SimpleNamespace(coverage=coverage))
-    control = SimpleNamespace(mode=mode, state=SimpleNamespace(scan_age_s=1.0, decision=decision))
+    hold = None if goto_deg is None else Wish(why="test", by="ana", since_utc_s=900.0, goto_deg=goto_deg)
+    wishes = Wishes(hold=hold)
+    control = SimpleNamespace(mode=mode, wishes=wishes, state=SimpleNamespace(scan_age_s=1.0, decision=decision))
     mount = SimpleNamespace(
         control=control,
         motion=SimpleNamespace(telemetry=SimpleNamespace(time_monotonic_s=seen_s), last_move_started_s=0.0),
         settings=SimpleNamespace(windows=SimpleNamespace(mean_s=60.0)),
         wind_silent_since_s=silent_s,
+        is_served=True,
+        truth=lambda: Angles(0.0, 60.0),
     )
     watch = Decided(lambda promise, text: found.append(f"{promise}: {text}"))
-    watch.wakes(slept_s, WOKE_S)
+    watch.wakes(mount, slept_s, WOKE_S)
     watch.check(mount, (0.0, 60.0), at_s, 0.0)
     return " ".join(found)
 
@@ -45,6 +53,12 @@ def sent(at_s, *, seen_s, decided_s, coverage=0.1, silent_s=math.inf, mode=Mode.
         ({"seen_s": 1040.0, "decided_s": 1040.0, "silent_s": 1010.0}, ""),
         ({"seen_s": 1040.0, "decided_s": 990.0, "mode": Mode.STOW, "silent_s": 990.0}, ""),
         ({"seen_s": 999.9, "decided_s": 990.0, "slept_s": 3.0}, ""),
+        (
+            {"seen_s": 1040.0, "decided_s": 990.0, "mode": Mode.HOLD, "goto_deg": (0.0, 40.0)},
+            "slept: (0.0, 60.0) is sent 40.0 s after a sleep, by a goto of before it that had not arrived",
+        ),
+        ({"seen_s": 1040.0, "decided_s": 990.0, "mode": Mode.HOLD, "goto_deg": (0.0, 61.0)}, ""),
+        ({"seen_s": 1040.0, "decided_s": 990.0, "mode": Mode.HOLD, "goto_deg": (0.0, 40.0), "slept_s": 3.0}, ""),
     ],
 )
 def test_a_target_after_a_sleep_goes_by_nothing_of_before(what, said):

@@ -1,0 +1,97 @@
+"""What a person asked for before the machine slept is not gone on with hours later, when nobody stands there."""
+
+import asyncio
+
+from daemon.base.records import Event, Mode
+from drivers.interfaces import Telemetry
+from tests.daemon.tracker.days import at, operator
+from tests.support.motion import commands_sent, targets
+from tests.support.phases import at_rest, told, tracking
+
+ENDED = "test; a sleep of the machine, or a step of its clock, has ended the goto to A 40, B 30 deg"
+
+
+def sleep(rig, lasts_s=3600.0):
+    """Let the machine sleep; the unit has no supply meanwhile, so it is on its way still."""
+    rig.slept_s += lasts_s
+    rig.clock.slept_s += lasts_s
+
+
+def there(rig):
+    return tuple(rig.truth()) == at(40, 30)
+
+
+async def on_its_way(rig):
+    await tracking(rig)
+    await at_rest(rig)
+    await operator(rig).goto(40, 30, "test")
+    await asyncio.sleep(5.0)
+    assert rig.motion.moving
+
+
+def test_a_goto_does_not_go_on_after_a_sleep(run_rig):
+    async def scenario(rig):
+        await on_its_way(rig)
+        sleep(rig)
+        await rig.until(lambda: not rig.motion.moving, 1.5, "the stop")
+        stands = rig.truth()
+        await asyncio.sleep(400.0)
+        assert rig.truth() == stands, "nobody stands there any more"
+        assert rig.mode is Mode.HOLD
+        assert rig.control.why.startswith(ENDED)
+        assert sum(event.text.startswith(ENDED) for event in rig.of(Event)) == 1
+        await operator(rig).goto(40, 30, "test")
+        await rig.until(lambda: there(rig), 120, "the goto that was given again")
+
+    run_rig(scenario)
+
+
+def test_a_goto_that_has_arrived_lasts_over_a_sleep(run_rig):
+    async def scenario(rig):
+        await on_its_way(rig)
+        await rig.until(lambda: there(rig) and not rig.motion.moving, 120, "the goto")
+        sleep(rig)
+        await asyncio.sleep(60.0)
+        assert rig.control.why == "test"
+        assert not any(ENDED in event.text for event in rig.of(Event))
+
+    run_rig(scenario)
+
+
+def test_a_stow_for_the_wind_goes_on_after_a_sleep_and_the_goto_before_it_does_not(run_rig):
+    async def scenario(rig):
+        await on_its_way(rig)
+        rig.wind_m_s = 20.0
+        await rig.until_mode(Mode.STOW, 30)
+        await rig.until(lambda: rig.motion.moving, 10, "the stow")
+        sleep(rig)
+        await rig.until(lambda: rig.control.at_stow, 300, "the stow after the sleep")
+        rig.wind_m_s = 3.0
+        await rig.until_mode(Mode.HOLD, 3600)
+        await asyncio.sleep(120.0)
+        assert not there(rig)
+
+    run_rig(scenario)
+
+
+def test_a_reference_run_does_not_go_on_after_a_sleep(run_rig, monkeypatch):
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        await operator(rig).hold("test")
+        await operator(rig).home("test")
+        await asyncio.sleep(5.0)
+        assert rig.motion.homing
+        sent = commands_sent(rig, monkeypatch)
+        sleep(rig)
+        await rig.until(lambda: not rig.motion.homing, 1.5, "the stop")
+        stands = rig.truth()
+        await asyncio.sleep(120.0)
+        assert rig.truth() == stands
+        assert "homing was stopped before its end: the machine slept" in told(rig)
+        assert not targets(sent)
+        telemetry = rig.motion.telemetry
+        assert isinstance(telemetry, Telemetry)
+        assert not telemetry.homing
+
+    run_rig(scenario)
