@@ -359,7 +359,7 @@ class Motion(MotionState):
                 await self._runs.move(target, stow=stow)
         elif self._must_rehome():
             self._rehoming.began(self._clock.monotonic())
-            await self._runs.home()
+            await self._runs.home(anew=True)
             self._rehoming.ended(good=self._guard.doubts.reference is None)
         else:
             return False

@@ -93,8 +93,9 @@ class Runs:
         self.last_homed_started_s = -math.inf
 
     def interrupt(self) -> None:
-        """End the run that is on, if there is one, with a halt."""
+        """End the run that is on, if there is one, with a halt; whatever comes next is asked for now."""
         self._interrupted = self.target is not None or self._guard.homing
+        self._sleeps = SleepGauge(self._clock)
 
     def is_interrupted(self) -> bool:
         """Whether the run that is on is being ended; a sleep of the machine ends a reference run.
@@ -157,14 +158,10 @@ class Runs:
 
     async def _attempt(self, target: Target, start: Pose) -> tuple[MoveOutcome, str]:
         guard = self._guard
-        outcome, why = MoveOutcome.REFUSED, target.why
-        sleeps = SleepGauge(self._clock)
+        outcome, why = MoveOutcome.INTERRUPTED, target.why
         for attempt in range(self._settings.attempts):
             if attempt:
                 await self._pause()
-                if not self._stow and sleeps.take_s() > _SLEPT_S:
-                    # Whoever wants it still decides it anew, by what is true now.
-                    break
                 if guard.doubts.reference is not None:
                     # The count may have begun anew: what it was before would put the axes beyond their targets.
                     start = guard.pose or start
@@ -175,6 +172,9 @@ class Runs:
                 await guard.halt()
             if self.is_interrupted():
                 return MoveOutcome.INTERRUPTED, target.why
+            if not self._stow and self._sleeps.take_s() > _SLEPT_S:
+                # Whoever wants it still decides it anew, by what is true now.
+                break
             guard.departs(target)
             try:
                 # A tilted module catches the wind, so a stow lays it flat before it turns it.
@@ -278,15 +278,19 @@ class Runs:
         guard.forget()
         self._changed()
 
-    async def home(self) -> None:
-        """Make a reference run of both axes; only a good one of each ends the doubts about the reference."""
+    async def home(self, *, anew: bool = False) -> None:
+        """Make a reference run of both axes; only a good one of each ends the doubts about the reference.
+
+        `anew`: it was decided just now, and not when something was last asked for.
+        """
         guard, doubts = self._guard, self._guard.doubts
         # The run clears the unit's faults, and with them what they said about the count.
         faulty = guard.telemetry is not None and bool(guard.telemetry.faults)
         doubted = faulty or doubts.reference is not None
         started_s = self._clock.monotonic()
         self._interrupted = self._slept = False
-        self._sleeps = SleepGauge(self._clock)
+        if anew:
+            self._sleeps = SleepGauge(self._clock)
         guard.homing = True
         guard.departs(None)
         doubts.homing_begins()
