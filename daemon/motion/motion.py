@@ -7,7 +7,6 @@ of `daemon.motion.guard`.
 """
 
 import asyncio
-import contextlib
 import logging
 from collections.abc import Callable
 from random import Random
@@ -20,6 +19,7 @@ from daemon.base.state import StateFolder
 from daemon.base.timeloop import look_until
 from daemon.config.sections import MotionSettings
 from daemon.motion.guard import Guard
+from daemon.motion.parting import try_for
 from daemon.motion.place import KeptPlace, elsewhere
 from daemon.motion.polling import OFTEN, Polling
 from daemon.motion.reference import Doubts, remedy_of
@@ -35,6 +35,7 @@ from solar.frames import Limits
 log = logging.getLogger("heliocube.motion")
 
 _HALT_AT_END_S = 3.0
+_STOP_AT_LOSS_S = 0.3
 
 
 class Motion(MotionState):
@@ -103,7 +104,7 @@ class Motion(MotionState):
         self._home_wanted = False
         self._clear_wanted: tuple[str, ...] | None = None
         self._before_loss: Pose | None = None
-        self._was_connected = False
+        self._was_connected = self._moved_at_loss = False
         self._was_ready = (False, False)
         self._ended = False
         self.may_rehome = False
@@ -258,9 +259,7 @@ class Motion(MotionState):
         try:
             # A move has forgotten its target by now; until a look shows it, what was sent off seems to stand.
             if self.connected and (self._guard.rested is None or self.stands_since_s is None):
-                with contextlib.suppress(DeviceError, TimeoutError):
-                    async with asyncio.timeout(_HALT_AT_END_S):
-                        await self._positioner.halt()
+                await try_for(self._positioner.halt(), _HALT_AT_END_S)
         finally:
             await self._positioner.close()
 
@@ -295,6 +294,7 @@ class Motion(MotionState):
         return self._reconnection.works(name)
 
     def _forget(self) -> None:
+        self._moved_at_loss = self.connected and self._guard.rested is None
         self._guard.lost()
         self._wanted = None
         self._home_wanted = False
@@ -307,6 +307,9 @@ class Motion(MotionState):
 
     async def _close(self) -> None:
         self._note_readiness()
+        if self._moved_at_loss:
+            # It may be its answers alone that are lost; whatever moves goes on to its target without it.
+            await try_for(self._positioner.stop(), _STOP_AT_LOSS_S)
         await self._positioner.close()
 
     async def _serve(self) -> None:
@@ -314,9 +317,8 @@ class Motion(MotionState):
         while True:
             await self._guard.poll(moving=False)
             self._note_link()
-            if await self._do_what_is_asked():
-                continue
-            await look_until(self._wake, self._polling.idle_s, self._may_be_new)
+            if not await self._do_what_is_asked():
+                await look_until(self._wake, self._polling.idle_s, self._may_be_new)
 
     def _may_be_new(self) -> bool:
         """Glance at a unit that rests; tell whether it has to be looked at, or a pause is over."""

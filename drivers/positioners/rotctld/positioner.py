@@ -9,6 +9,7 @@ moves without an order of ours shows in the positions, and is the business of wh
 """
 
 import asyncio
+import contextlib
 from collections.abc import Callable
 
 from drivers.errors import (
@@ -32,6 +33,7 @@ _DEVICE = "positioner"
 _DUMMY = 1
 _STOP_EVERY_S = 0.5
 _LOOK_EVERY_S = 0.15
+_PART_WITHIN_S = 0.2
 _STAND_WITHIN_S = 12.0
 _WITHOUT_STOP = (protocol.NOT_IMPLEMENTED, protocol.NOT_AVAILABLE)
 _MOST_AZIMUTH_DEG, _LEAST_ELEVATION_DEG, _MOST_ELEVATION_DEG = 720.0, -90.0, 180.0
@@ -260,12 +262,19 @@ class RotctldPositioner:
             reply = await self._line.ask(protocol.command(name, *arguments), self._reply_within_s)
         except DeadlineError as error:
             # Its answer may still come, and would be taken for that of another command.
-            await self._line.close()
+            await self._part()
             raise LinkLostError(_DEVICE, f"{error.message}: is it rotctld, and does its rotator answer?") from None
         if reply.command != name:
-            await self._line.close()
+            await self._part()
             raise ProtocolError(_DEVICE, f"answers {reply.command or 'without a name'} to {name}: is it rotctld?")
         return reply
+
+    async def _part(self) -> None:
+        """Close the line, after a target behind a stop: it also ends one that waits for rotctld to read it."""
+        if self._aim is not None:
+            with contextlib.suppress(DeviceError):
+                await self._line.ask(protocol.command(protocol.STOP), _PART_WITHIN_S)
+        await self._line.close()
 
     def _unreached(self, name: str, error: int) -> DeviceError:
         return LinkLostError(

@@ -5,7 +5,15 @@ import asyncio
 import pytest
 
 from daemon.base.timeloop import VirtualTimeLoop
-from drivers.errors import ConnectError, IdentityError, LinkLostError, ProtocolError, RefusedError, StillMovingError
+from drivers.errors import (
+    ConnectError,
+    DeadlineError,
+    IdentityError,
+    LinkLostError,
+    ProtocolError,
+    RefusedError,
+    StillMovingError,
+)
 from drivers.positioners.rotctld.driver import RotctldSettings, build
 from drivers.positioners.rotctld.protocol import ReplyStream
 from drivers.settings import PositionerSurroundings
@@ -387,3 +395,33 @@ def test_what_speaks_against_a_rotator_is_said_at_once(state, stow, sentences):
     found = run(lambda now: driver_on(line, now, stow).open()).setup_conflicts
     assert len(found) == len(sentences)
     assert all(sentence in said for said, sentence in zip(found, sentences, strict=True))
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_rotctld_that_hears_and_does_not_answer_is_sent_a_stop_before_the_line_is_closed(moves):
+    class Mute(Told):
+        is_mute = False
+
+        async def ask(self, command, within_s):
+            reply = await super().ask(command, within_s)
+            if self.is_mute:
+                await asyncio.sleep(within_s)
+                raise DeadlineError("positioner", "did not answer")
+            return reply
+
+    async def scene(now):
+        line = Mute()
+        driver = driver_on(line, now)
+        await driver.open()
+        await driver.move_to(-10.0, 60.0)
+        if not moves:
+            await driver.stop()
+        line.sent.clear()
+        line.is_mute, asked_s = True, now()
+        with pytest.raises(LinkLostError, match="did not answer"):
+            await driver.read_telemetry()
+        assert line.sent == ["get_pos", "stop"][: 1 + moves]
+        assert now() - asked_s <= 2.3
+        assert not line.is_open
+
+    run(scene)
