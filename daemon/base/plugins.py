@@ -51,20 +51,24 @@ def load(group: str, name: str) -> ModuleType:
     if len(found) > 1:
         owners = " and ".join(_owner(point) for point in found)
         raise PluginError(f'the {kind} "{name}" is offered by {owners}; remove one of the packages')
-    whose = f'the {kind} "{name}" of {_owner(found[0])}'
+
+    def wrong(what: str) -> PluginError:
+        # Whose it is takes reading all that its package says of itself: only where somebody is to be told.
+        return PluginError(f'the {kind} "{name}" of {_owner(found[0])} {what}')
+
     try:
         module = found[0].load()
     # One that leaves must not take with it whoever only looks for names.
     except (Exception, SystemExit) as error:
-        raise PluginError(f"{whose} cannot be imported: {error}") from error
+        raise wrong(f"cannot be imported: {error}") from error
     if not (hasattr(module, "SETTINGS") and callable(getattr(module, "build", None))):
-        raise PluginError(f"{whose} is not a module with SETTINGS and build")
+        raise wrong("is not a module with SETTINGS and build")
     fields = getattr(module.SETTINGS, "model_fields", {})
     if "driver" not in fields:
-        raise PluginError(f"{whose} has SETTINGS that are not made from the settings class of its kind")
+        raise wrong("has SETTINGS that are not made from the settings class of its kind")
     needed = [key for key, field in fields.items() if field.is_required()]
     if needed:
-        raise PluginError(f"{whose} has no default for its key {needed[0]}, which a file may leave out")
+        raise wrong(f"has no default for its key {needed[0]}, which a file may leave out")
     return module  # type: ignore[no-any-return]
 
 
