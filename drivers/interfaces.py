@@ -205,7 +205,9 @@ class Telemetry:
     def __post_init__(self) -> None:
         """Make numbers of numpy those of Python: neither the store nor any message takes others."""
         for name in self.__slots__:
-            object.__setattr__(self, name, _of_python(getattr(self, name)))
+            value = getattr(self, name)
+            if hasattr(value, "item"):
+                object.__setattr__(self, name, value.item())
         if any(hasattr(value, "item") for value in self.details.values()):
             object.__setattr__(self, "details", {name: _of_python(value) for name, value in self.details.items()})
 
