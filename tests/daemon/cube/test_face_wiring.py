@@ -38,7 +38,7 @@ def test_a_stuck_line_is_found_within_ten_minutes(run_rig, bit, high, weather):
         assert alarm(rig)
 
     # Line 2 low is the address of all four faces anyway.
-    run_rig(scenario, weather=weather)
+    run_rig(scenario, weather=weather, rest_look_s=5.0)
 
 
 def test_a_port_without_supply_is_found_within_ten_minutes_and_forgiven_after_agreement(run_rig):
@@ -54,7 +54,7 @@ def test_a_port_without_supply_is_found_within_ten_minutes_and_forgiven_after_ag
         await rig.until(lambda: alarm(rig) is None, 1200, "the end of the alarm")
         await rig.until_mode(Mode.TRACKING, 60)
 
-    run_rig(scenario)
+    run_rig(scenario, rest_look_s=5.0)
 
 
 @pytest.mark.parametrize("face", range(4))
@@ -74,7 +74,7 @@ def test_a_face_at_exactly_0_v_is_named_and_not_used(run_rig, face):
         rig.scene.repair_sensor(face)
         await rig.until(lambda: alarm(rig) is None, 1500, "the end of the alarm")
 
-    run_rig(scenario)
+    run_rig(scenario, rest_look_s=5.0)
 
 
 def test_interchanged_faces_are_found(run_rig):
@@ -84,7 +84,7 @@ def test_interchanged_faces_are_found(run_rig):
         await rig.until(lambda: Quality.IMPLAUSIBLE in qualities(rig), 700, "the finding")
         assert "faces are interchanged" in alarm(rig)
 
-    run_rig(scenario, start="2022-10-12T07:30")
+    run_rig(scenario, start="2022-10-12T07:30", rest_look_s=5.0)
 
 
 @pytest.mark.parametrize("face", [2, 3])
@@ -109,7 +109,7 @@ def test_a_sound_cube_is_believed_through_dawn_and_dusk(run_rig, weather, start,
             await asyncio.sleep(600)
             assert alarm(rig) is None
 
-    seldom = {"cube": {"scan_every_s": 15}, "safety": {"scan_stale_s": 65, "fallback_after_s": 130}}
+    seldom = {"cube": {"scan_every_s": 30}, "safety": {"scan_stale_s": 130, "fallback_after_s": 260}}
     run_rig(scenario, weather=weather, start=start, rest_look_s=5.0, **seldom)
 
 
@@ -122,4 +122,4 @@ def test_a_clock_that_was_set_to_noon_at_night_accuses_nobody(run_rig):
         await asyncio.sleep(850)
         assert alarm(rig) is None
 
-    run_rig(scenario, start="2022-10-12T23:30")
+    run_rig(scenario, start="2022-10-12T23:30", rest_look_s=5.0)
