@@ -20,13 +20,13 @@ token_file = "{folder}/api.token"
 listen = "127.0.0.1:0"
 send_to = []
 [simulation]
-speed = 60
+speed = 5
 """
 
 
 @pytest.fixture
 def url(tmp_path):
-    """A service on the simulated rig, sixty times as fast as real."""
+    """A service on the simulated rig, five times as fast as real."""
     token = tmp_path / "api.token"
     token.write_text(TOKEN)
     token.chmod(0o600)
