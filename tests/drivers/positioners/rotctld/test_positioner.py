@@ -4,110 +4,25 @@ import asyncio
 
 import pytest
 
-from daemon.base.timeloop import VirtualTimeLoop
 from drivers.errors import (
     ConnectError,
-    DeadlineError,
     IdentityError,
     LinkLostError,
     ProtocolError,
     RefusedError,
     StillMovingError,
 )
-from drivers.positioners.rotctld.driver import RotctldSettings, build
-from drivers.positioners.rotctld.protocol import ReplyStream
-from drivers.settings import PositionerSurroundings
-from drivers.transcript import no_tap
-from sim_drivers.rotctld.core import RotatorCore
-from sim_drivers.transports import InMemoryRotctld
-from solar.frames import Limits
-
-INFO = b"get_info:\nInfo: SPID\nRPRT 0\n"
-STATE = (
-    b"dump_state:\nrotctld Protocol Ver: 1\nRotor Model: 603\nMinimum Azimuth: 0.000000\nMaximum Azimuth: 360.000000\n"
-    b"Minimum Elevation: 0.000000\nMaximum Elevation: 90.000000\nSouth Zero: 0\nrot_type=AzEl\ndone\nRPRT 0\n"
+from tests.drivers.positioners.rotctld.told import (
+    STATE,
+    Told,
+    at,
+    driver_on,
+    ends_with,
+    on_rotator,
+    opened,
+    run,
+    told,
 )
-
-
-def at(azimuth, elevation):
-    return f"get_pos:\nAzimuth: {azimuth}\nElevation: {elevation}\nRPRT 0\n".encode()
-
-
-def ends_with(name, error):
-    return f"{name}:\nRPRT {error}\n".encode()
-
-
-class Told:
-    """A line to a rotctld that answers each command by name with what it is told to say."""
-
-    simulated = False
-
-    def __init__(self, **says):
-        fine = {name: ends_with(name, 0) for name in ("set_pos", "stop")}
-        self.says = {"get_info": INFO, "dump_state": STATE, "get_pos": at(180, 45)} | fine | says
-        self.sent = []
-        self.is_open = False
-
-    async def open(self):
-        assert not self.is_open
-        self.is_open = True
-
-    async def close(self):
-        self.is_open = False
-
-    async def ask(self, command, within_s):
-        self.sent.append(command.decode().strip("+\\\n"))
-        (reply,) = ReplyStream().feed(self.says[self.sent[-1].partition(" ")[0]])
-        return reply
-
-
-def driver_on(line, now, stow=(0.0, 90.0), **settings):
-    around = PositionerSurroundings(limits=Limits(), monotonic=now, tap=no_tap, stow=stow, equator_azimuth_deg=180.0)
-    return build(RotctldSettings(driver="rotctld", **settings), around, line)
-
-
-def run(scenario):
-    """Run what is given the time, in virtual time."""
-
-    async def scene():
-        return await scenario(asyncio.get_running_loop().time)
-
-    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
-        return runner.run(scene())
-
-
-def told(act, stow=(0.0, 90.0), settings=None, **says):
-    """Run what is done with an open driver, and return what came of it with the line."""
-    line = Told(**says)
-
-    async def scenario(now):
-        driver = driver_on(line, now, stow, **(settings or {}))
-        await driver.open()
-        line.sent.clear()
-        return await act(driver, line)
-
-    return run(scenario), line
-
-
-def opened(**says):
-    line = Told(**says)
-
-    async def scenario(now):
-        return await driver_on(line, now).open()
-
-    return run(scenario), line
-
-
-def on_rotator(scenario, **settings):
-    """Run a scenario with an open driver, its rotator that stands at south, 45 deg, and the time."""
-
-    async def scene(now):
-        rotator = RotatorCore(now(), start=(180.0, 45.0))
-        driver = driver_on(InMemoryRotctld(rotator, now), now, **settings)
-        await driver.open()
-        await scenario(driver, rotator, now)
-
-    run(scene)
 
 
 def test_it_is_known_by_what_its_server_says_of_it_and_nothing_is_sent_that_moves_it():
@@ -251,38 +166,6 @@ def test_a_target_that_does_not_reach_the_rotator_puts_no_blame_on_its_limits():
     assert caught.value.message.endswith("elevation 60.00 deg: no connection to the rotator (RPRT -6)")
 
 
-def test_an_answer_to_something_else_ends_the_connection():
-    async def ask(driver, line):
-        line.says["get_pos"] = line.says["stop"]
-        with pytest.raises(ProtocolError, match="answers stop to get_pos: is it rotctld"):
-            await driver.read_telemetry()
-        assert not line.is_open
-
-    told(ask)
-
-
-def test_who_is_silent_is_lost_at_the_deadline_and_has_to_be_opened_anew():
-    async def scenario(now):
-        line = InMemoryRotctld(RotatorCore(now(), start=(180.0, 45.0)), now)
-        driver = driver_on(line, now, telemetry_stale_s=1.5)
-        with pytest.raises(LinkLostError):
-            await driver.read_telemetry()
-        await driver.open()
-        line.frozen, begin_s = True, now()
-        with pytest.raises(LinkLostError, match=r"within 1\.5 s: is it rotctld, and does its rotator answer"):
-            await driver.read_telemetry()
-        assert now() - begin_s == pytest.approx(1.5)
-        line.frozen = False
-        with pytest.raises(LinkLostError):
-            await driver.read_telemetry()
-        with pytest.raises(LinkLostError, match="has to be opened first"):
-            await driver_on(line, now).move_to(0.0, 45.0)
-        await driver.open()
-        assert (await driver.read_telemetry()).b_deg == pytest.approx(45.0)
-
-    run(scenario)
-
-
 def test_before_the_first_opening_its_range_is_not_known():
     async def scenario(now):
         driver = driver_on(Told(), now)
@@ -395,33 +278,3 @@ def test_what_speaks_against_a_rotator_is_said_at_once(state, stow, sentences):
     found = run(lambda now: driver_on(line, now, stow).open()).setup_conflicts
     assert len(found) == len(sentences)
     assert all(sentence in said for said, sentence in zip(found, sentences, strict=True))
-
-
-@pytest.mark.parametrize("moves", [True, False])
-def test_a_rotctld_that_hears_and_does_not_answer_is_sent_a_stop_before_the_line_is_closed(moves):
-    class Mute(Told):
-        is_mute = False
-
-        async def ask(self, command, within_s):
-            reply = await super().ask(command, within_s)
-            if self.is_mute:
-                await asyncio.sleep(within_s)
-                raise DeadlineError("positioner", "did not answer")
-            return reply
-
-    async def scene(now):
-        line = Mute()
-        driver = driver_on(line, now)
-        await driver.open()
-        await driver.move_to(-10.0, 60.0)
-        if not moves:
-            await driver.stop()
-        line.sent.clear()
-        line.is_mute, asked_s = True, now()
-        with pytest.raises(LinkLostError, match="did not answer"):
-            await driver.read_telemetry()
-        assert line.sent == ["get_pos", "stop"][: 1 + moves]
-        assert now() - asked_s <= 2.3
-        assert not line.is_open
-
-    run(scene)

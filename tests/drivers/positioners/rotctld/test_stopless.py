@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from sim_drivers.rotctld.core import RotatorRange
-from tests.drivers.positioners.rotctld.test_positioner import ends_with, on_rotator, told
+from tests.drivers.positioners.rotctld.told import ends_with, on_rotator, told
 
 
 @pytest.mark.parametrize("error", [-4, -11])
