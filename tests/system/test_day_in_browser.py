@@ -208,7 +208,7 @@ def test_at_midnight_the_new_day_is_opened_unless_another_one_was_chosen(context
     page.sees(".day .summary", "180 scans")
     site.keep(Event(MIDNIGHT + 48 * HOUR + 1.0, 0.0, "made", "one more", TRACKER))
     page.page.clock.fast_forward(24 * HOUR * 1e3)
-    page.page.wait_for_function("document.querySelector('.day select').options.length === 4")
+    page.page.wait_for_function("() => document.querySelector('.day select').options.length === 4")
     shows(page, "2022-09-20")
     assert page.complaints == []
 
@@ -270,10 +270,10 @@ def test_a_change_of_colours_draws_the_plots_anew(context, tmp_path):
     shows(page, "2022-09-21 (today)")
     assert page.page.evaluate(INKED) > 20
     page.page.emulate_media(color_scheme="dark")
-    page.page.wait_for_function(f"({INKED})() > 20")
+    page.page.wait_for_function(f"() => ({INKED})() > 20")
     for _ in range(2):
         page.page.locator("#theme").click()
-        page.page.wait_for_function(f"({INKED})() > 20")
+        page.page.wait_for_function(f"() => ({INKED})() > 20")
 
 
 def test_a_tracker_of_several_has_its_own_news_and_those_of_the_cube(context, tmp_path):
