@@ -117,7 +117,7 @@ def test_of_several_trackers_the_orders_name_theirs_in_every_view(browser, tmp_p
         assert stopped == ["t7"]
         pressed(page, "Stop all")
         page.sees(".outcome", "Stop was taken by the service.")
-        page.sees(".results", re.compile(r"all 10 trackers: t0: .* stopped by ana since \d\d:\d\d.local"))
+        page.sees(".results", re.compile(r"all 10 trackers:\s+t0: .* stopped by ana since \d\d:\d\d.local"))
         page.sees(".hero .why", "10 stopped")
         assert all(tracker["wishes"]["stop"] for tracker in site.state()["trackers"].values())
         assert page.text(".hero .moving") == "", "no count of those that stow"

@@ -41,7 +41,7 @@ export function fleet(orders) {
     const time = orders.now();
     ordered = name === "stow" ? performance.now() : null;
     const given = h("li", { class: "hint" }, `${sentence(name)} all, ${at(Number.isFinite(time) ? new Date(time).toISOString() : null)}`);
-    results.replaceChildren(given, ...found.map(({ service, accepted, text }) => h("li", { class: accepted ? null : "problem" }, `${service}: ${accepted ? "" : "NOT DONE: "}${onPage(text, serviceNow(known.get(service) ?? {}))}`)));
+    results.replaceChildren(given, ...found.map(({ service, accepted, text }) => h("li", { class: accepted ? null : "problem" }, `${service}: ${accepted || text.startsWith("NOT done") ? "" : "NOT DONE: "}${onPage(text, serviceNow(known.get(service) ?? {}))}`)));
   }
 
   function update({ trackers, live }) {
