@@ -9,7 +9,7 @@ from drivers.errors import DeviceError
 
 
 async def try_for(call: Coroutine[Any, Any, None], within_s: float) -> None:
-    """Await a call of the driver for so long [s] at the most; that the link has failed is known already."""
+    """Await a call of the driver for so long [s] at the most; whether it fails changes nothing for whoever parts."""
     with contextlib.suppress(DeviceError, TimeoutError):
         async with asyncio.timeout(within_s):
             await call

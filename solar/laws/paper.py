@@ -147,23 +147,27 @@ def _split(faces: ArrayLike) -> tuple[Array, Array, Array, Array, np.ndarray]:
 
 
 def _readings(faces: Any) -> Array:
-    if hasattr(faces, "iloc"):
-        # numpy would take the columns of a frame in the order in which they stand.
-        names = list(faces.columns if hasattr(faces, "columns") else faces.index)
-        missing = [name for name in _FACES if name not in names]
-        if not missing:
-            faces = faces[list(_FACES)]
-        elif any(isinstance(name, str) for name in names):
-            raise ValueError(
-                f"the faces have no column {', '.join(missing)}: east, south, west and zenith are needed; found:"
-                f" {', '.join(map(str, names))}"
-            )
+    is_frame = hasattr(faces, "iloc")
+    if is_frame:
+        faces = _in_order(faces)
     try:
-        if hasattr(faces, "iloc"):
-            return np.asarray(faces.to_numpy(dtype=np.float64, na_value=np.nan))
-        return np.asarray(faces, dtype=np.float64)
+        return np.asarray(faces.to_numpy(dtype=np.float64, na_value=np.nan) if is_frame else faces, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"the faces must be numbers [W/m2], NaN where one is missing ({error})") from None
+
+
+def _in_order(frame: Any) -> Any:
+    """Return the faces of a frame by their names: numpy would take its columns in the order in which they stand."""
+    names = list(frame.columns if hasattr(frame, "columns") else frame.index)
+    missing = [name for name in _FACES if name not in names]
+    if not missing:
+        return frame[list(_FACES)]
+    if any(isinstance(name, str) for name in names):
+        raise ValueError(
+            f"the faces have no column {', '.join(missing)}: east, south, west and zenith are needed; found:"
+            f" {', '.join(map(str, names))}"
+        )
+    return frame
 
 
 def _beyond(difference: Array, threshold: Array) -> Array:

@@ -209,6 +209,8 @@ def _warn(*notes: str) -> None:
 def _print(lines: list[str], identifier: str, out: Path) -> None:
     for line in lines:
         say(line)
-    doubtful = any(line.startswith("Doubtful: ") for line in lines)
+    from daemon.studies.calibrate.report import DOUBT
+
+    doubtful = any(line.startswith(DOUBT) for line in lines)
     then = "do not use it until what is doubtful is known" if doubtful else "set cube.calibration_file to use it"
     say(f"\ncalibration {identifier} written to {out}; {then}")

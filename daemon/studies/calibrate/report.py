@@ -18,6 +18,8 @@ from solar.frames import azimuth_from_direction
 
 # Left unexplained: under a simulated sky the right model leaves 0.1 % at most, a wrong one 0.3 %.
 _DOUBTFUL = 0.002
+DOUBT = "Doubtful: "
+"""Begins the line of a result that is not to be used before somebody has looked."""
 # The order of the paper's Table 1.
 _TABLE_ORDER = ("zenith", "west", "south", "east")
 _ROWS = (
@@ -73,7 +75,7 @@ def comparison_lines(found: Comparison) -> list[str]:
         lines += ["", *_aligned(table)]
     if strayed := _strayed(found):
         told = (
-            f"Doubtful: most of the series of {', '.join(strayed)} were dropped, and the rest may agree by chance; "
+            f"{DOUBT}most of the series of {', '.join(strayed)} were dropped, and the rest may agree by chance; "
             "check that all times are UTC, the lag of the clocks (--lag), and that all lie level."
         )
         lines += ["", told]
@@ -144,18 +146,18 @@ def field_lines(found: FieldResult, made_on: CubeSetup, sky: str) -> list[str]:
         f"Uncertainties (U, +-) are expanded, k = 2. {_level_line(found)}",
     ]
     lines += [
-        f"Doubtful: {clause}; check each certificate, its serial number and its gain in the configuration, or leave "
+        f"{DOUBT}{clause}; check each certificate, its serial number and its gain in the configuration, or leave "
         "one out."
         for clause in found.contradictions
     ]
     if not fit.shape.residual <= _DOUBTFUL:
         lines.append(
-            f"Doubtful: with the right sky less than {_DOUBTFUL:.1%} is left unexplained; try another --sky, and look "
+            f"{DOUBT}with the right sky less than {_DOUBTFUL:.1%} is left unexplained; try another --sky, and look "
             "for shade on a face."
         )
     if sky == "perez1990" and not 0.5 <= fit.shape.horizon <= 1.5:
         lines.append(
-            f"Doubtful: the readings want {fit.shape.horizon:z.1f} of the Perez model's horizon band, where 1 is right;"
+            f"{DOUBT}the readings want {fit.shape.horizon:z.1f} of the Perez model's horizon band, where 1 is right;"
             " try --sky haydavies, and trust vertical gains and albedo only if both agree."
         )
     return lines
