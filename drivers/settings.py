@@ -201,12 +201,12 @@ class PositionerSettings(DriverSettings):
         """
         return None
 
-    def rests_at(self, a_deg: float, b_deg: float, limits: AngleRange) -> tuple[float, float]:  # noqa: ARG002
-        """Return where A and B come to rest [deg] that are sent to a position inside the limits.
+    def rests_within(self, limits: AngleRange) -> tuple[float, float]:  # noqa: ARG002
+        """Return how far A and B come to rest at the most [deg] from an angle inside the limits that they are sent to.
 
-        Raises `ValueError` where the drive cannot be sent there.
+        NaN for an axis that cannot be sent anywhere inside them.
         """
-        return a_deg, b_deg
+        return 0.0, 0.0
 
     def resolution(self) -> float:
         """Return what positions are rounded to, in their unit, where that is coarser than the drive's own count."""

@@ -134,26 +134,24 @@ def the_positioner_reaches_night_stow_and_snow(settings: Sections) -> Iterator[C
             yield Conflict(f"safety.{position}_b_deg", reason, (f"safety.{position}_a_deg",))
 
 
-def night_stow_and_snow_can_be_arrived_at(settings: Sections) -> Iterator[Conflict]:
-    """Where the positioner rests at the night, stow and snow positions is within `motion.tolerance_deg` of them."""
+def every_angle_can_be_arrived_at(settings: Sections) -> Iterator[Conflict]:
+    """Wherever inside `limits` the axes are sent, the positioner comes to rest within `motion.tolerance_deg` of it."""
     if any(limits_are_ordered(settings)) or any(the_positioner_reaches_its_limits(settings)):
         return
-    limits, safety, tolerance_deg = settings.limits.limits(), settings.safety, settings.motion.tolerance_deg
-    for position in ("night", "stow", "snow"):
-        wanted = limits.clip(getattr(safety, f"{position}_a_deg"), getattr(safety, f"{position}_b_deg"))
-        try:
-            rests = settings.instruments.positioner.rests_at(*wanted, limits)
-        except ValueError as error:
-            yield Conflict(f"safety.{position}_a_deg", f"cannot be gone to: {error}", (f"safety.{position}_b_deg",))
-            return
-        for axis, there_deg, wanted_deg in zip("ab", rests, wanted, strict=True):
-            if not abs(there_deg - wanted_deg) <= tolerance_deg:
-                other = "motion.tolerance_deg"
-                reason = (
-                    f"is never arrived at: axis {axis.upper()} is sent to whole position units inside the limits, rests"
-                    f" at {there_deg:.2f} deg, and {other} is {tolerance_deg:g} deg"
-                )
-                yield Conflict(f"safety.{position}_{axis}_deg", reason, (other,))
+    tolerance_deg = settings.motion.tolerance_deg
+    rests_within = settings.instruments.positioner.rests_within(settings.limits.limits())
+    for axis, rests_deg in zip("ab", rests_within, strict=True):
+        ends = (f"limits.{axis}_min_deg", f"limits.{axis}_max_deg")
+        if math.isnan(rests_deg):
+            reason = f"leaves axis {axis.upper()} no whole position unit to be sent to, up to {ends[1]}"
+            yield Conflict(ends[0], reason, ends[1:])
+        elif rests_deg > tolerance_deg:
+            enough_deg = math.ceil(rests_deg * 20) / 20
+            reason = (
+                f"is too little: axis {axis.upper()} is sent to whole position units inside the limits and rests up to"
+                f" {rests_deg:.2f} deg from where it is to be; with {enough_deg:g} deg it arrives everywhere"
+            )
+            yield Conflict("motion.tolerance_deg", reason, ends)
 
 
 def a_scan_fits_its_period(settings: Sections) -> Iterator[Conflict]:
@@ -338,7 +336,7 @@ RULES = (
     thresholds_have_hysteresis,
     the_positioner_reaches_its_limits,
     the_positioner_reaches_night_stow_and_snow,
-    night_stow_and_snow_can_be_arrived_at,
+    every_angle_can_be_arrived_at,
     a_curve_fits_its_period,
     a_real_rig_has_no_simulated_load,
     *LINK_RULES,

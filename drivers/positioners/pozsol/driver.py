@@ -109,10 +109,10 @@ class PozsolSettings(PositionerSettings):
                 reason = f"makes no triangle at some angle from {low_deg:g} to {high_deg:g} deg"
                 yield SettingsConflict(f"{axis}_axis.apex_deg", reason, others)
 
-    def rests_at(self, a_deg: float, b_deg: float, limits: AngleRange) -> tuple[float, float]:
-        """Return where the axes come to rest [deg], which are sent to whole position units inside the limits."""
+    def rests_within(self, limits: AngleRange) -> tuple[float, float]:
+        """Return how far from an angle the axes rest at the most [deg]: they are sent to whole position units."""
         a, b = axis_setups(self, limits)
-        return a.rests_at(a_deg), b.rests_at(b_deg)
+        return a.rests_within(), b.rests_within()
 
 
 SETTINGS = PozsolSettings

@@ -143,15 +143,33 @@ class AxisSetup:
         wanted = self.geometry.position(angle_deg) - self.zero_offset
         if not (math.isfinite(wanted) and math.isfinite(sum(ends))):
             raise ValueError(f"the axis's geometry has no position for {angle_deg:g} deg or for its limits")
-        spare = _RUN_OUT_MM if isinstance(self.geometry, Triangle) else -_HAIR
-        lowest, highest = max(math.ceil(min(ends) + spare), 0), math.floor(max(ends) - spare)
+        lowest, highest = max(math.ceil(min(ends) + self._spare), 0), math.floor(max(ends) - self._spare)
         if lowest > highest:
             raise ValueError("the axis's geometry has no whole position unit between its limits")
         return min(max(math.floor(wanted + 0.5), lowest), highest)
 
-    def rests_at(self, angle_deg: float) -> float:
-        """Return the angle [deg] at the whole position unit that is sent for an angle; raises like `destination`."""
-        return self.geometry.angle(self.destination(angle_deg) + self.zero_offset)
+    @property
+    def _spare(self) -> float:
+        """What an axis may run on beyond its destination, in position units."""
+        return _RUN_OUT_MM if isinstance(self.geometry, Triangle) else -_HAIR
+
+    def rests_within(self) -> float:
+        """Return how far the axis comes to rest at the most [deg] from an angle within the limits that it is sent to.
+
+        At a limit that is the first whole unit inside; elsewhere half a unit and the run-out, which is most degrees at
+        one end of the travel or the other. NaN where there is no whole unit to be sent.
+        """
+        try:
+            first, last = self.destination(self.minimum_deg), self.destination(self.maximum_deg)
+        except ValueError:
+            return math.nan
+        first_deg, last_deg = self._angle_of(first), self._angle_of(last)
+        half = math.copysign(0.5 + max(self._spare, 0.0), last - first)
+        inside_deg = abs(self._angle_of(first + half) - first_deg), abs(self._angle_of(last - half) - last_deg)
+        return max(abs(first_deg - self.minimum_deg), abs(last_deg - self.maximum_deg), *inside_deg)
+
+    def _angle_of(self, destination: float) -> float:
+        return self.geometry.angle(destination + self.zero_offset)
 
     def units(self, angle_deg: float) -> float:
         """Return how many position units an angle [deg] is where the travel begins."""

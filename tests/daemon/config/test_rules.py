@@ -85,20 +85,23 @@ SLEW = "[instruments.positioner]\nposition_unit = 'deg'\n[instruments.positioner
     ("text", "message"),
     [
         (
-            SHORT_ARMS + "[safety]\nnight_b_deg = 80.0\n",
-            "safety.stow_b_deg = 90.0 (default): is never arrived at",
+            SHORT_ARMS,
+            "sent to whole position units inside the limits and rests up to 0.93 deg from where it is to be; with 0.95",
         ),
+        (SLEW.format(13.05), "motion.tolerance_deg = 0.8 (default): is too little: axis B"),
+        # Where no half unit of the inside is as much, the limit may be.
         (
-            SLEW.format(13.05) + "[safety]\nstow_b_deg = 80\n",
-            "safety.night_b_deg = 90.0 (default): is never",
+            "[limits]\nb_max_deg = 85\n[safety]\nnight_b_deg = 80\nstow_b_deg = 80\n[motion]\ntolerance_deg = 0.4\n",
+            "motion.tolerance_deg = 0.4: is too little: axis B",
         ),
-        ("[limits]\nb_min_deg = 89.9\n", "safety.night_a_deg = 0.0 (default): cannot be gone to: the axis's geometry"),
+        ("[motion]\ntolerance_deg = 0.3\n", "motion.tolerance_deg = 0.3: is too little: axis A"),
+        ("[limits]\nb_min_deg = 89.9\n", "limits.b_min_deg = 89.9: leaves axis B no whole position unit to be sent to"),
     ],
 )
-def test_no_position_of_safety_lies_where_the_drive_never_comes_near_enough(problem, text, message):
+def test_moves_have_the_tolerance_that_the_drive_needs_to_arrive_anywhere(problem, text, message):
     assert message in problem(text)
 
 
 @pytest.mark.parametrize("text", [SHORT_ARMS + "[motion]\ntolerance_deg = 1.2\n", SLEW.format(13.0)])
-def test_a_position_that_the_drive_comes_near_enough_to_is_one(read, text):
+def test_with_enough_tolerance_the_drive_arrives(read, text):
     assert read(text).safety.stow_b_deg == 90.0

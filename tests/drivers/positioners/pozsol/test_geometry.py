@@ -4,6 +4,7 @@ import math
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -46,15 +47,25 @@ def test_an_angle_where_the_travel_begins_is_that_many_units(geometry, units):
     assert AxisSetup(geometry, -50.0, 50.0).units(5.0) == pytest.approx(units, abs=0.01)
 
 
-@pytest.mark.parametrize(("setup", "target_deg", "rests_deg"), [
-    # 600 mm sin(theta/2) between the arms: 538.12 at 127.5 deg, 255.94 at 50.5; 282 of 282.18 are sent, at 2.32 a deg.
-    (B, 90.0, 89.92),
-    (replace(B, zero_offset=2.5), 90.0, 89.71),
-    (AxisSetup(Proportional(1.0, 13.05), 15.0, 90.0), 90.0, 89.05),
-    (AxisSetup(Proportional(59.5, 13.0), 15.0, 90.0), 60.0, 60.0),
+@pytest.mark.parametrize(("setup", "within_deg"), [
+    # 600 mm sin(theta/2) between the arms: 538.12 at 127.5 deg, 2.32 a deg. Half a unit and 0.15 of run-out.
+    (B, 0.28),
+    # 281 of 282.18 are sent for the limit.
+    (replace(B, zero_offset=0.33), 0.37),
+    (AxisSetup(Proportional(1.0, 13.05), 15.0, 90.0), 0.95),
+    (AxisSetup(Proportional(-1.0, 90.0), 15.0, 90.0), 0.5),
+    (AxisSetup(Proportional(59.5, 13.0), 15.0, 90.0), 0.5 / 59.5),
+    (replace(B, minimum_deg=89.9), math.nan),
 ])  # fmt: skip
-def test_an_axis_rests_at_the_whole_unit_that_is_sent(setup, target_deg, rests_deg):
-    assert setup.rests_at(target_deg) == pytest.approx(rests_deg, abs=0.01)
+def test_an_axis_rests_within_what_whole_units_leave(setup, within_deg):
+    assert setup.rests_within() == pytest.approx(within_deg, abs=0.01, nan_ok=True)
+
+
+@pytest.mark.parametrize("setup", [A, B, replace(B, zero_offset=0.33), AxisSetup(Proportional(1.0, 13.05), 15.0, 90.0)])
+def test_no_angle_is_further_from_where_the_axis_rests(setup):
+    angles_deg = np.linspace(setup.minimum_deg, setup.maximum_deg, 2000)
+    rests_deg = [setup.geometry.angle(setup.destination(angle) + setup.zero_offset) for angle in angles_deg]
+    assert np.abs(rests_deg - angles_deg).max() <= setup.rests_within()
 
 
 def test_a_target_at_a_limit_is_rounded_inwards():
