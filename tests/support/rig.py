@@ -9,12 +9,14 @@ from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop, call_until
 from daemon.config.settings import Settings
 from daemon.motion.polling import OFTEN, Polling
-from daemon.rigs.campaign.rig import KEY, SITE, HandledRig, HandWeather
+from daemon.rigs.campaign.rig import KEY, HandledRig, HandWeather
 from daemon.service.recent import Recent
 from daemon.service.rig import Role
 from daemon.service.snapshot import snapshot
 
 __all__ = ["KEY", "SITE", "HandWeather", "ServiceRig", "run_rig"]
+
+SITE = Settings().site.place()
 
 
 class ServiceRig(HandledRig):

@@ -1,12 +1,14 @@
 """The campaign's plant, built for a schedule."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from daemon.base.timeloop import VirtualTimeLoop
+from daemon.config.file import override
 from daemon.config.settings import Settings
+from daemon.config.trackers import TrackerTable
 from daemon.rigs.campaign.plant import UNIT_GOES_TO, Plant
 from daemon.rigs.campaign.rig import HandWeather
 from daemon.rigs.campaign.taps import Witness
@@ -17,34 +19,34 @@ _OWN_TARGET_EVERY_S = 300
 _STOW_APART_DEG = 5.0
 
 
-def build_plant(
-    loop: VirtualTimeLoop,
-    start: datetime,
-    directory: Path,
-    witnesses: Sequence[Witness],
+def plant_settings(
     *,
     law: str,
     rehome: str,
-    synchronous: bool,
-    sky_w_m2: tuple[float, float],
-    positioner: str = "pozsol",
-) -> Plant:
-    """Return a plant, its service not yet started.
+    positioner: str,
+    trackers: int,
+    chosen: Mapping[Any, Mapping[str, Any]],
+    directory: Path | None = None,
+) -> Settings:
+    """Return the settings of a plant's service.
 
     Parameters
     ----------
-    loop, start, witnesses
-        As for `Plant`.
-    directory
-        Where the service keeps its files.
     law, rehome
         As in the settings.
-    synchronous
-        Whether the unit drives both axes at once.
-    sky_w_m2
-        DNI and DHI.
     positioner
         Its driver.
+    trackers
+        How many there are.
+    chosen
+        What else is not as in the defaults, by section and key.
+    directory
+        Where the service keeps its files.
+
+    Raises
+    ------
+    ConfigError
+        There are no such settings.
     """
     settings = Settings.model_validate(
         {
@@ -53,19 +55,47 @@ def build_plant(
             "law": {"driver": law},
             "motion": {"rehome": rehome},
             "safety": {"stow_at_least_s": 120.0},
-            "store": {"directory": str(directory)},
-            "tracker": _tables(len(witnesses)),
+            "store": {"directory": directory},
         }
     )
+    if chosen:
+        settings = override(settings, chosen)
+    return settings.model_copy(update={"tracker": _tables(trackers)})
+
+
+def build_plant(
+    loop: VirtualTimeLoop,
+    start: datetime,
+    settings: Settings,
+    witnesses: Sequence[Witness],
+    *,
+    synchronous: bool,
+    sky_w_m2: tuple[float, float],
+) -> Plant:
+    """Return a plant, its service not yet started.
+
+    Parameters
+    ----------
+    loop, start, settings, witnesses
+        As for `Plant`.
+    synchronous
+        Whether the unit drives both axes at once.
+    sky_w_m2
+        DNI and DHI.
+    """
     setup = Setup(synchronous=synchronous, own_target=_own_target, wind_stow=UNIT_GOES_TO, snow_stow=UNIT_GOES_TO)
     return Plant(loop, settings, start, HandWeather(*sky_w_m2), setup, witnesses)
 
 
-def _tables(trackers: int) -> list[dict[str, Any]]:
+def _tables(trackers: int) -> tuple[TrackerTable, ...]:
     """Return a table for each of several trackers, whose stow positions differ: an order for another one shows."""
     if trackers == 1:
-        return []
-    return [{"name": f"t{place}", "safety": {"stow_a_deg": _STOW_APART_DEG * place}} for place in range(trackers)]
+        return ()
+    places = (_STOW_APART_DEG * place for place in range(trackers))
+    return tuple(
+        TrackerTable.model_validate({"name": f"t{number}", "safety": {"stow_a_deg": stow_a_deg}})
+        for number, stow_a_deg in enumerate(places)
+    )
 
 
 def _own_target(now_s: float) -> Angles:

@@ -34,11 +34,9 @@ from sim_drivers.scene import Scene, SensorModel
 from sim_drivers.transports import InMemoryLine, InMemoryPort, InMemoryStream
 from sim_drivers.voltmeter.core import VoltmeterCore
 from sim_drivers.weather import Conditions
-from solar.ephemeris import Site
 from solar.frames import Angles, Array
 from solar.pv_module import Q_PEAK_G4_1_305
 
-SITE = Site(48.717607, 2.209002, 156.0)
 SENSORS = SensorModel(gain_error=0.0, noise_mv=0.02, cosine_error=0.0)
 KEY = bytes(range(32))
 CALM_M_S = 3.0
@@ -153,7 +151,7 @@ class HandledRig:
         self.wind_m_s: float | None = CALM_M_S
         self.noise_v = 0.0
         self._noise = Random(1)  # noqa: S311 - a simulation
-        self.scene = Scene(SITE, weather, sky_model="isotropic", seed=1, sensors=SENSORS)
+        self.scene = Scene(settings.site.place(), weather, sky_model="isotropic", seed=1, sensors=SENSORS)
         self.switch = MultiplexerCore(inputs=self._sensor, latency_s=0.0)
         self.meter = VoltmeterCore(input_voltage=self.switch.output_voltage, random=np.random.default_rng(1))
         self.units = [self.build_unit(named.settings, setup) for named in settings.trackers]

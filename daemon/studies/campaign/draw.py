@@ -10,6 +10,7 @@ from dataclasses import replace
 from random import Random
 from typing import Literal
 
+from daemon.studies.campaign.habits import draw_settings
 from daemon.studies.campaign.schedule import MOST_TRACKERS, Happening, Schedule
 
 Span = tuple[float, float | None, float | None]
@@ -144,17 +145,20 @@ def draw(
     now_s = 60.0 + random.uniform(0, 120)
     while now_s < hours * 3600 - _LEFT_AT_END_S:
         now_s = _episode(random, now_s, events, spans, commands) + random.expovariate(1 / pause_s)
+    start = f"2022-{random.choice(('10-12', '06-21', '12-21'))}T{random.choice((5, 8, 10, 11, 12, 14, 16)):02d}:00"
+    law = random.choice(("mu-prime", "mu-prime", "sun-vector", "chronometric", "optimal"))
     return Schedule(
         seed=seed,
         hours=hours,
-        start=f"2022-{random.choice(('10-12', '06-21', '12-21'))}T{random.choice((5, 8, 10, 11, 12, 14, 16)):02d}:00",
-        law=random.choice(("mu-prime", "mu-prime", "sun-vector", "chronometric", "optimal")),
+        start=start,
+        law=law,
         rehome=random.choice(("operator", "operator", "automatic")),
         synchronous=random.random() < 0.2,
         sky=random.choice(((700.0, 90.0), (700.0, 90.0), (0.0, 150.0), (300.0, 200.0))),
         events=_among(trackers, seed, sorted((event for event in events if event.at_s < hours * 3600), key=_at_s)),
         trackers=trackers,
         positioner=positioner,
+        settings=draw_settings(seed, law),
     )
 
 

@@ -3,12 +3,15 @@
 import math
 from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from daemon.base import plugins
 from daemon.base.errors import UserError
 from daemon.studies.campaign.draw import COMMANDS, SPANS, draw, value_ranges
 from daemon.studies.campaign.schedule import Happening, Schedule
+
+if TYPE_CHECKING:
+    from daemon.config.settings import Settings
 
 COMPONENTS = (
     "sensor", "multiplexer", "meter-link", "positioner-link", "positioner", "broker", "udp", "clock", "disk", "process",
@@ -202,9 +205,14 @@ def chosen_schedules(
         if schedule.law not in plugins.names(plugins.LAWS):
             laws = ", ".join(plugins.names(plugins.LAWS))
             raise UserError(f"--schedule: {file} has a law '{schedule.law}'; choose from {laws}")
-        from daemon.studies.campaign.door import DirectDoor  # noqa: PLC0415 - the whole service
-        from daemon.studies.campaign.person import known  # noqa: PLC0415 - as above
+        from daemon.config.file import ConfigError  # noqa: PLC0415 - as for all that follow: the whole service
+        from daemon.studies.campaign.door import DirectDoor  # noqa: PLC0415
+        from daemon.studies.campaign.person import known  # noqa: PLC0415
 
+        try:
+            settings_of(schedule)
+        except ConfigError as error:
+            raise UserError(f"--schedule: {file}: settings.{'; settings.'.join(error.problems)}") from None
         refuse_unknown(schedule, known(DirectDoor()))
         _refuse_values(file, schedule.events)
         return [schedule]
@@ -219,6 +227,20 @@ def chosen_schedules(
             _refuse_of_rotator(name, OF_A_ROTATOR)
         faults = faults or tuple(name for name in SPANS if name in OF_A_ROTATOR)
     return [draw(seed, hours, without, faults, trackers, positioner) for seed in range(first, first + seeds)]
+
+
+def settings_of(schedule: Schedule, directory: Path | None = None) -> "Settings":
+    """Return the settings of a schedule's service, which keeps its files in a directory; raises `ConfigError`."""
+    from daemon.rigs.campaign.build import plant_settings  # noqa: PLC0415 - as below
+
+    return plant_settings(
+        law=schedule.law,
+        rehome=schedule.rehome,
+        positioner=schedule.positioner,
+        trackers=schedule.trackers,
+        chosen=schedule.settings,
+        directory=directory,
+    )
 
 
 def refuse_unknown(schedule: Schedule, commands: Collection[str]) -> None:

@@ -8,9 +8,9 @@ from daemon.rigs.campaign.plant import PlantTracker
 from daemon.service.operator import CommandError
 from daemon.studies.campaign.door import Door
 from daemon.studies.campaign.draw import COMMANDS
+from daemon.studies.campaign.watch.asked_for import is_there, parked_at
 from daemon.studies.campaign.watch.truth import TruthWatch
 
-ARRIVED_DEG = 1.3
 STANDS_DEG = 0.003
 WORKS = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT)
 _WHY = "the campaign"
@@ -49,7 +49,7 @@ class Person:
         await self._mount.plant.served.wait()
         self._given += 1
         self._watch.storms.disturbed(self._now_s)
-        if name == "bad":
+        if name == "bad" or (name == "goto" and not self._mount.settings.limits.limits().contain(*value)):
             await self._give_wrong(value)
             return
         stopped_before = self._watch.stopped and self._now_s > self._watch.stop_asked_s
@@ -156,14 +156,9 @@ class Person:
             self._watch.fails("false-done", f"{name} is said to be done, and an axis turns: {text}")
 
     def _check_place(self, name: str, value: tuple[float, ...], text: str) -> None:
-        safety, at = self._mount.settings.safety, self._mount.truth()
-        a_deg, b_deg = {
-            "goto": value,
-            "stow": (safety.stow_a_deg, safety.stow_b_deg),
-            "snow": (safety.snow_a_deg, safety.snow_b_deg),
-        }[name]
-        near = max(abs(at.a_deg - a_deg), abs(at.b_deg - b_deg)) <= ARRIVED_DEG
-        if not near and not self._watch.is_wrong() and math.isfinite(a_deg + b_deg):
+        settings, at = self._mount.settings, self._mount.truth()
+        place = value if name == "goto" else parked_at(settings)[Mode(name)]
+        if not is_there(at, place, settings) and not self._watch.is_wrong() and math.isfinite(sum(place)):
             self._watch.fails("false-done", f"{name} is said to be done, the truth is {at}: {text}")
 
     def _check_cleared(self, text: str) -> None:

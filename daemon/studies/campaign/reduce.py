@@ -4,6 +4,7 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 from datetime import timedelta
 
+from daemon.config.file import ConfigError
 from daemon.studies.campaign.run import CampaignOutcome, run_schedule
 from daemon.studies.campaign.schedule import Schedule
 
@@ -18,7 +19,7 @@ def reduce(
     broken_s: float | None = None,
     again: Callable[[Schedule], CampaignOutcome] = run_schedule,
 ) -> Schedule:
-    """Return a schedule that still breaks one of these promises, and has no event that can be left out.
+    """Return a schedule that still breaks one of these promises, and has no event or setting that can be left out.
 
     Parameters
     ----------
@@ -31,12 +32,19 @@ def reduce(
     """
 
     def fails(fewer: Schedule) -> bool:
-        return bool(again(fewer).promises & set(promises))
+        try:
+            return bool(again(fewer).promises & set(promises))
+        except ConfigError:
+            # Some settings only go together.
+            return False
 
     if broken_s is not None:
         schedule = _first_that(fails, [_until(schedule, broken_s)], schedule)
         late = [_from(schedule, round(share * len(schedule.events))) for share in _SHARES]
         schedule = _first_that(fails, late, schedule)
+    for section, values in schedule.settings.items():
+        for name in values:
+            schedule = _first_that(fails, [_with_default(schedule, section, name)], schedule)
     size = len(schedule.events)
     while size:
         at = 0
@@ -53,6 +61,14 @@ def reduce(
 
 def _first_that(fails: Callable[[Schedule], bool], tries: Collection[Schedule], schedule: Schedule) -> Schedule:
     return next((fewer for fewer in tries if fails(fewer)), schedule)
+
+
+def _with_default(schedule: Schedule, section: str, name: str) -> Schedule:
+    settings = {
+        each: {key: values[key] for key in values if (each, key) != (section, name)}
+        for each, values in schedule.settings.items()
+    }
+    return replace(schedule, settings={each: values for each, values in settings.items() if values})
 
 
 def _until(schedule: Schedule, end_s: float) -> Schedule:

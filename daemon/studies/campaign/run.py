@@ -19,7 +19,7 @@ from daemon.rigs.campaign.faults import FAULTS, PROCESS, PlantFault
 from daemon.service.operator_commands import OF_ALL
 from daemon.studies.campaign.bounded import WARM_AFTER_S, Bounded, LogLine
 from daemon.studies.campaign.door import DirectDoor, Door, Together
-from daemon.studies.campaign.matrix import refuse_unknown
+from daemon.studies.campaign.matrix import refuse_unknown, settings_of
 from daemon.studies.campaign.person import WORKS, Person, known
 from daemon.studies.campaign.schedule import Happening, Schedule
 from daemon.studies.campaign.watch.reporting import Violation
@@ -88,13 +88,10 @@ class CampaignRun:
         self.plant = build_plant(
             loop,
             schedule.begin,
-            directory,
+            settings_of(schedule, directory),
             self.watches,
-            law=schedule.law,
-            rehome=schedule.rehome,
             synchronous=schedule.synchronous,
             sky_w_m2=schedule.sky,
-            positioner=schedule.positioner,
         )
         for mount, watch in zip(self.plant.mounts, self.watches, strict=True):
             watch.attach(mount)
@@ -243,11 +240,13 @@ class CampaignRun:
     async def _see_it_work(self, person: Person, watch: TruthWatch) -> None:
         """Set a tracker right as a person would, with the commands there are, and homing; it has to work then."""
         mount, begun_s = watch.mount, self.plant.clock.monotonic()
+        settings = mount.settings
+        within_s = RECOVERS_WITHIN_S + settings.safety.stow_at_least_s + settings.motion.retry_after_s
         for command in ("clear", "auto"):
             await person.give(command)
             await asyncio.sleep(30.0)
         turn = 0
-        while mount.clock.monotonic() - begun_s < RECOVERS_WITHIN_S:
+        while mount.clock.monotonic() - begun_s < within_s:
             if turn and turn % _ASKED_AGAIN_AFTER == 0:
                 await person.give("clear")
             homed = mount.has_homed(begun_s) or not mount.has_reference_run
@@ -260,7 +259,7 @@ class CampaignRun:
             if mount.mode in WORKS and at_rest and (mount.has_homed(begun_s) or not mount.has_reference_run):
                 break
         else:
-            text = f"mode {mount.mode}: {mount.control.why} {RECOVERS_WITHIN_S:g} s after everything was set right"
+            text = f"mode {mount.mode}: {mount.control.why} {within_s:g} s after everything was set right"
             watch.fails("does-not-recover", text)
             return
         if watch.is_wrong():

@@ -1,7 +1,7 @@
 """What happens to a tracker in some hours, as plain data."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from typing import Annotated, ClassVar, Literal
 
@@ -16,6 +16,9 @@ _YEAR_S = 31_536_000.0
 _Instant = Annotated[float, Field(ge=-_YEAR_S, le=_YEAR_S, allow_inf_nan=False)]
 _Length = Annotated[float, Field(ge=0, le=_YEAR_S, allow_inf_nan=False)]
 _NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+_Section = Literal["site", "cube", "windows", "limits", "motion", "safety", "law"]
+Chosen = dict[_Section, dict[str, bool | float | str]]
+"""Settings that are not the defaults, by section and key."""
 
 
 def _instant(text: str) -> str:
@@ -87,6 +90,8 @@ class Schedule:
         How many the service has.
     positioner
         Driver of their positioners.
+    settings
+        Those that are not the defaults, by section and key.
     """
 
     __pydantic_config__: ClassVar = _AS_WRITTEN
@@ -101,6 +106,7 @@ class Schedule:
     events: tuple[Happening, ...]
     trackers: Annotated[int, Field(ge=1, le=MOST_TRACKERS)] = 1
     positioner: Literal["pozsol", "rotctld"] = "pozsol"
+    settings: Chosen = field(default_factory=dict)
 
     @property
     def begin(self) -> datetime:
@@ -115,6 +121,8 @@ class Schedule:
             f"seed {self.seed}, {self.hours:g} h from {self.start}, law {self.law}, rehome {self.rehome},"
             f"{of_several} {'both axes at once' if self.synchronous else 'one axis at a time'}, DNI/DHI {self.sky}"
         )
+        for section, values in self.settings.items():
+            head += f", {section} {', '.join(f'{name} {value}' for name, value in values.items())}"
         return "\n".join([head, *map(str, self.events)])
 
     def json(self) -> str:

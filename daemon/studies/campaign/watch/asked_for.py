@@ -3,7 +3,29 @@
 from collections.abc import Callable
 
 from daemon.base.records import Mode
+from daemon.config.settings import Settings
 from daemon.rigs.campaign.plant import PlantTracker
+from solar.frames import Angles
+
+_BESIDE_DEG = 0.5
+"""So much beyond the tolerance of a move an axis may come to stand that has arrived."""
+
+
+def parked_at(settings: Settings) -> dict[Mode, tuple[float, float]]:
+    """Return A and B [deg] of each mode that parks a tracker at one place."""
+    safety = settings.safety
+    return {
+        Mode.STOW: (safety.stow_a_deg, safety.stow_b_deg),
+        Mode.NIGHT: (safety.night_a_deg, safety.night_b_deg),
+        Mode.SNOW: settings.limits.limits().clip(safety.snow_a_deg, safety.snow_b_deg),
+    }
+
+
+def is_there(at: Angles, place: tuple[float, ...], settings: Settings) -> bool:
+    """Tell whether axes that have arrived at a place [deg] may stand where they do."""
+    a_deg, b_deg = place
+    away_deg = max(abs(at.a_deg - a_deg), abs(at.b_deg - b_deg))
+    return away_deg <= settings.motion.tolerance_deg + _BESIDE_DEG
 
 
 def check_asked_for(mount: PlantTracker, target: tuple[float, float], fails: Callable[[str, str], None]) -> None:
@@ -11,13 +33,8 @@ def check_asked_for(mount: PlantTracker, target: tuple[float, float], fails: Cal
 
     A mode that parks the tracker asks for one place alone: any other was asked for before, and has waited.
     """
-    control, settings = mount.control, mount.settings
-    safety, hold = settings.safety, control.wishes.hold
-    places = {
-        Mode.STOW: (safety.stow_a_deg, safety.stow_b_deg),
-        Mode.NIGHT: (safety.night_a_deg, safety.night_b_deg),
-        Mode.SNOW: tuple(settings.limits.limits().clip(safety.snow_a_deg, safety.snow_b_deg)),
-        Mode.HOLD: None if hold is None else hold.goto_deg,
-    }
+    control = mount.control
+    hold = control.wishes.hold
+    places = {**parked_at(mount.settings), Mode.HOLD: None if hold is None else hold.goto_deg}
     if control.mode in places and target != places[control.mode]:
         fails("superseded", f"{target} is sent in mode {control.mode}, which asks for {places[control.mode]}")

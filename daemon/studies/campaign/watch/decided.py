@@ -12,9 +12,9 @@ from daemon.studies.campaign.watch.storms import FREE
 if TYPE_CHECKING:
     from daemon.tracker.wishes import Wish
 
-STALE_S = 16.0
-# Nearer to its place than this, a goto may have arrived.
-_ARRIVED_DEG = 1.5
+_LATE_S = 1.0
+# So much nearer to its place than a move's tolerance, a goto may have arrived.
+_NEARER_DEG = 0.7
 _DECIDES = (Mode.TRACKING, Mode.FALLBACK)
 
 
@@ -45,12 +45,12 @@ class Decided:
     def wakes(self, mount: PlantTracker, slept_s: float, now_s: float) -> None:
         """Take note that the machine has slept for so long [s], until now."""
         self.steps.sleeps(slept_s, now_s)
-        if slept_s > STALE_S:
+        if slept_s > _stale_s(mount):
             self._woke_s = now_s
             hold, truth = mount.control.wishes.hold if mount.is_served else None, mount.truth()
             if hold is not None and hold.goto_deg is not None:
                 ways_deg = (abs(here - there) for here, there in zip(truth, hold.goto_deg, strict=True))
-                self._goto = hold if max(ways_deg) > _ARRIVED_DEG else None
+                self._goto = hold if max(ways_deg) > mount.settings.motion.tolerance_deg + _NEARER_DEG else None
 
     def check(self, mount: PlantTracker, target: tuple[float, float], now_s: float, begun_s: float) -> None:
         """Look at a target [deg] that is sent, by a service that began at `begun_s`."""
@@ -59,7 +59,7 @@ class Decided:
         if now_s - mount.motion.last_move_started_s >= 1.0:
             return
         control = mount.control
-        if control.mode is Mode.TRACKING and control.state.scan_age_s > STALE_S:
+        if control.mode is Mode.TRACKING and control.state.scan_age_s > _stale_s(mount):
             self._fails("stale", f"{target} is sent in tracking on readings {control.state.scan_age_s:.0f} s old")
         if control.mode in (Mode.FALLBACK, Mode.NIGHT):
             self.steps.check(mount, target, now_s, begun_s)
@@ -85,5 +85,10 @@ class Decided:
         elif mode is Mode.TRACKING and decision.irradiances is not None:
             # The first reading stands for the time until it as well.
             covers_s = decision.irradiances.coverage * mount.settings.windows.mean_s
-            if covers_s > since_s + STALE_S:
+            if covers_s > since_s + _stale_s(mount):
                 self._fails("slept", f"{target} is sent {awake} by {covers_s:.0f} s of readings")
+
+
+def _stale_s(mount: PlantTracker) -> float:
+    """Return how old readings may be [s], and a little."""
+    return mount.settings.safety.scan_stale_s + _LATE_S

@@ -13,7 +13,7 @@ WORTH_REPORTING_DEG, WORTH_BY_POSITION_DEG = 0.5, 1.2
 """What is told by its positions alone shows later: after half a second, and a quarter of a degree beyond."""
 REPORTED_WITHIN_S = 10.0
 """The unit shows some things in its slow screens only, and control decides every 5 s."""
-MOVE_ENDS_WITHIN_S = 60.0
+MOVE_ENDS_WITHIN_S, ATTEMPT_ENDS_WITHIN_S = 60.0, 20.0
 """What happens to a move is told at its end, after its attempts."""
 CAUSE_WITHIN_S = 30.0
 _JUMPED = "the count jumped"
@@ -88,7 +88,8 @@ class Reporting:
         if jumped and not self._jumped and now_s - self._cause_s > CAUSE_WITHIN_S and _counts(mount, now_s):
             self._fails("false-alarm", f"the unit has kept its count, but: {mount.motion.doubt}")
         self._jumped = jumped
-        within_s = REPORTED_WITHIN_S if mount.motion.target is None else MOVE_ENDS_WITHIN_S
+        ends_s = max(MOVE_ENDS_WITHIN_S, mount.settings.motion.attempts * ATTEMPT_ENDS_WITHIN_S)
+        within_s = REPORTED_WITHIN_S if mount.motion.target is None else ends_s
         while self._unreported and now_s - self._unreported[0][0] > within_s:
             begun_s, turned_deg = self._unreported.pop(0)
             late = islice(reversed(mount.records), _LATE_RECORDS)

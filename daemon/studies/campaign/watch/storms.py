@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 from daemon.base.records import Mode, MoveOutcome
 from daemon.rigs.campaign.plant import PlantTracker
+from daemon.studies.campaign.watch.asked_for import is_there, parked_at
 from solar.frames import Angles
 
 STORM_S = 11.0
@@ -14,7 +15,6 @@ STOWED_WITHIN_S = 420.0
 """From one corner of the limits to the stow position, one axis after the other, with a second try."""
 SENT_WITHIN_S = 12.0
 """So long nothing may keep a stow waiting that has not failed: two decisions of control, and a little."""
-STOWED_DEG = 1.3
 FREE = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT, Mode.SNOW)
 
 
@@ -56,7 +56,8 @@ class Storms:
         `reachable_s` and `live` say since when, and whether, the service can do anything.
         """
         self._check_storm(mount, at, now_s, reachable_s, live=live)
-        after_gust = self.gust_s + STORM_S < now_s < self.gust_s + GUST_STOWS_S
+        stows_s = min(GUST_STOWS_S, mount.settings.safety.stow_at_least_s)
+        after_gust = self.gust_s + STORM_S < now_s < self.gust_s + stows_s
         if after_gust and reachable_s < now_s - STORM_S and mount.control.mode in FREE and live:
             self._fails("storm", f"mode {mount.control.mode} {now_s - self.gust_s:.0f} s after a gust")
 
@@ -78,8 +79,8 @@ class Storms:
             self._waits_s = None
 
     def _check_stow(self, mount: PlantTracker, at: Angles, now_s: float, since_s: float) -> None:
-        safety, last = mount.settings.safety, mount.motion.last_move
-        there = max(abs(at.a_deg - safety.stow_a_deg), abs(at.b_deg - safety.stow_b_deg)) <= STOWED_DEG
+        last = mount.motion.last_move
+        there = is_there(at, parked_at(mount.settings)[Mode.STOW], mount.settings)
         if now_s - since_s > STOWED_WITHIN_S and not there:
             self._fails("stow", f"the tracker stands at {at} {now_s - since_s:.0f} s into a storm")
         # One that has failed waits to be tried again.

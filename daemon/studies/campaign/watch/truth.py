@@ -35,8 +35,7 @@ SAMPLING_S = 0.15
 UNIT_TRIPS_S = 1.5
 """Without Hall pulses nobody but the unit can see an axis move, and it takes 2 s to notice."""
 LIMIT_DEG = 0.02
-LEFT_AT_ARRIVAL = 4.0
-"""More than the tolerance of a move, in the unit's positions."""
+LEFT_PER_DEG = 5.0  # More than a degree of a move's tolerance is in the unit's positions.
 
 
 class TruthWatch:
@@ -293,7 +292,8 @@ class TruthWatch:
         motion, left = self.mount.motion, abs(counted.destination - counted.position)
         # A move has arrived within its tolerance; what is left of it the axis may still make up.
         heads_until_s = self._headed_s + RUN_OUT_S
-        heading = motion.target is not None or (left <= LEFT_AT_ARRIVAL and now_s < heads_until_s)
+        has_arrived = left <= LEFT_PER_DEG * self.mount.settings.motion.tolerance_deg
+        heading = motion.target is not None or (has_arrived and now_s < heads_until_s)
         why = self.explained.why(axis, turned_deg, counted, now_s, homing=motion.homing, heading=heading)
         if why is None:
             # Reason enough for an alarm, whatever the count says, and however late a service comes to tell of it.

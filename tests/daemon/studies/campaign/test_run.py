@@ -11,8 +11,9 @@ from daemon.base.errors import UserError
 from daemon.rigs.campaign.faults import FAULTS
 from daemon.studies.campaign.attack import Attack
 from daemon.studies.campaign.draw import COMMANDS, SPANS, draw
+from daemon.studies.campaign.habits import CHOICES
 from daemon.studies.campaign.many import run_many
-from daemon.studies.campaign.matrix import chosen_schedules
+from daemon.studies.campaign.matrix import chosen_schedules, settings_of
 from daemon.studies.campaign.reduce import reduce
 from daemon.studies.campaign.run import run_schedule
 from daemon.studies.campaign.schedule import Happening, Schedule
@@ -87,6 +88,9 @@ WIND = {"at_s": 60, "what": "fault", "name": "wind", "value": [20]}
         ({"rehome": "never"}, "its rehome cannot be 'never'"),
         ({"sky": [800]}, "it has no sky.1"),
         ({"more": 1}, "it may not have more"),
+        ({"settings": {"store": {"keep_days": 1}}}, "its settings.store.\\[key\\] cannot be 'store'"),
+        ({"settings": {"limits": {"a_max_deg": 60}}}, "settings.limits.a_max_deg = 60.0: must be a number from -50"),
+        ({"settings": {"safety": {"stow": 1}}}, "settings.safety.stow = 1.0: there is no such key; did you"),
         ({"law": "nonsense"}, "has a law 'nonsense'; choose from chronometric"),
         ({"events": [1]}, "its events.0 cannot be 1"),
         ({"events": [WIND | {"at_s": float("nan")}]}, "its events.0.at_s cannot be nan"),
@@ -118,6 +122,16 @@ def test_a_wrong_command_of_a_schedule_may_go_to_no_number(tmp_path):
     assert str(schedule.events[0]).endswith("nan 60")
 
 
+@pytest.mark.parametrize(("positioner", "trackers"), [("pozsol", 1), ("pozsol", 10), ("rotctld", 1)])
+def test_every_seed_has_settings_that_a_service_takes(positioner, trackers):
+    drawn = [draw(seed, 0.1, trackers=trackers, positioner=positioner) for seed in range(40)]
+    assert {len(settings_of(schedule).trackers) for schedule in drawn} == {trackers}
+    assert {section for schedule in drawn for section in schedule.settings} == {
+        section for ways in CHOICES for way in ways for section in way
+    }
+    assert any(not schedule.settings for schedule in drawn)
+
+
 class Pretended:
     """A run that breaks a promise where everything needed happens, in its order."""
 
@@ -128,7 +142,8 @@ class Pretended:
     def __call__(self, schedule):
         self.runs += 1
         names = [event.name for event in schedule.events if event.name in self._needed]
-        return replace(OUTCOME, violations=(BROKEN,) if names == list(self._needed) else ())
+        broken = names == list(self._needed) and "attempts" in schedule.settings.get("motion", ())
+        return replace(OUTCOME, violations=(BROKEN,) if broken else ())
 
 
 OUTCOME = run_schedule(replace(draw(1, 0.02), events=()), heal=False)
@@ -140,10 +155,12 @@ def test_a_failure_is_reduced_to_the_events_that_it_takes_in_fewer_runs_than_the
     names[150], names[160] = "stop", "own_tracking"
     events = tuple(Happening(300.0 * (1 + at), "fault", name) for at, name in enumerate(names))
     pretended = Pretended("stop", "own_tracking")
-    schedule = replace(draw(1, 24), events=events)
+    settings = {"motion": {"attempts": 1, "retry_after_s": 120.0}, "site": {"latitude_deg": 4.0}}
+    schedule = replace(draw(1, 24), events=events, settings=settings)
     reduced = reduce(schedule, {"a promise"}, events[160].at_s + 5, pretended)
     assert [event.name for event in reduced.events] == ["stop", "own_tracking"]
-    assert pretended.runs < 60
+    assert pretended.runs < 65
+    assert reduced.settings == {"motion": {"attempts": 1}}
     assert reduced.hours < 6
     assert (reduced.begin - schedule.begin).total_seconds() == events[150].at_s - reduced.events[0].at_s
     assert logging.getLogger("heliocube").handlers == []

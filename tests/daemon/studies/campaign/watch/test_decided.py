@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from daemon.base.records import Mode
+from daemon.config.settings import Settings
 from daemon.studies.campaign.watch.decided import Decided
 from daemon.tracker.wishes import Wish, Wishes
 from solar.frames import Angles
@@ -25,7 +26,7 @@ def sent(
     mount = SimpleNamespace(
         control=control,
         motion=SimpleNamespace(telemetry=SimpleNamespace(time_monotonic_s=seen_s), last_move_started_s=0.0),
-        settings=SimpleNamespace(windows=SimpleNamespace(mean_s=60.0)),
+        settings=Settings.model_validate({"windows": {"mean_s": 60.0}}),
         wind_silent_since_s=silent_s,
         is_served=True,
         truth=lambda: Angles(0.0, 60.0),
