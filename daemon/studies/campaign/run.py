@@ -206,7 +206,8 @@ class CampaignRun:
         blew = event.name == "wind" and plant.wind_m_s == event.value[0]
         if blew and GUST_S <= event.lasts_s <= served_s and awake_s >= GUST_S:
             for watch in watches:
-                watch.gust()
+                if event.value[0] >= watch.mount.settings.safety.stow_wind_m_s:
+                    watch.gust()
         self._lasting[key] -= 1
         if fault.end is not None and not self._lasting[key]:
             await _done(fault.end(mount, event.value))
