@@ -148,8 +148,8 @@ def every_angle_can_be_arrived_at(settings: Sections) -> Iterator[Conflict]:
         elif rests_deg > tolerance_deg:
             enough_deg = math.ceil(rests_deg * 20) / 20
             reason = (
-                f"is too little: axis {axis.upper()} is sent to whole position units inside the limits and rests up to"
-                f" {rests_deg:.2f} deg from where it is to be; with {enough_deg:g} deg it arrives everywhere"
+                f"is too little: by the steps of the positioner axis {axis.upper()} rests up to {rests_deg:.2f} deg"
+                f" from where it is to be; with {enough_deg:g} deg it arrives everywhere"
             )
             yield Conflict("motion.tolerance_deg", reason, ends)
 

@@ -1,5 +1,6 @@
 """Any rotator that Hamlib knows as a plug-in: the settings of its rotctld, and how it is built of them."""
 
+import math
 from collections.abc import Iterator
 from functools import partial
 from typing import Annotated, ClassVar, Literal
@@ -7,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from drivers.positioners.rotctld.link import RotctldLine, TcpLine
-from drivers.positioners.rotctld.mount import Mount, UnreachableError
+from drivers.positioners.rotctld.mount import FLAT_WITHIN_DEG, Mount, UnreachableError
 from drivers.positioners.rotctld.positioner import RotctldPositioner
 from drivers.positioners.rotctld.protocol import RotatorState
 from drivers.settings import (
@@ -56,6 +57,15 @@ class RotctldSettings(PositionerSettings):
     def resolution(self) -> float:
         """Return what positions are rounded to."""
         return self.resolution_deg
+
+    def rests_within(self, limits: AngleRange) -> tuple[float, float]:
+        """Return how far A and B may be off [deg] by half a step of azimuth and of elevation, or near the zenith.
+
+        The further A is from 0, the more degrees of B that is.
+        """
+        off_deg = max(math.hypot(0.5 * self.resolution_deg, 0.5 * self.resolution_deg), FLAT_WITHIN_DEG)
+        farthest_deg = max(abs(limits.a_min_deg), abs(limits.a_max_deg))
+        return off_deg, off_deg / math.cos(math.radians(farthest_deg))
 
     def exclusive(self) -> dict[str, str | None]:
         """Return the server: a rotator has one tracker."""

@@ -86,16 +86,26 @@ SLEW = "[instruments.positioner]\nposition_unit = 'deg'\n[instruments.positioner
     [
         (
             SHORT_ARMS,
-            "sent to whole position units inside the limits and rests up to 0.93 deg from where it is to be; with 0.95",
+            "by the steps of the positioner axis B rests up to 0.93 deg from where it is to be; with 0.95 deg",
         ),
-        (SLEW.format(13.05), "motion.tolerance_deg = 0.8 (default): is too little: axis B"),
+        (
+            SLEW.format(13.05),
+            "motion.tolerance_deg = 0.8 (default): is too little: by the steps of the positioner axis B",
+        ),
         # Where no half unit of the inside is as much, the limit may be.
         (
             "[limits]\nb_max_deg = 85\n[safety]\nnight_b_deg = 80\nstow_b_deg = 80\n[motion]\ntolerance_deg = 0.4\n",
-            "motion.tolerance_deg = 0.4: is too little: axis B",
+            "motion.tolerance_deg = 0.4: is too little: by the steps of the positioner axis B",
         ),
-        ("[motion]\ntolerance_deg = 0.3\n", "motion.tolerance_deg = 0.3: is too little: axis A"),
-        ("[limits]\nb_min_deg = 89.9\n", "limits.b_min_deg = 89.9: leaves axis B no whole position unit to be sent to"),
+        (
+            "[motion]\ntolerance_deg = 0.3\n",
+            "motion.tolerance_deg = 0.3: is too little: by the steps of the positioner axis A",
+        ),
+        (
+            "[instruments.positioner]\ndriver = 'rotctld'\nresolution_deg = 1.0\n",
+            "is too little: by the steps of the positioner axis B rests up to 1.10 deg",
+        ),
+        ("[limits]\nb_min_deg = 89.9\n", "limits.b_min_deg = 89.9: leaves axis B no whole position unit"),
     ],
 )
 def test_moves_have_the_tolerance_that_the_drive_needs_to_arrive_anywhere(problem, text, message):

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.positioners.rotctld.driver import RotctldSettings
 from drivers.positioners.rotctld.mount import Mount, RotatorPosition, UnreachableError, angles, pointing
-from solar.frames import azimuth_from_direction, equator_azimuth_deg, normal_from_angles
+from solar.frames import Limits, azimuth_from_direction, equator_azimuth_deg, normal_from_angles
 
 FULL = Mount(0.0, 360.0, 0.0, 90.0, 180.0)
 
@@ -24,6 +25,16 @@ def test_it_points_where_the_normal_of_the_tracker_s_frame_points_and_back(a_deg
     if elevation_deg < 89.9:
         assert (found.azimuth_deg - float(azimuth_deg) + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-4)
     assert angles(*found, equator_deg) == pytest.approx((a_deg, b_deg), abs=1e-3)
+
+
+@given(st.floats(-50, 50), st.floats(15, 90), st.sampled_from([0.1, 1.0, 3.0]), st.tuples(*2 * [st.floats(-0.5, 0.5)]))
+def test_no_angle_is_further_from_where_its_steps_let_it_rest(a_deg, b_deg, step_deg, shift):
+    # What a step is counted from, nobody says.
+    sent = FULL.place(a_deg, b_deg)
+    rests = RotatorPosition(*(each + share * step_deg for each, share in zip(sent, shift, strict=True)))
+    off_deg = np.abs(np.subtract(angles(*rests, 180.0), (a_deg, b_deg)))
+    within_deg = RotctldSettings(resolution_deg=step_deg).rests_within(Limits(-50.0, 50.0, 15.0, 90.0))
+    assert np.all(off_deg <= np.add(within_deg, 0.05 * step_deg))
 
 
 @pytest.mark.parametrize(
