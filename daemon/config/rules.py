@@ -141,7 +141,7 @@ def every_angle_can_be_arrived_at(settings: Sections) -> Iterator[Conflict]:
     tolerance_deg = settings.motion.tolerance_deg
     rests_within = settings.instruments.positioner.rests_within(settings.limits.limits())
     for axis, rests_deg in zip("ab", rests_within, strict=True):
-        ends = (f"limits.{axis}_min_deg", f"limits.{axis}_max_deg")
+        ends = (f"limits.{axis}_min_deg", f"limits.{axis}_max_deg", f"instruments.positioner.{axis}_axis.low_deg")
         if math.isnan(rests_deg):
             reason = f"leaves axis {axis.upper()} no whole position unit to be sent to, up to {ends[1]}"
             yield Conflict(ends[0], reason, ends[1:])

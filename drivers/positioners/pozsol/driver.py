@@ -33,7 +33,7 @@ Banner = Annotated[str, Field(pattern=r"^[ -#%-~]{4,80}$"), text_of("banner")]
 class AxisGeometry(DriverSettings):
     """How one axis turns motor travel into an angle; what is not of the positioner's unit is not looked at."""
 
-    low_deg: float = Field(ge=-90, le=90, description="Angle of the tracker at the low end switch, position 0.")
+    low_deg: float = Field(ge=-180, le=180, description="Angle of the tracker at the low end switch, position 0.")
     arm_1_mm: Positive = Field(300.0, le=3000, description="Unit mm: one fixed side of the actuator's triangle.")
     arm_2_mm: Positive = Field(300.0, le=3000, description="Unit mm: the other fixed side.")
     apex_deg: float = Field(

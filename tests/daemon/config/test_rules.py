@@ -112,6 +112,15 @@ def test_moves_have_the_tolerance_that_the_drive_needs_to_arrive_anywhere(proble
     assert message in problem(text)
 
 
+# Flat is nearly retracted there, and the low end switch beyond it.
+LOWERED = "[instruments.positioner.b_axis]\nsense = 'lowers'\napex_deg = 130.0\nlow_deg = {}\n"
+
+
+def test_an_axis_that_extension_lowers_has_its_low_end_beyond_flat(read, problem):
+    assert read(LOWERED.format(93.0)).instruments.positioner.b_axis.low_deg == 93.0
+    assert problem(LOWERED.format(193.0)).endswith("low_deg = 193.0: must be a number from -180 to 180 deg")
+
+
 @pytest.mark.parametrize("text", [SHORT_ARMS + "[motion]\ntolerance_deg = 1.2\n", SLEW.format(13.0)])
 def test_with_enough_tolerance_the_drive_arrives(read, text):
     assert read(text).safety.stow_b_deg == 90.0
