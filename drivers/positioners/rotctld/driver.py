@@ -63,9 +63,9 @@ class RotctldSettings(PositionerSettings):
 
         The further A is from 0, the more degrees of B that is.
         """
-        off_deg = max(math.hypot(0.5 * self.resolution_deg, 0.5 * self.resolution_deg), FLAT_WITHIN_DEG)
+        off_deg = math.hypot(0.5 * self.resolution_deg, 0.5 * self.resolution_deg)
         farthest_deg = max(abs(limits.a_min_deg), abs(limits.a_max_deg))
-        return off_deg, off_deg / math.cos(math.radians(farthest_deg))
+        return max(off_deg, FLAT_WITHIN_DEG), max(off_deg / math.cos(math.radians(farthest_deg)), FLAT_WITHIN_DEG)
 
     def exclusive(self) -> dict[str, str | None]:
         """Return the server: a rotator has one tracker."""
