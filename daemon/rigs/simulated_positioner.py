@@ -18,15 +18,23 @@ _BEYOND_DEG = 2.0
 
 def build_unit(settings: Settings, clock: Clock) -> PositionerCore:
     """Return the simulated unit; `UserError` for a geometry that cannot be built."""
+    speed = settings.simulation.motor_speed_mm_s
+    setup = Setup(drive=AxisDrive(speed, acceleration_mm_s2=speed / _RAMP_S))
+    return PositionerCore(clock.monotonic(), as_built(settings, setup))
+
+
+def as_built(settings: Settings, setup: Setup) -> Setup:
+    """Return a setup with the mechanics that the settings say; `UserError` for a geometry that cannot be built.
+
+    The drive of `setup` counts in mm; in what is returned it turns the axes as fast in their own position units.
+    """
     positioner, limits = pozsol_settings(settings, "simulated is"), settings.limits
     layout = B_OUT_BIT[positioner.status_layout]
     try:
         a = _mechanics(settings, positioner.a_axis, A_ACTUATOR, (limits.a_min_deg, limits.a_max_deg))
         b = _mechanics(settings, positioner.b_axis, B_ACTUATOR, (limits.b_min_deg, limits.b_max_deg))
-        setup = Setup(a_actuator=a, b_actuator=b, drive=_drive(settings, a))
-        if layout is not None:
-            setup = replace(setup, b_out_bit=layout)
-        return PositionerCore(clock.monotonic(), setup)
+        setup = replace(setup, a_actuator=a, b_actuator=b, drive=_drive(setup.drive, a))
+        return setup if layout is None else replace(setup, b_out_bit=layout)
     except ValueError as error:
         raise UserError(f"instruments.positioner has a geometry that cannot be simulated: {error}") from error
 
@@ -54,10 +62,8 @@ def _mechanics(settings: Settings, axis: AxisGeometry, usual: Actuator, limits_d
     )
 
 
-def _drive(settings: Settings, a: Mechanics) -> AxisDrive:
+def _drive(drive: AxisDrive, a: Mechanics) -> AxisDrive:
     """Return a drive that turns axis A as fast as the usual actuator is turned, in position units of this one."""
-    speed = settings.simulation.motor_speed_mm_s
-    drive = AxisDrive(speed, acceleration_mm_s2=speed / _RAMP_S)
     if isinstance(a, Actuator):
         return drive
     return drive.scaled(a.travel_mm / (a.high_deg - a.low_deg) / _USUAL_MM_PER_DEG)

@@ -39,7 +39,7 @@ def plant_settings(
     trackers
         How many there are.
     chosen
-        What else is not as in the defaults, by section and key.
+        What else is not as in the defaults, by section and key; ``positioner`` for ``instruments.positioner``.
     directory
         Where the service keeps its files.
 
@@ -59,7 +59,12 @@ def plant_settings(
         }
     )
     if chosen:
-        settings = override(settings, chosen)
+        changes: dict[str, Mapping[str, Any]] = {
+            name: values for name, values in chosen.items() if name != "positioner"
+        }
+        if own := chosen.get("positioner"):
+            changes["instruments"] = {"positioner": {"driver": positioner, **own}}
+        settings = override(settings, changes)
     return settings.model_copy(update={"tracker": _tables(trackers)})
 
 

@@ -17,6 +17,7 @@ from daemon.rigs.campaign.disk import Disk
 from daemon.rigs.campaign.rig import HandledRig, HandWeather, SteppingClock
 from daemon.rigs.campaign.rotator import RotatorTap, SleeplessRotator, build_rotator_driver
 from daemon.rigs.campaign.taps import DriverTap, PozsolTap, Sleepless, UnitTap, Witness
+from daemon.rigs.simulated_positioner import as_built
 from daemon.service.rig import Role
 from daemon.service.service import Service
 from daemon.tracker.control import Control
@@ -147,6 +148,18 @@ class PlantTracker:
         return (limits.a_min_deg, limits.a_max_deg) if axis == "a" else (limits.b_min_deg, limits.b_max_deg)
 
     @property
+    def has_slew_drives(self) -> bool:
+        """Whether its unit counts degrees, or impulses of a gear on the axis."""
+        return (
+            not isinstance(self.unit, SleeplessRotator) and self.settings.instruments.positioner.position_unit != "mm"
+        )
+
+    def is_lowered(self, axis: AxisName) -> bool:
+        """Tell whether an axis counts upwards where its angle goes down."""
+        positioner = self.settings.instruments.positioner
+        return positioner.position_unit == "mm" and getattr(positioner, f"{axis}_axis").sense == "lowers"
+
+    @property
     def has_reference_run(self) -> bool:
         """Whether it can be homed."""
         return self.settings.instruments.positioner.has_reference_run
@@ -261,7 +274,7 @@ class Plant(HandledRig):
         """Return the simulated unit of a tracker, or its rotator."""
         if settings.instruments.positioner.driver == ROTCTLD:
             return SleeplessRotator(settings, self.clock, UNIT_GOES_TO)  # type: ignore[return-value] # it passes for one
-        return super().build_unit(settings, setup)
+        return super().build_unit(settings, setup and as_built(settings, setup))
 
     def drive(self, unit: PositionerCore, settings: Settings) -> Positioner:
         """Return the driver of the next unit with a tap before and behind it."""

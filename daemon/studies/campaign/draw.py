@@ -158,7 +158,7 @@ def draw(
         events=_among(trackers, seed, sorted((event for event in events if event.at_s < hours * 3600), key=_at_s)),
         trackers=trackers,
         positioner=positioner,
-        settings=draw_settings(seed, law),
+        settings=draw_settings(seed, law, positioner),
     )
 
 

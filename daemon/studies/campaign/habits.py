@@ -59,9 +59,21 @@ CHOICES: tuple[tuple[Chosen, ...], ...] = (
     ({"law": {"shadow": "optimal"}},),
 )
 """What belongs together, each in several ways."""
+BUILT: tuple[Chosen, ...] = (
+    {"positioner": {"a_axis": {"sense": "lowers", "low_deg": 52.0, "apex_deg": 90.0}, "status_layout": "stm"}},
+    {
+        "positioner": {
+            "a_axis": {"low_deg": -53.0, "arm_1_mm": 280.0, "arm_2_mm": 340.0, "apex_deg": 85.0, "holder_mm": 20.0},
+            "b_axis": {"low_deg": 12.0, "arm_1_mm": 400.0, "arm_2_mm": 250.0, "apex_deg": 45.0, "zero_offset": 2.5},
+        }
+    },
+    {"positioner": {"b_axis": {"sense": "lowers", "low_deg": 93.0, "apex_deg": 130.0}}},
+    {"positioner": {"position_unit": "deg"}, "motion": {"tolerance_deg": 1.2}},
+)
+"""Ways to build the axes of a unit."""
 
 
-def draw_settings(seed: int, law: str) -> Chosen:
+def draw_settings(seed: int, law: str, positioner: str) -> Chosen:
     """Return the settings of a seed that are not the defaults, by section and key; none for three seeds of ten.
 
     Parameters
@@ -70,12 +82,14 @@ def draw_settings(seed: int, law: str) -> Chosen:
         The same seed has the same settings, whatever else is drawn from it.
     law
         That points: it is not run in its own shadow.
+    positioner
+        Its driver: a rotator is not built in other ways.
     """
     random = Random(f"{seed} settings")  # noqa: S311 - reproducibility is the point; nothing secret depends on it
     chosen: Chosen = {}
     if random.random() < _DEFAULTS_ALONE:
         return chosen
-    for ways in CHOICES:
+    for ways in (*CHOICES, BUILT) if positioner == "pozsol" else CHOICES:
         if random.random() >= _CHANGED:
             continue
         for section, values in random.choice(ways).items():

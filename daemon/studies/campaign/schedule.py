@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, JsonValue, TypeAdapter, ValidationError
 
 from daemon.config.rules import END_OF_STARTS, FIRST_START
 
@@ -16,9 +16,9 @@ _YEAR_S = 31_536_000.0
 _Instant = Annotated[float, Field(ge=-_YEAR_S, le=_YEAR_S, allow_inf_nan=False)]
 _Length = Annotated[float, Field(ge=0, le=_YEAR_S, allow_inf_nan=False)]
 _NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-_Section = Literal["site", "cube", "windows", "limits", "motion", "safety", "law"]
-Chosen = dict[_Section, dict[str, bool | float | str]]
-"""Settings that are not the defaults, by section and key."""
+_Section = Literal["site", "cube", "windows", "limits", "motion", "safety", "law", "positioner"]
+Chosen = dict[_Section, dict[str, JsonValue]]
+"""Settings that are not the defaults, by section and key; ``positioner`` stands for ``instruments.positioner``."""
 
 
 def _instant(text: str) -> str:

@@ -106,16 +106,18 @@ class Explained:
         return self._held or now_s - self._released_s < RUN_OUT_S
 
     def why(
-        self, axis: AxisName, turned_deg: float, counted: Counted, now_s: float, *, homing: bool, heading: bool
+        self, axis: AxisName, counted: Counted, now_s: float, *, counts_up: bool, homing: bool, heading: bool
     ) -> Why | None:
         """Return why an axis may move, or None.
 
         Parameters
         ----------
-        axis, turned_deg, counted
-            The axis, which way it turns, and what the unit says of it.
+        axis, counted
+            The axis, and what the unit says of it.
         now_s
             The time.
+        counts_up
+            Which way it turns in truth: to where its position is more, or less.
         homing, heading
             Whether the service itself says that a reference run, or a move to a target, is on.
         """
@@ -123,15 +125,15 @@ class Explained:
             return "hand"
         if axis in self._homing and homing:
             return "home"
-        if homing and axis in self._sent_off and 0.0 < counted.destination <= _LEAVES_SWITCH and turned_deg > 0.0:
+        if homing and axis in self._sent_off and 0.0 < counted.destination <= _LEAVES_SWITCH and counts_up:
             return "order"
-        if heading and self._is_ordered(axis, turned_deg, counted):
+        if heading and self._is_ordered(axis, counted, counts_up=counts_up):
             return "order"
         return "run-out" if now_s < self._run_out_s else None
 
-    def _is_ordered(self, axis: AxisName, turned_deg: float, counted: Counted) -> bool:
+    def _is_ordered(self, axis: AxisName, counted: Counted, *, counts_up: bool) -> bool:
         destination = self._destination[axis]
         if destination is None or (not self.by_position and abs(counted.destination - destination) > _SAME_DESTINATION):
             return False
         way = destination - counted.position
-        return abs(way) <= AT_TARGET or (way > 0) == (turned_deg > 0)
+        return abs(way) <= AT_TARGET or (way > 0) is counts_up

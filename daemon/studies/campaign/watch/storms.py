@@ -11,6 +11,8 @@ from solar.frames import Angles
 STORM_S = 11.0
 """Two decisions of control, and a little."""
 GUST_STOWS_S = 60.0
+LOOKS_WITHIN_S = 1.5
+"""The wind counts as calm from the last look at a strong one."""
 STOWED_WITHIN_S = 420.0
 """From one corner of the limits to the stow position, one axis after the other, with a second try."""
 SENT_WITHIN_S = 12.0
@@ -56,7 +58,7 @@ class Storms:
         `reachable_s` and `live` say since when, and whether, the service can do anything.
         """
         self._check_storm(mount, at, now_s, reachable_s, live=live)
-        stows_s = min(GUST_STOWS_S, mount.settings.safety.stow_at_least_s)
+        stows_s = min(GUST_STOWS_S, mount.settings.safety.stow_at_least_s - LOOKS_WITHIN_S)
         after_gust = self.gust_s + STORM_S < now_s < self.gust_s + stows_s
         if after_gust and reachable_s < now_s - STORM_S and mount.control.mode in FREE and live:
             self._fails("storm", f"mode {mount.control.mode} {now_s - self.gust_s:.0f} s after a gust")

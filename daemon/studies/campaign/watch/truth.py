@@ -34,7 +34,7 @@ UNEXPLAINED_S = 2.0
 SAMPLING_S = 0.15
 UNIT_TRIPS_S = 1.5
 """Without Hall pulses nobody but the unit can see an axis move, and it takes 2 s to notice."""
-LIMIT_DEG = 0.02
+LIMIT_DEG, SLEW_RUN_OUT_DEG = 0.02, 0.06  # A slew drive is sent to a limit that is a whole unit, and runs out beyond.
 LEFT_PER_DEG = 5.0  # More than a degree of a move's tolerance is in the unit's positions.
 
 
@@ -294,7 +294,8 @@ class TruthWatch:
         heads_until_s = self._headed_s + RUN_OUT_S
         has_arrived = left <= LEFT_PER_DEG * self.mount.settings.motion.tolerance_deg
         heading = motion.target is not None or (has_arrived and now_s < heads_until_s)
-        why = self.explained.why(axis, turned_deg, counted, now_s, homing=motion.homing, heading=heading)
+        counts_up = (turned_deg > 0.0) is not self.mount.is_lowered(axis)
+        why = self.explained.why(axis, counted, now_s, counts_up=counts_up, homing=motion.homing, heading=heading)
         if why is None:
             # Reason enough for an alarm, whatever the count says, and however late a service comes to tell of it.
             self.reporting.cause(now_s)
@@ -343,7 +344,7 @@ class TruthWatch:
         """Return how far it is to the limit that the axis turns to [deg]; below 0 beyond it."""
         low, high = self.mount.range_deg(axis)
         beyond_deg = low - at_deg if turned_deg < 0 else at_deg - high
-        if beyond_deg > LIMIT_DEG and self._counts(axis, at_deg):
+        if beyond_deg > (SLEW_RUN_OUT_DEG if self.mount.has_slew_drives else LIMIT_DEG) and self._counts(axis, at_deg):
             self.fails("limits", f"axis {axis} is driven to {at_deg:.3f} deg, beyond {low:g} to {high:g}")
         return -beyond_deg
 

@@ -11,7 +11,7 @@ from daemon.base.errors import UserError
 from daemon.rigs.campaign.faults import FAULTS
 from daemon.studies.campaign.attack import Attack
 from daemon.studies.campaign.draw import COMMANDS, SPANS, draw
-from daemon.studies.campaign.habits import CHOICES
+from daemon.studies.campaign.habits import BUILT, CHOICES
 from daemon.studies.campaign.many import run_many
 from daemon.studies.campaign.matrix import chosen_schedules, settings_of
 from daemon.studies.campaign.reduce import reduce
@@ -89,8 +89,8 @@ WIND = {"at_s": 60, "what": "fault", "name": "wind", "value": [20]}
         ({"sky": [800]}, "it has no sky.1"),
         ({"more": 1}, "it may not have more"),
         ({"settings": {"store": {"keep_days": 1}}}, "its settings.store.\\[key\\] cannot be 'store'"),
-        ({"settings": {"limits": {"a_max_deg": 60}}}, "settings.limits.a_max_deg = 60.0: must be a number from -50"),
-        ({"settings": {"safety": {"stow": 1}}}, "settings.safety.stow = 1.0: there is no such key; did you"),
+        ({"settings": {"limits": {"a_max_deg": 60}}}, "settings.limits.a_max_deg = 60: must be a number from -50"),
+        ({"settings": {"safety": {"stow": 1}}}, "settings.safety.stow = 1: there is no such key; did you"),
         ({"law": "nonsense"}, "has a law 'nonsense'; choose from chronometric"),
         ({"events": [1]}, "its events.0 cannot be 1"),
         ({"events": [WIND | {"at_s": float("nan")}]}, "its events.0.at_s cannot be nan"),
@@ -126,9 +126,8 @@ def test_a_wrong_command_of_a_schedule_may_go_to_no_number(tmp_path):
 def test_every_seed_has_settings_that_a_service_takes(positioner, trackers):
     drawn = [draw(seed, 0.1, trackers=trackers, positioner=positioner) for seed in range(40)]
     assert {len(settings_of(schedule).trackers) for schedule in drawn} == {trackers}
-    assert {section for schedule in drawn for section in schedule.settings} == {
-        section for ways in CHOICES for way in ways for section in way
-    }
+    ways = [way for ways in (CHOICES if positioner == "rotctld" else (*CHOICES, BUILT)) for way in ways]
+    assert {section for schedule in drawn for section in schedule.settings} == {name for way in ways for name in way}
     assert any(not schedule.settings for schedule in drawn)
 
 

@@ -28,7 +28,8 @@ class Scripted:
         self.control = SimpleNamespace(mode=Mode.TRACKING, why="", wishes=Wishes())
         self.control.state = SimpleNamespace(scan_age_s=1.0)
         self.sun_deg = 30.0
-        self.is_silent = False
+        self.is_silent = self.has_slew_drives = False
+        self.lowered = ""
         self.called = ""
         self.settings = Settings.model_validate({})
         self.service = SimpleNamespace(sun_elevation_deg=lambda utc_s: self.sun_deg)
@@ -47,9 +48,13 @@ class Scripted:
         limits = self.settings.limits
         return (limits.a_min_deg, limits.a_max_deg) if axis == "a" else (limits.b_min_deg, limits.b_max_deg)
 
+    def is_lowered(self, axis):
+        return axis == self.lowered
+
     def course(self, axis, now_s):
         self.close_looks += 1
-        return self.at[axis] * 5, self.destination[axis]
+        position = self.at[axis] * (-5 if self.is_lowered(axis) else 5)
+        return position, self.destination[axis]
 
     def changes(self, now_s):
         return hash((self.destination["a"], self.destination["b"]))
@@ -72,7 +77,10 @@ class Scripted:
         with contextlib.suppress(ConnectionError), self.watch.sending((a, b)):
             self.watch.packet(b"$\x2c%g" % a, self.now_s)
             self.watch.packet(b"$\x30%g" % b, self.now_s)
-            self.destination = {"a": a * 5, "b": b * 5}
+            self.destination = {
+                "a": a * (-5 if self.is_lowered("a") else 5),
+                "b": b * (-5 if self.is_lowered("b") else 5),
+            }
             if not taken:
                 raise ConnectionError
 

@@ -4,6 +4,7 @@ import pytest
 
 from daemon.base.records import Event, FaceReading, Mode, ModeChange, Quality, Scan
 from daemon.rigs.campaign.faults import FORGED_W_M2
+from daemon.studies.campaign.watch.explained import Counted
 from tests.daemon.studies.campaign.watch.scripted import promises
 
 
@@ -269,6 +270,16 @@ def test_a_scan_that_must_not_be_believed_is_seen(plant, value, quality, broken)
         zenith=face,
     )
     plant.watch.scan(scan)
+    assert promises(plant) == broken
+
+
+@pytest.mark.parametrize(("lowered", "broken"), [("a", []), ("", ["unexplained-motion"])])
+def test_an_axis_turns_the_way_that_its_count_goes(plant, lowered, broken):
+    plant.lowered = lowered
+    plant.order(30.0, 60.0)
+    plant.destination["a"] = -150.0
+    plant.watch.explained.confirmed(*(Counted(*plant.course(axis, 0.0)) for axis in "ab"))
+    plant.wait(8.0, a=8.0)
     assert promises(plant) == broken
 
 
