@@ -143,7 +143,10 @@ def every_angle_can_be_arrived_at(settings: Sections) -> Iterator[Conflict]:
     for axis, rests_deg in zip("ab", rests_within, strict=True):
         ends = (f"limits.{axis}_min_deg", f"limits.{axis}_max_deg", f"instruments.positioner.{axis}_axis.low_deg")
         if math.isnan(rests_deg):
-            reason = f"leaves axis {axis.upper()} no whole position unit to be sent to, up to {ends[1]}"
+            reason = (
+                f"leaves axis {axis.upper()}, built as instruments.positioner.{axis}_axis says, no whole position unit"
+                f" up to {ends[1]} to be sent to"
+            )
             yield Conflict(ends[0], reason, ends[1:])
         elif rests_deg > tolerance_deg:
             enough_deg = math.ceil(rests_deg * 20) / 20

@@ -105,7 +105,10 @@ SLEW = "[instruments.positioner]\nposition_unit = 'deg'\n[instruments.positioner
             "[instruments.positioner]\ndriver = 'rotctld'\nresolution_deg = 1.0\n",
             "is too little: by the steps of the positioner axis B rests up to 1.10 deg",
         ),
-        ("[limits]\nb_min_deg = 89.9\n", "limits.b_min_deg = 89.9: leaves axis B no whole position unit"),
+        (
+            "[limits]\nb_min_deg = 89.9\n",
+            "limits.b_min_deg = 89.9: leaves axis B, built as instruments.positioner.b_axis says, no whole",
+        ),
     ],
 )
 def test_moves_have_the_tolerance_that_the_drive_needs_to_arrive_anywhere(problem, text, message):
