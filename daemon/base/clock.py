@@ -1,6 +1,7 @@
 """Time as the service knows it: monotonic seconds for intervals, UTC seconds for stamps."""
 
 import math
+import sys
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime, tzinfo
@@ -22,6 +23,9 @@ class Clock(Protocol):
     def utc(self) -> float:
         """Return seconds since 1970-01-01T00:00Z; may step when the machine's clock is set."""
 
+    def asleep_s(self) -> float:
+        """Return for how long the machine has slept, since any fixed instant [s]: `monotonic` stood still meanwhile."""
+
 
 class SystemClock:
     """The machine's own clocks."""
@@ -34,27 +38,12 @@ class SystemClock:
         """Return seconds of the machine's real-time clock."""
         return time.time()
 
-
-class SleepGauge:
-    """Tells how long the machine may have slept: monotonic time stood still then, and the world went on.
-
-    Parameters
-    ----------
-    clock
-        The service's time.
-    """
-
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
-        self._ahead_s = clock.utc() - clock.monotonic()
-
-    def take_s(self) -> float:
-        """Return by how much UTC has run ahead of monotonic time since the last call [s], 0 where it has not.
-
-        A clock that was set forward looks the same.
-        """
-        before_s, self._ahead_s = self._ahead_s, self._clock.utc() - self._clock.monotonic()
-        return max(self._ahead_s - before_s, 0.0)
+    def asleep_s(self) -> float:
+        """Return for how long the machine has slept [s]; not on Linux, a clock that was set forward looks the same."""
+        if not sys.platform.startswith("linux"):
+            return time.time() - time.monotonic()
+        # clock_gettime(2): it goes on in a sleep, and nobody can set it.
+        return time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic()
 
 
 class LoopClock:
@@ -81,6 +70,10 @@ class LoopClock:
     def utc(self) -> float:
         """Return the start plus what the loop's time has run since."""
         return self.monotonic() + self._offset_s
+
+    def asleep_s(self) -> float:
+        """Return 0: all its time stands still together."""
+        return 0.0
 
 
 def iso_utc(utc_s: float) -> str:

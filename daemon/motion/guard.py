@@ -12,8 +12,9 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 from daemon.base.alarms.alarms import Alarms
-from daemon.base.clock import Clock, SleepGauge
+from daemon.base.clock import Clock
 from daemon.base.records import Event, Pose, Record, Target
+from daemon.base.sleeps import SleepGauge
 from daemon.motion.alarms import Currents, OwnMode, show
 from daemon.motion.deafness import Deafness
 from daemon.motion.place import KeptPlace
@@ -348,8 +349,7 @@ class Guard:
             if restarted and self.watch.same_place(seen, telemetry):
                 # The count has changed with the restart, and nothing has moved since: that is a doubt.
                 return True
-            late = self._clock.monotonic() >= deadline_s
-            if late or telemetry.status_monotonic_s > stray.seen_s + _STATUS_LATE_S:
+            if self._clock.monotonic() >= deadline_s or telemetry.status_monotonic_s > stray.seen_s + _STATUS_LATE_S:
                 return False
             await asyncio.sleep(LOOK_MOVING_S)
 

@@ -8,8 +8,9 @@ from collections.abc import Callable, Coroutine
 from functools import partial
 from typing import Any, TypeVar
 
-from daemon.base.clock import Clock, SleepGauge
+from daemon.base.clock import Clock
 from daemon.base.records import Event, Move, MoveOutcome, Pose, Record, Target
+from daemon.base.sleeps import SleepGauge
 from daemon.base.timeloop import wait_at_most
 from daemon.config.sections import MotionSettings
 from daemon.motion.guard import Guard
@@ -26,7 +27,7 @@ log = logging.getLogger("heliocube.motion")
 T = TypeVar("T")
 
 _BETWEEN_ATTEMPTS_S = 1.0
-# As old as readings may be; a clock that was set forward by less is no reason to end anything.
+# As old as readings may be; a shorter sleep is no reason to end anything.
 _SLEPT_S = 15.0
 # A positioner gives up a run by itself before that, and says why.
 _HOMING_WITHIN_S = 900.0

@@ -8,7 +8,6 @@ from daemon.base import plugins
 from daemon.base.clock import Clock, SystemClock
 from daemon.base.errors import UserError
 from daemon.base.kernel_clock import synchronised
-from daemon.base.sleeps import asleep_s
 from daemon.config.plugged import LOAD, MULTIPLEXED
 from daemon.config.rules import SELF_TESTS
 from daemon.config.settings import Settings
@@ -189,6 +188,5 @@ def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
         wind_speed_m_s=None,
         simulated=settings.instruments.bench,
         clock_synchronised=synchronised if isinstance(clock, SystemClock) else lambda: None,
-        asleep_s=asleep_s if isinstance(clock, SystemClock) else lambda: 0.0,
         clock_lasts=isinstance(clock, SystemClock),
     )

@@ -57,8 +57,6 @@ class Rig:
         One line about the simulated sky for displays, or None.
     clock_synchronised
         Whether anything has synchronised the machine's clock; None where that is not known or there is no such clock.
-    asleep_s
-        For how long the machine has slept since it was started [s]: the service's clock stood still meanwhile.
     clock_lasts
         The clock goes on while no service runs, as a simulated one does not.
     """
@@ -69,5 +67,4 @@ class Rig:
     simulated: bool
     sky_text: Callable[[], str] | None = None
     clock_synchronised: Callable[[], bool | None] = lambda: None
-    asleep_s: Callable[[], float] = lambda: 0.0
     clock_lasts: bool = False

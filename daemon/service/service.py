@@ -119,7 +119,7 @@ class Service:
             self.receiver = BridgeReceiver(settings.bridge, key, clock, self._receive, notifier, alarm)
         if role is not Role.TRACKER:
             self._build_cube()
-        self.sleeps = SleepWatch(clock, rig.asleep_s)
+        self.sleeps = SleepWatch(clock)
         self.loop_watch = LoopWatch(clock, speed, self.sleeps.look)
         self._watchdog = Watchdog(clock, notifier, self.trackers, self.acquisition, speed)
 

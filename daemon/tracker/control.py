@@ -10,6 +10,7 @@ from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch, told_step
 from daemon.base.records import Decision, Estimate, Event, Irradiances, Mode, ModeChange, Pose, Record, Scan, Target
 from daemon.base.recurrence import Recurrence, Wording
+from daemon.base.sleeps import SleepGauge
 from daemon.base.state import StateFolder
 from daemon.base.timeloop import wait_at_most
 from daemon.config.settings import Settings
@@ -118,6 +119,7 @@ class Control(Doors):
         self._clock = clock
         self._clock_watch = ClockWatch(clock) if clock_watch is None else clock_watch
         self._stow_watch = stow_watch
+        self._sleeps = SleepGauge(clock)
         self._publish = publish
         self._alarms = alarms
         self._reminders = Reminders(clock, settings.site, alarms, publish)
@@ -252,12 +254,12 @@ class Control(Doors):
     def _watch_clock(self, now_s: float) -> None:
         if (step_s := self._clock_watch.step_s()) is not None:
             self._warn(told_step(step_s, self._clock.utc()))
-            if step_s > self._settings.safety.scan_stale_s:
-                # The machine may have slept: its steady clock stood still, and what is old seems fresh by it.
-                self._readings.forget()
-                self._stow_watch.note_sleep(now_s)
-                if (text := self._orders.end_goto_on_its_way(self._parking.stands_at)) is not None:
-                    self._warn(text)
+        if self._sleeps.take_s() > self._settings.safety.scan_stale_s:
+            # What is old seems fresh by the steady clock.
+            self._readings.forget()
+            self._stow_watch.note_sleep(now_s)
+            if (text := self._orders.end_goto_on_its_way(self._parking.stands_at)) is not None:
+                self._warn(text)
 
     def _situation(self, now_s: float, mean: Irradiances | None) -> Situation:
         data, data_why, night_why = self._readings.judge(now_s, mean, sun_known=self._clock_watch.trusted)

@@ -100,7 +100,7 @@ class Orders:
         """
         if self.hold_at is None or stands_at(self.hold_at.a_deg, self.hold_at.b_deg):
             return None
-        self.end_goto("a sleep of the machine, or a step of its clock,")
+        self.end_goto("a sleep of the machine")
         return self.why_held(stands_at)
 
     def why_held(self, stands_at: Callable[[float, float], bool]) -> str | None:

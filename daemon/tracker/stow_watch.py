@@ -172,10 +172,10 @@ class StowWatch:
         names = " and ".join(sorted(self._pending))
         if self._heard_after_s == -math.inf:
             return f"waiting for the first message of {names}"
-        return f"waiting for {names} to be heard: the machine may have slept"
+        return f"waiting for {names} to be heard: the machine has slept"
 
     def note_sleep(self, now_s: float) -> None:
-        """Take note that the machine may have slept before this monotonic time: nobody heard what the wind did.
+        """Take note that the machine has slept before this monotonic time: nobody heard what the wind did.
 
         Every source has to be heard again, and one that stows to be calm for its whole time, as after a restart.
         """

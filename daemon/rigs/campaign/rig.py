@@ -84,6 +84,10 @@ class SteppingClock(LoopClock):
         """Return a monotonic time [s] since the machine slept last, and all that it has slept."""
         return monotonic_s + self.slept_s
 
+    def asleep_s(self) -> float:
+        """Return `slept_s`, as a machine tells it that knows."""
+        return self.slept_s
+
     def utc(self) -> float:
         """UTC [s], off by `step_s`."""
         return self.true_utc() + self.step_s
@@ -123,8 +127,6 @@ class HandledRig:
         Why the service is to hold its trackers from the start, or None.
     synchronised
         What the kernel says of the PC's clock; None: nothing.
-    slept_s
-        For how long the PC has slept [s].
     begins_anew
         Whether where the positioner rested before says nothing.
     """
@@ -133,7 +135,6 @@ class HandledRig:
     begins_anew = False
     clock_lasts = False
     synchronised: bool | None = None
-    slept_s: float = 0.0
 
     def __init__(
         self,
@@ -220,7 +221,6 @@ class HandledRig:
                 lambda: self.wind_m_s,
                 simulated=True,
                 clock_synchronised=lambda: self.synchronised,
-                asleep_s=lambda: self.slept_s,
                 clock_lasts=self.clock_lasts,
             ),
             self.clock,

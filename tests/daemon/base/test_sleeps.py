@@ -1,6 +1,12 @@
-"""Sleeps of the machine: what of an age they are."""
+"""Sleeps of the machine: what of an age they are, and how they are told from a step of its clock."""
 
-from daemon.base.sleeps import SleepWatch, asleep_s, slept_since
+import sys
+import time
+
+import pytest
+
+from daemon.base.clock import SystemClock
+from daemon.base.sleeps import SleepGauge, SleepWatch, slept_since
 
 
 class Machine:
@@ -12,10 +18,13 @@ class Machine:
     def monotonic(self):
         return self.now_s
 
+    def asleep_s(self):
+        return self.slept_s
+
 
 def test_each_sleep_is_part_of_the_ages_of_what_was_before_it():
     machine = Machine()
-    watch = SleepWatch(machine, lambda: machine.slept_s)
+    watch = SleepWatch(machine)
     assert watch.look() == ()
     machine.now_s, machine.slept_s = 100.1, 3605.0
     watch.look()
@@ -26,6 +35,18 @@ def test_each_sleep_is_part_of_the_ages_of_what_was_before_it():
     assert [slept_since(since_s, sleeps) for since_s in (99.0, 100.1, 200.1)] == [3610.0, 10.0, 0.0]
 
 
-def test_this_machine_tells_how_long_it_has_slept():
-    before_s = asleep_s()
-    assert 0.0 <= max(before_s, 0.0) <= asleep_s() + 1.0
+@pytest.mark.parametrize(
+    ("platform", "boot_s", "utc_s", "slept_s"),
+    [("linux", 90.0, 0.0, 90.0), ("linux", 90.0, -90.0, 90.0), ("linux", 0.0, 90.0, 0.0), ("darwin", 0.0, 90.0, 90.0)],
+)
+def test_linux_tells_a_sleep_from_a_step_of_the_clock_and_elsewhere_both_look_alike(
+    monkeypatch, platform, boot_s, utc_s, slept_s
+):
+    monkeypatch.setattr(sys, "platform", platform)
+    gauge = SleepGauge(SystemClock())
+    boot, utc = time.clock_gettime, time.time
+    monkeypatch.setattr(time, "clock_gettime", lambda which: boot(which) + boot_s)
+    monkeypatch.setattr(time, "time", lambda: utc() + boot_s + utc_s)
+    assert gauge.take_s() == pytest.approx(slept_s, abs=1.0)
+    monkeypatch.undo()
+    assert SleepGauge(SystemClock()).take_s() < 1.0

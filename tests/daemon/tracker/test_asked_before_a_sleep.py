@@ -1,6 +1,11 @@
-"""What a person asked for before the machine slept is not gone on with hours later, when nobody stands there."""
+"""What a person asked for before the machine slept is not gone on with hours later, when nobody stands there.
+
+A clock that is set meanwhile is no sleep, and hides none.
+"""
 
 import asyncio
+
+import pytest
 
 from daemon.base.records import Event, Mode
 from drivers.interfaces import Telemetry
@@ -8,17 +13,21 @@ from tests.daemon.tracker.days import at, operator
 from tests.support.motion import commands_sent, targets
 from tests.support.phases import at_rest, told, tracking
 
-ENDED = "test; a sleep of the machine, or a step of its clock, has ended the goto to A 40, B 30 deg"
+ENDED = "test; a sleep of the machine has ended the goto to A 40, B 30 deg"
 
 
-def sleep(rig, lasts_s=3600.0):
+def sleep(rig, clock_set_s=0.0):
     """Let the machine sleep; the unit has no supply meanwhile, so it is on its way still."""
-    rig.slept_s += lasts_s
-    rig.clock.slept_s += lasts_s
+    rig.clock.slept_s += 3600.0
+    rig.clock.step_s += clock_set_s
 
 
 def there(rig):
     return tuple(rig.truth()) == at(40, 30)
+
+
+def has_homed(rig):
+    return "homing finished" in told(rig)
 
 
 async def on_its_way(rig):
@@ -29,10 +38,11 @@ async def on_its_way(rig):
     assert rig.motion.moving
 
 
-def test_a_goto_does_not_go_on_after_a_sleep(run_rig):
+@pytest.mark.parametrize("clock_set_s", [0.0, -3600.0])
+def test_a_goto_does_not_go_on_after_a_sleep(run_rig, clock_set_s):
     async def scenario(rig):
         await on_its_way(rig)
-        sleep(rig)
+        sleep(rig, clock_set_s)
         await rig.until(lambda: not rig.motion.moving, 1.5, "the stop")
         stands = rig.truth()
         await asyncio.sleep(400.0)
@@ -74,14 +84,18 @@ def test_a_stow_for_the_wind_goes_on_after_a_sleep_and_the_goto_before_it_does_n
     run_rig(scenario)
 
 
+async def homing(rig):
+    await tracking(rig)
+    await at_rest(rig)
+    await operator(rig).hold("test")
+    await operator(rig).home("test")
+    await asyncio.sleep(5.0)
+    assert rig.motion.homing
+
+
 def test_a_reference_run_does_not_go_on_after_a_sleep(run_rig, monkeypatch):
     async def scenario(rig):
-        await tracking(rig)
-        await at_rest(rig)
-        await operator(rig).hold("test")
-        await operator(rig).home("test")
-        await asyncio.sleep(5.0)
-        assert rig.motion.homing
+        await homing(rig)
         sent = commands_sent(rig, monkeypatch)
         sleep(rig)
         await rig.until(lambda: not rig.motion.homing, 1.5, "the stop")
@@ -93,5 +107,15 @@ def test_a_reference_run_does_not_go_on_after_a_sleep(run_rig, monkeypatch):
         telemetry = rig.motion.telemetry
         assert isinstance(telemetry, Telemetry)
         assert not telemetry.homing
+
+    run_rig(scenario)
+
+
+@pytest.mark.parametrize(("begun", "ended"), [(on_its_way, there), (homing, has_homed)])
+def test_a_clock_that_is_set_forward_ends_neither_of_them(run_rig, begun, ended):
+    async def scenario(rig):
+        await begun(rig)
+        rig.clock.step_s = 60.0
+        await rig.until(lambda: ended(rig), 600, "the end")
 
     run_rig(scenario)

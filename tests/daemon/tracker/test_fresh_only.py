@@ -52,16 +52,19 @@ def test_a_decision_below_the_minimum_coverage_waits_until_it_is_reached(run_rig
     run_rig(scenario, windows={"minimum_coverage": 0.9})
 
 
-@pytest.mark.parametrize(("step_s", "slept"), [(28_800.0, True), (16.0, True), (14.0, False), (-600.0, False)])
-def test_a_machine_that_may_have_slept_decides_on_no_reading_of_before(run_rig, step_s, slept):
+@pytest.mark.parametrize(
+    ("slept_s", "step_s", "renewed"),
+    [(28_800.0, 0.0, True), (16.0, -16.0, True), (14.0, 0.0, False), (0.0, 600.0, False), (0.0, -600.0, False)],
+)
+def test_a_machine_that_has_slept_decides_on_no_reading_of_before(run_rig, slept_s, step_s, renewed):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 200)
         await asyncio.sleep(120)
         decided = await just_before_a_decision(rig, 8)
         # The steady clock stands still while a machine sleeps.
-        rig.clock.step_s = step_s
+        rig.clock.slept_s, rig.clock.step_s = slept_s, step_s
         await rig.until(lambda: len(rig.of(Decision)) > decided, 130, "the decision")
-        assert (rig.of(Decision)[decided].irradiances.coverage < 0.9) is slept
+        assert (rig.of(Decision)[decided].irradiances.coverage < 0.9) is renewed
         assert rig.mode is Mode.TRACKING
 
     run_rig(scenario)

@@ -229,7 +229,7 @@ SLEPT_S = 3600.0
 
 
 @pytest.mark.parametrize("cube", ["hears", "lost"])
-def test_a_machine_that_may_have_slept_moves_by_no_wind_of_before(run_rig, cube):
+def test_a_machine_that_has_slept_moves_by_no_wind_of_before(run_rig, cube):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 60)
         if cube == "lost":
@@ -239,12 +239,12 @@ def test_a_machine_that_may_have_slept_moves_by_no_wind_of_before(run_rig, cube)
         await asyncio.sleep(30)
         mode = rig.mode
         # The steady clock stands still while a machine sleeps, and the network may come back later than the machine.
-        rig.wind_m_s, rig.clock.step_s, rig.synchronised = None, SLEPT_S, True
+        rig.wind_m_s, rig.clock.slept_s, rig.synchronised = None, SLEPT_S, True
         await asyncio.sleep(10)
         decided = len(rig.of(Decision))
         await asyncio.sleep(700)
         assert rig.mode is mode
-        assert rig.control.why == "waiting for wind to be heard: the machine may have slept"
+        assert rig.control.why == "waiting for wind to be heard: the machine has slept"
         assert len(rig.of(Decision)) == decided
         rig.wind_m_s = 3.0
         await rig.until(lambda: len(rig.of(Decision)) > decided, 10, "the decision")
@@ -252,7 +252,7 @@ def test_a_machine_that_may_have_slept_moves_by_no_wind_of_before(run_rig, cube)
     run_rig(scenario, safety={"wind_stale_s": 1200})
 
 
-def test_a_machine_that_may_have_slept_in_a_stow_is_calm_for_the_whole_time_before_it_ends(run_rig):
+def test_a_machine_that_has_slept_in_a_stow_is_calm_for_the_whole_time_before_it_ends(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 60)
         rig.wind_m_s = 25.0
@@ -260,7 +260,7 @@ def test_a_machine_that_may_have_slept_in_a_stow_is_calm_for_the_whole_time_befo
         await asyncio.sleep(5)
         rig.wind_m_s = 3.0
         await asyncio.sleep(800)
-        rig.clock.step_s = SLEPT_S
+        rig.clock.slept_s = SLEPT_S
         await asyncio.sleep(890)
         assert rig.mode is Mode.STOW
         await rig.until_mode(Mode.TRACKING, 30)
@@ -268,11 +268,11 @@ def test_a_machine_that_may_have_slept_in_a_stow_is_calm_for_the_whole_time_befo
     run_rig(scenario)
 
 
-def test_a_machine_that_may_have_slept_at_night_stays_until_the_wind_is_heard_and_be_it_day(run_rig):
+def test_a_machine_that_has_slept_at_night_stays_until_the_wind_is_heard_and_be_it_day(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.NIGHT, 60)
         await asyncio.sleep(60)
-        rig.wind_m_s, rig.clock.step_s = None, 8 * 3600.0
+        rig.wind_m_s, rig.clock.slept_s = None, 8 * 3600.0
         rig.weather.dhi = 200.0  # from 2:00 on
         await asyncio.sleep(280)
         assert rig.mode is Mode.STARTING
