@@ -310,7 +310,8 @@ class Runs:
             await guard.halt()
             if self.is_interrupted():
                 left = NOT_FINISHED if doubted else None
-                self._report(f"homing was stopped before its end{': the machine slept' if self._slept else ''}")
+                remedy = ": the machine slept; give 'heliocube home' again" if self._slept else ""
+                self._report(f"homing was stopped before its end{remedy}")
             else:
                 self._report(f"homing refused: {error.message}")
         finally:

@@ -102,7 +102,7 @@ def test_a_reference_run_does_not_go_on_after_a_sleep(run_rig, monkeypatch):
         stands = rig.truth()
         await asyncio.sleep(120.0)
         assert rig.truth() == stands
-        assert "homing was stopped before its end: the machine slept" in told(rig)
+        assert "homing was stopped before its end: the machine slept; give 'heliocube home' again" in told(rig)
         assert not targets(sent)
         telemetry = rig.motion.telemetry
         assert isinstance(telemetry, Telemetry)
