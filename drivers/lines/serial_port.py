@@ -22,6 +22,8 @@ SerialForm = Literal["8N1", "8E1", "8O1", "8N2"]
 
 _READ_S = 0.2
 _WRITE_S = 0.9
+# A write that waits for room looks as often whether the port has been closed meanwhile.
+_LOOK_EVERY_S = 0.05
 _LARGEST_READ = 4096
 
 
@@ -132,7 +134,7 @@ class SerialPort:
                 left_s = end_s - time.monotonic()
                 if left_s <= 0:
                     raise TimeoutError(f"no data was accepted within {_WRITE_S:g} s") from None
-                select.select([], [self._port.fileno()], [], left_s)
+                select.select([], [self._port.fileno()], [], min(left_s, _LOOK_EVERY_S))
 
     def discard(self) -> None:
         """Throw away what has come and was not read."""

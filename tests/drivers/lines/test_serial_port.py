@@ -7,12 +7,14 @@ import select
 import subprocess
 import sys
 import termios
+import threading
 import time
 
 import pytest
 import serial
 
 from drivers.errors import ConnectError, LinkLostError
+from drivers.lines import serial_port
 from drivers.lines.serial_port import SerialPort, cannot_open
 from tests.support import PATIENCE_S
 
@@ -153,6 +155,33 @@ def test_a_port_that_is_gone_is_a_lost_link(ends):
             with pytest.raises(LinkLostError):
                 call()
         assert not port.has_lines()
+
+
+def test_a_write_that_waits_for_room_ends_when_the_port_is_closed(ends, monkeypatch):
+    _, path = ends
+    monkeypatch.setattr(serial_port, "_WRITE_S", 10.0 * PATIENCE_S)
+    waits, errors = threading.Event(), []
+
+    def select_and_tell(*what):
+        waits.set()
+        return wait_for(*what)
+
+    wait_for = select.select
+    monkeypatch.setattr(select, "select", select_and_tell)
+    with opened(path) as port:
+
+        def fill():
+            try:
+                while True:
+                    port.write(bytes(256))
+            except LinkLostError as error:
+                errors.append(error)
+
+        writer = threading.Thread(target=fill, daemon=True)
+        writer.start()
+        assert waits.wait(PATIENCE_S)
+    writer.join(PATIENCE_S)
+    assert len(errors) == 1
 
 
 def test_a_port_that_another_program_holds_is_named_with_it(ends):
