@@ -11,7 +11,7 @@ from daemon.base.timeloop import VirtualTimeLoop
 from daemon.bridge.sender import pack
 from daemon.rigs.campaign.plant import PLUGGED, Plant, PlantTracker, nothing
 from daemon.rigs.campaign.rig import CALM_M_S, KEY
-from daemon.rigs.campaign.rotator import DEAF, SENT_AWAY
+from daemon.rigs.campaign.rotator import DEAF, GONE, SENT_AWAY, STOPLESS
 from daemon.rigs.campaign.taps import Sleepless
 from sim_drivers.pozsol.core import FAULTS as UNIT_FAULTS
 
@@ -63,12 +63,7 @@ def _injected(name: str, *, lasting: bool, moves: bool = False, by_hand: bool = 
     if name not in UNIT_FAULTS:
         raise ValueError(f"the simulated positioner has no fault {name!r}")
 
-    def begin(mount: PlantTracker, _value: Value) -> None:
-        mount.unit.inject(name, mount.clock.monotonic())
-
-    def end(mount: PlantTracker, _value: Value) -> None:
-        mount.unit.repair(name, mount.clock.monotonic())
-
+    begin, end = partial(_inject, name=name), partial(_repair, name=name)
     uncounts = name == "undervoltage" or name.endswith(("hall_loss", "slip", "pulse_loss"))
     return PlantFault(begin, end if lasting else None, moves=moves, by_hand=by_hand, uncounts=uncounts)
 
@@ -91,6 +86,18 @@ async def _restart_unit(mount: PlantTracker, _value: Value, *, keep_position: bo
 
 def _silence(mount: PlantTracker, _value: Value, *, silent: bool) -> None:
     mount.silence(silent=silent)
+
+
+def _inject(mount: PlantTracker, _value: Value, *, name: str) -> None:
+    mount.unit.inject(name, mount.clock.monotonic())
+
+
+def _repair(mount: PlantTracker, _value: Value, *, name: str) -> None:
+    mount.unit.repair(name, mount.clock.monotonic())
+
+
+def _lose(mount: PlantTracker, _value: Value, *, is_gone: bool) -> None:
+    mount.lose(is_gone=is_gone)
 
 
 def _wind(plant: Plant, value: Value) -> None:
@@ -267,6 +274,8 @@ FAULTS: dict[str, PlantFault] = {
     **{f"unplug_{device}": _unplugged(device) for device in PLUGGED},
     "deaf": _injected("deaf", lasting=True),
     "positioner_silent": PlantFault(partial(_silence, silent=True), partial(_silence, silent=False)),
+    GONE: PlantFault(partial(_lose, is_gone=True), partial(_lose, is_gone=False)),
+    STOPLESS: PlantFault(partial(_inject, name=STOPLESS), partial(_repair, name=STOPLESS)),
     "undervoltage": _injected("undervoltage", lasting=True),
     "own_tracking": _injected("own_tracking", lasting=True, moves=True),
     "slave_mode": _injected("slave_mode", lasting=True, moves=True),
@@ -322,8 +331,10 @@ OF_A_ROTATOR = frozenset(
         "unplug_positioner",
         "positioner_silent",
         DEAF,
+        GONE,
+        STOPLESS,
         SENT_AWAY,
         *(name for name, fault in FAULTS.items() if fault.of_all),
     )
 )
-"""Those that a rotator behind rotctld can have as well."""
+"""Those that a rotator behind rotctld can have."""

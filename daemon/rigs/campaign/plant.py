@@ -15,7 +15,7 @@ from daemon.config.settings import Settings
 from daemon.motion.motion import Motion
 from daemon.rigs.campaign.disk import Disk
 from daemon.rigs.campaign.rig import HandledRig, HandWeather, SteppingClock
-from daemon.rigs.campaign.rotator import RotatorTap, SleeplessRotator, build_rotator_driver
+from daemon.rigs.campaign.rotator import GONE, RotatorTap, SleeplessRotator, build_rotator_driver
 from daemon.rigs.campaign.taps import DriverTap, PozsolTap, Sleepless, UnitTap, Witness
 from daemon.rigs.simulated_positioner import as_built
 from daemon.service.rig import Role
@@ -57,8 +57,8 @@ class PlantTracker:
     ----------
     unit
         The simulated unit; built before the first service.
-    plugged, is_silent
-        Whether its cable is in; whether nothing comes from the unit although it is.
+    plugged, is_silent, is_gone
+        Whether its cable is in; whether nothing comes from the unit although it is; whether rotctld has lost it.
     records
         Its own of those that the plant keeps, and those of no tracker.
     called
@@ -70,7 +70,7 @@ class PlantTracker:
         self.place = place
         self.witness = witness
         self.plugged = True
-        self.is_silent = False
+        self.is_silent = self.is_gone = False
         self.records: list[Record] = []
         self.unit: Sleepless | SleeplessRotator
         self.line: UnitTap | RotatorTap
@@ -190,6 +190,12 @@ class PlantTracker:
     def silence(self, *, silent: bool) -> None:
         """Let nothing come from the unit any more, or let it be heard again."""
         self.is_silent = self._cable.silent = silent
+        self.witness.link_changes()
+
+    def lose(self, *, is_gone: bool) -> None:
+        """Let rotctld not reach its rotator any more, or reach it again."""
+        self.is_gone = is_gone
+        (self.unit.inject if is_gone else self.unit.repair)(GONE, self.clock.monotonic())
         self.witness.link_changes()
 
     @property

@@ -17,8 +17,9 @@ from drivers.positioners.rotctld.protocol import RotctldReply
 from sim_drivers.transports import InMemoryRotctld
 from solar.frames import Angles, equator_azimuth_deg
 
-DEAF, SENT_AWAY = "deaf", "own_tracking"
-"""What may happen to a rotator: it is switched off behind its rotctld; another client of rotctld sends it away."""
+DEAF, GONE, STOPLESS, SENT_AWAY = "deaf", "gone", "stopless", "own_tracking"
+"""What may happen to a rotator: it is switched off behind its rotctld, which does not notice; it is unplugged from its
+rotctld, until that is restarted with the plug in; it is of a make without a stop; another client sends it away."""
 _SPEED_DEG_PER_S = 1.5
 
 
@@ -78,8 +79,8 @@ class SleeplessRotator:
 
     def inject(self, fault: str, now: float) -> None:
         """Cause a fault."""
-        if fault == DEAF:
-            self.core.faults.add(DEAF)
+        if fault in (DEAF, GONE, STOPLESS):
+            self.core.faults.add(fault)
         elif fault == SENT_AWAY:
             self.core.order(*self._away, self._at(now))
         else:
@@ -137,7 +138,7 @@ class RotatorTap(InMemoryRotctld):
         self._require_open()
         if self.dead:
             await asyncio.sleep(math.inf)
-        if not self.frozen:
+        if not (self.frozen or GONE in self._core.faults):
             self._witness.packet(command, self._clock.monotonic())
         reply = await super().ask(command, within_s)
         if self.write_s:

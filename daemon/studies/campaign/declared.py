@@ -6,6 +6,7 @@ until silence is a loss, 60 s without good readings until fallback, 10 min until
 
 from daemon.base.records import Mode
 from daemon.rigs.campaign.faults import FAULTS
+from daemon.studies.campaign.draw import ROTATOR_SPANS
 from daemon.studies.campaign.drills import FALLBACK, FAULT, HOLD, STOW, Drill, Phase
 
 _SHORT_S, _OUTAGE_S, _DARK_S = 10.0, 70.0, 400.0
@@ -34,6 +35,8 @@ _ROWS: tuple[_Row, ...] = (
     ("positioner_silent", (), _OUTAGE_S, FAULT, _SILENT_S, _BY_ITSELF, _RECONNECTS_S, _BOTH),
     ("deaf", (), _OUTAGE_S, FAULT, _NEXT_MOVE_S, _BY_ITSELF, _RETRIES_S, _REST),
     ("deaf", (), _OUTAGE_S, _GOES_ON, 0.0, _BY_ITSELF, _AT_ONCE_S, _MOVE),
+    ("gone", (), _OUTAGE_S, FAULT, _POLLED_S, _BY_ITSELF, _RECONNECTS_S, _BOTH),
+    ("stopless", (), _OUTAGE_S, _GOES_ON, 0.0, _BY_ITSELF, _AT_ONCE_S, _BOTH),
     ("undervoltage", (), _OUTAGE_S, FAULT, _NEXT_MOVE_S, _BY_ITSELF, _RETRIES_S, _REST),
     ("undervoltage", (), _OUTAGE_S, FAULT, _STALLED_S, _BY_ITSELF, _RETRIES_S, _MOVE),
     ("own_tracking", (), _OUTAGE_S, FAULT, _POLLED_S, _CLEAR, _AT_ONCE_S, _BOTH),
@@ -100,6 +103,7 @@ def declared() -> tuple[Drill, ...]:
             commands=commands,
             back_s=back_s,
             phase=phase,
+            positioner="rotctld" if fault in ROTATOR_SPANS else "pozsol",
         )
         for fault, value, lasts_s, mode, within_s, commands, back_s, phases in _ROWS
         for phase in phases

@@ -78,6 +78,8 @@ SPANS: dict[str, Span] = {
     "disk_full": (3, 1, 900),
 }
 """Weight, shortest and longest time [s] of each fault, drawn evenly over the logarithm; None: over at once."""
+ROTATOR_SPANS: dict[str, Span] = {"gone": (6, 0.3, 600), "stopless": (3, 10, 3000)}
+"""Those that only a rotator behind rotctld can have, likewise."""
 COMMANDS: dict[str, float] = {
     "stop": 14, "stow": 6, "hold": 5, "goto": 8, "auto": 9, "home": 5, "clear": 6, "snow": 3, "maintenance": 3, "bad": 3
 }  # fmt: skip
@@ -138,7 +140,8 @@ def draw(
         Driver of their positioners.
     """
     random = Random(seed)  # noqa: S311 - reproducibility is the point; nothing secret depends on it
-    spans = {name: span for name, span in SPANS.items() if name not in without and (not only or name in only)}
+    every = {**SPANS, **ROTATOR_SPANS} if positioner == "rotctld" else SPANS
+    spans = {name: span for name, span in every.items() if name not in without and (not only or name in only)}
     commands = {name: weight for name, weight in COMMANDS.items() if name not in without}
     pause_s = random.choice(_PAUSES_S)
     events: list[Happening] = []

@@ -1,7 +1,7 @@
 """One fault at a time: how soon the tracker is in the mode that is declared for it, and how soon it works again."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from daemon.base.records import Mode
@@ -48,6 +48,8 @@ class Drill:
         How soon it works again, after the fault is over or after the last of these commands.
     phase
         Whether the axes stand when it begins.
+    positioner
+        Driver of the positioner that has it.
     """
 
     fault: str
@@ -58,6 +60,7 @@ class Drill:
     commands: tuple[str, ...]
     back_s: float
     phase: Phase
+    positioner: Literal["pozsol", "rotctld"] = "pozsol"
 
     def schedules(self) -> Iterator[Schedule]:
         """Yield the runs of it."""
@@ -69,7 +72,8 @@ class Drill:
                     for at_s, name in person_says(self.commands, begin_s + self.lasts_s)
                 ),
             ]
-            yield drill_schedule(events, events[-1].at_s + self.lasts_s + self.back_s + WATCHED_S, seed)
+            ends_s = events[-1].at_s + self.lasts_s + self.back_s + WATCHED_S
+            yield replace(drill_schedule(events, ends_s, seed), positioner=self.positioner)
 
     def measure(self, schedules: Sequence[Schedule], outcomes: Sequence[CampaignOutcome]) -> "WorstSeen":
         """Return the worst of its runs."""

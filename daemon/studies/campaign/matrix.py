@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from daemon.base import plugins
 from daemon.base.errors import UserError
-from daemon.studies.campaign.draw import COMMANDS, SPANS, draw, value_ranges
+from daemon.studies.campaign.draw import COMMANDS, ROTATOR_SPANS, SPANS, draw, value_ranges
 from daemon.studies.campaign.schedule import Happening, Schedule
 
 if TYPE_CHECKING:
@@ -61,10 +61,10 @@ CELLS: dict[tuple[str, str], tuple[str, ...] | str] = {
     ("positioner-link", "off"): ("unplug_positioner",),
     ("positioner-link", "stuck"): ("positioner_silent",),
     ("positioner-link", "dropped-reply"): ("deaf",),
-    ("positioner-link", "unplug"): ("unplug_positioner",),
+    ("positioner-link", "unplug"): ("unplug_positioner", "gone"),
     ("positioner-link", "reset"): ("reset_position_kept", "reset_position_lost"),
     ("positioner", "off"): ("undervoltage",),
-    ("positioner", "stuck"): ("a_ignores_targets", "b_ignores_targets", "a_cable", "b_cable"),
+    ("positioner", "stuck"): ("a_ignores_targets", "b_ignores_targets", "a_cable", "b_cable", "stopless"),
     ("positioner", "wrong"): ("own_tracking", "slave_mode", "slave_standby", "re_reference", "unit_wind", "unit_snow"),
     ("positioner", "drift"): ("a_slip", "b_slip", "a_pulse_loss", "b_pulse_loss"),
     ("positioner", "over-range"): ("a_overcurrent", "b_overcurrent", "a_destination", "b_destination"),
@@ -91,6 +91,7 @@ CELLS: dict[tuple[str, str], tuple[str, ...] | str] = {
     ("wind-sensor", "over-range"): ("wind",),
 }
 """Names of the campaign's faults by component and kind of fault."""
+_EVERY = {**SPANS, **ROTATOR_SPANS}
 
 _WHY_NOT: dict[str, dict[str, str]] = {
     "sensor": dict.fromkeys(("garbage", "slow", "late", "dropped-reply", "partial-line", "reset"), _NO_BYTES),
@@ -143,11 +144,11 @@ def chosen_faults(words: Collection[str]) -> tuple[str, ...]:
     chosen: list[str] = []
     for word in words:
         component, _, kind = word.partition(":")
-        if word in SPANS:
+        if word in _EVERY:
             chosen.append(word)
         elif component not in COMPONENTS or (kind and kind not in FAULT_KINDS):
             raise UserError(
-                f"--only: there is no {word}; faults are {', '.join(SPANS)}; components are {', '.join(COMPONENTS)};"
+                f"--only: there is no {word}; faults are {', '.join(_EVERY)}; components are {', '.join(COMPONENTS)};"
                 f" and of a component, as in sensor:stuck, {', '.join(FAULT_KINDS)}"
             )
         elif kind:
@@ -216,16 +217,14 @@ def chosen_schedules(
         refuse_unknown(schedule, known(DirectDoor()))
         _refuse_values(file, schedule.events)
         return [schedule]
-    unknown = sorted(set(without) - {*SPANS, *COMMANDS})
+    unknown = sorted(set(without) - {*_EVERY, *COMMANDS})
     if unknown:
         raise UserError(f"--without: there is no fault or command {', '.join(unknown)}")
-    faults = chosen_faults(only)
-    if positioner == "rotctld":
-        from daemon.rigs.campaign.faults import OF_A_ROTATOR  # noqa: PLC0415 - the whole service
-
-        for name in faults:
-            _refuse_of_rotator(name, OF_A_ROTATOR)
-        faults = faults or tuple(name for name in SPANS if name in OF_A_ROTATOR)
+    for name in _EVERY.keys() & only:
+        _refuse_impossible(name, positioner)
+    faults = tuple(name for name in chosen_faults(only) or _EVERY if name in possible(positioner))
+    if not faults:
+        raise UserError(f"--only: a rotator has nothing of {', '.join(only)}")
     return [draw(seed, hours, without, faults, trackers, positioner) for seed in range(first, first + seeds)]
 
 
@@ -245,7 +244,7 @@ def settings_of(schedule: Schedule, directory: Path | None = None) -> "Settings"
 
 def refuse_unknown(schedule: Schedule, commands: Collection[str]) -> None:
     """Raise `UserError` for the first event that simulator or service does not know: to skip it would be a lie."""
-    from daemon.rigs.campaign.faults import FAULTS, OF_A_ROTATOR  # noqa: PLC0415 - the whole service: a wrong name does not wait for it
+    from daemon.rigs.campaign.faults import FAULTS  # noqa: PLC0415 - the whole service: a wrong name does not wait for it
 
     for event in schedule.events:
         if event.tracker is not None and event.tracker >= schedule.trackers:
@@ -254,12 +253,24 @@ def refuse_unknown(schedule: Schedule, commands: Collection[str]) -> None:
             raise UserError(f"the service has no command '{event.name}'; leave it out with --without {event.name}")
         if event.what == "fault" and event.name not in FAULTS:
             raise UserError(f"the campaign has no fault '{event.name}'; it has {', '.join(FAULTS)}")
-        if event.what == "fault" and schedule.positioner == "rotctld":
-            _refuse_of_rotator(event.name, OF_A_ROTATOR)
+        if event.what == "fault":
+            _refuse_impossible(event.name, schedule.positioner)
 
 
-def _refuse_of_rotator(name: str, known: Collection[str]) -> None:
+def possible(positioner: Literal["pozsol", "rotctld"]) -> Collection[str]:
+    """Return the faults that the campaign can cause with a positioner of this driver."""
+    if positioner == "pozsol":
+        return SPANS
+    from daemon.rigs.campaign.faults import OF_A_ROTATOR  # noqa: PLC0415 - the whole service
+
+    return OF_A_ROTATOR
+
+
+def _refuse_impossible(name: str, positioner: Literal["pozsol", "rotctld"]) -> None:
+    known = possible(positioner)
     if name not in known:
+        if name in ROTATOR_SPANS:
+            raise UserError(f"{name} cannot be simulated: only a rotator has it; give --positioner rotctld as well")
         raise UserError(f"{name} cannot be simulated: a rotator behind rotctld has only {', '.join(sorted(known))}")
 
 

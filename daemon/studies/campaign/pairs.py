@@ -48,8 +48,8 @@ _NO_PAIRS = (
 LEFT_OUT = (
     "Left out: two faults of the one process, the same switch open and closed, and what leaves no mark in the unit\n"
     "(a count that slips, a switch closed for 10 s) while no process is there to see it; nor a process that stands\n"
-    "still while the clock is set, for it waits to hear the wind then, and readings come meanwhile. A fault that only\n"
-    "a move can show may wait for one."
+    "still while the clock is set, for it waits to hear the wind then, and readings come meanwhile; nor what only a\n"
+    "rotator has. A fault that only a move can show may wait for one."
 )
 """What is not asked of pairs."""
 
@@ -147,11 +147,12 @@ class Pair:
 
 
 def declared_pairs(drills: Iterable[Drill]) -> list[Pair]:
-    """Return each two drills of the same phase, but for those that are no question."""
+    """Return each two drills of the same phase, but for those that are no question, and those of a rotator."""
     return [
         Pair(first, second)
         for first, second in combinations(drills, 2)
         if first.phase == second.phase
+        and first.positioner == second.positioner == "pozsol"
         and first.fault != second.fault
         and not any({first.fault, second.fault} <= left_out for left_out in _NO_PAIRS)
     ]

@@ -135,7 +135,8 @@ def _row(drill: Drill, measured: WorstSeen) -> str:
     bound, worst = (f"{drill.within_s:g} s", f"{measured.reached_s:.1f} s") if drill.mode else ("", "")
     by = ", ".join(f"`{name}`" for name in drill.commands) or "itself"
     back = f"{drill.back_s:g} s | {measured.back_s:.1f} s"
-    return f"`{drill.fault}`{value} | {lasts} | {drill.phase} | {_modes(drill)} | {bound} | {worst} | {by} | {back}"
+    of = " of a rotator" if drill.positioner == "rotctld" else ""
+    return f"`{drill.fault}`{value}{of} | {lasts} | {drill.phase} | {_modes(drill)} | {bound} | {worst} | {by} | {back}"
 
 
 def _modes(drill: Drill) -> str:

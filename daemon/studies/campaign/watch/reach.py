@@ -56,7 +56,7 @@ class Reach:
 
     def live(self, mount: PlantTracker, now_s: float) -> bool:
         """Tell whether the service can keep its promises: it has had time to connect and to be heard."""
-        if not (mount.is_served and mount.plugged) or self._deaf or mount.is_silent:
+        if not (mount.is_served and mount.plugged) or self._deaf or mount.is_silent or mount.is_gone:
             return False
         if now_s - self.since_s > CONNECTS_WITHIN_S:
             return True

@@ -43,6 +43,16 @@ def test_a_stop_of_a_rotator_is_measured_and_one_that_does_not_reach_it_is_seen(
     assert run(GOTO, stop, door=Forgetful()).promises >= {"moves-under-stop"}
 
 
+@pytest.mark.parametrize(("fault", "mode"), [("gone", True), ("stopless", False)])
+def test_a_rotator_that_rotctld_loses_or_that_knows_no_stop_is_no_danger(fault, mode):
+    begins = Happening(148.0, "fault", fault, lasts_s=30.0)
+    outcome = run(GOTO, begins, Happening(150.0, "command", "stop"), heal=True)
+    assert outcome.violations == ()
+    assert (Mode.FAULT in {mode for _, mode in outcome.entered}) is mode
+    # Nobody can be held to a stop that does not reach it.
+    assert len(outcome.stop_latencies_s) == (fault == "stopless")
+
+
 def test_a_rotator_may_leave_the_limits_on_its_way_and_never_its_range(monkeypatch):
     assert run(GOTO).violations == ()
     narrow = {"a": (0.0, 360.0), "b": (60.0, 90.0)}
@@ -62,3 +72,15 @@ def test_what_no_rotator_can_have_is_refused_and_not_skipped(tmp_path):
         chosen_schedules(1, 1, 1.0, ("a_slip",), (), None, 1, "rotctld")
     with pytest.raises(UserError, match="a_slip cannot be simulated"):
         run(Happening(120.0, "fault", "a_slip"))
+    with pytest.raises(UserError, match="gone cannot be simulated: only a rotator"):
+        chosen_schedules(1, 1, 1.0, ("gone",), (), None)
+    with pytest.raises(UserError, match="a rotator has nothing of positioner:drift"):
+        chosen_schedules(1, 1, 1.0, ("positioner:drift",), (), None, 1, "rotctld")
+
+
+@pytest.mark.parametrize(("positioner", "has"), [("pozsol", "reset_position_lost"), ("rotctld", "gone")])
+def test_of_a_component_each_positioner_has_what_it_can_have(positioner, has):
+    schedules = chosen_schedules(100, 1, 1.0, ("positioner-link",), (), None, 1, positioner)
+    drawn = {event.name for schedule in schedules for event in schedule.events if event.what == "fault"}
+    assert has in drawn
+    assert (drawn <= OF_A_ROTATOR) is (positioner == "rotctld")

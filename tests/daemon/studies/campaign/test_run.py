@@ -10,7 +10,7 @@ import pytest
 from daemon.base.errors import UserError
 from daemon.rigs.campaign.faults import FAULTS
 from daemon.studies.campaign.attack import Attack
-from daemon.studies.campaign.draw import COMMANDS, SPANS, draw
+from daemon.studies.campaign.draw import COMMANDS, ROTATOR_SPANS, SPANS, draw
 from daemon.studies.campaign.habits import BUILT, CHOICES
 from daemon.studies.campaign.many import run_many
 from daemon.studies.campaign.matrix import chosen_schedules, settings_of
@@ -37,9 +37,9 @@ def test_several_processes_show_what_one_shows():
 
 
 def test_every_fault_and_command_can_be_drawn():
-    assert set(SPANS) == set(FAULTS)
+    assert {*SPANS, *ROTATOR_SPANS} == set(FAULTS)
     events = [event for seed in range(400) for event in draw(seed, 3).events]
-    assert {event.name for event in events} == {*FAULTS, *COMMANDS}
+    assert {event.name for event in events} == {*SPANS, *COMMANDS}
 
 
 def test_every_fault_of_the_simulated_unit_is_in_the_campaign():
@@ -49,7 +49,7 @@ def test_every_fault_of_the_simulated_unit_is_in_the_campaign():
 
 def test_every_fault_begins_and_ends():
     events = []
-    for name in FAULTS:
+    for name in SPANS:
         drawn = (event for seed in range(2000) for event in draw(seed, 1, only=[name]).events if event.name == name)
         event = next(drawn)
         at_s = 90.0 + 30 * len(events)

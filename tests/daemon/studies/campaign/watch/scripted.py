@@ -28,7 +28,7 @@ class Scripted:
         self.control = SimpleNamespace(mode=Mode.TRACKING, why="", wishes=Wishes())
         self.control.state = SimpleNamespace(scan_age_s=1.0)
         self.sun_deg = 30.0
-        self.is_silent = self.has_slew_drives = False
+        self.is_silent = self.is_gone = self.has_slew_drives = False
         self.lowered = ""
         self.called = ""
         self.settings = Settings.model_validate({})
