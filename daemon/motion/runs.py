@@ -177,10 +177,12 @@ class Runs:
                 # Whoever wants it still decides it anew, by what is true now.
                 break
             guard.departs(target)
+            # It may sleep between the targets of the two axes.
+            sleeps = SleepGauge(self._clock)
             try:
                 # A tilted module catches the wind, so a stow lays it flat before it turns it.
                 await self._positioner.move_to(target.a_deg, target.b_deg, first="b" if self._stow else "a")
-                outcome, why = await self._watch_move(target, start)
+                outcome, why = await self._watch_move(target, start, sleeps)
             except RefusedError as error:
                 # One axis may have taken the target, or both another one.
                 guard.watch.pardon()
@@ -222,8 +224,8 @@ class Runs:
         """Return why the move must not go on: a reference lost on the way ends all moves but a stow."""
         return None if self._stow else self._guard.doubts.reference
 
-    async def _watch_move(self, target: Target, start: Pose) -> tuple[MoveOutcome, str]:
-        guard, sleeps = self._guard, SleepGauge(self._clock)
+    async def _watch_move(self, target: Target, start: Pose, sleeps: SleepGauge) -> tuple[MoveOutcome, str]:
+        guard = self._guard
         await guard.expect_move()
         watch = MoveWatch(target, start, self._limits, self._settings, self._expected, self._clock.monotonic())
         while True:
