@@ -5,6 +5,7 @@ import logging
 import socket
 from dataclasses import dataclass
 
+import h11
 import pytest
 
 from daemon.api.gate import Token
@@ -352,10 +353,30 @@ def test_whoever_comes_by_ipv4_to_a_socket_for_all_of_ipv6_is_treated_as_coming_
     serve(scenario)
 
 
-def test_a_long_head_is_refused(serve):
+@pytest.mark.parametrize(
+    "before", [b"", b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"], ids=["alone", "behind another"]
+)
+@pytest.mark.parametrize("end", [b"", b"\r\n\r\n"], ids=["half", "whole"])
+def test_a_long_head_is_refused_also_where_it_comes_in_one_piece(serve, caplog, before, end):
     async def scenario(rig, call):
-        reader, writer = await connect(call, HALF_A_HEAD + b"y" * 40_000)
-        assert (await closed(reader)).startswith(b"HTTP/1.1 400 ")
+        reader, writer = await connect(call, before + HALF_A_HEAD + b"alhost" + b"\r\ny: 1" * 8_000 + end)
+        assert (await closed(reader)).count(b"HTTP/1.1 200 OK") <= bool(before)
+        writer.close()
+
+    serve(scenario)
+    assert lines_of(caplog) == ["what 127.0.0.1 sends is not HTTP"]
+
+
+def test_the_small_parts_of_a_body_without_the_token_are_taken_apart_a_few_at_a_time(serve, monkeypatch):
+    taken, take = [], h11.Connection.receive_data
+    monkeypatch.setattr(h11.Connection, "receive_data", lambda conn, data: [taken.append(len(data)), take(conn, data)])
+
+    async def scenario(rig, call):
+        head = b"POST /api/stow HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n"
+        reader, writer = await connect(call, head + b"1\r\nx\r\n" * 10_000 + b"0\r\n\r\n")
+        await asyncio.sleep(0.02)
+        assert 0 < sum(taken) < 16_000
+        assert (await reader.readline()).startswith(b"HTTP/1.1 401 ")
         writer.close()
 
     serve(scenario)
