@@ -24,9 +24,7 @@ _OPTIONS = {
 
 def main() -> None:
     """Carry out `heliocube stop` and `heliocube stow` before any large library is loaded, and the rest as usual."""
-    if sys.stdout is None:
-        # Closed by whoever started it; what is opened next would get its number.
-        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - for as long as we run
+    _open_what_is_closed()
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A reason or a name may have letters that the terminal has not.
         sys.stdout.reconfigure(errors="replace")
@@ -48,6 +46,20 @@ def main() -> None:
             command_line()
         else:
             _at_once(command, given)
+
+
+def _open_what_is_closed() -> None:
+    """Let nobody read what is said to an output that whoever started us has closed.
+
+    What is opened next would get its number, the file of the records for one, and what a library complains of with it.
+    """
+    while (opened := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(opened)
+    if sys.stdout is None:
+        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - for as long as we run
+    if sys.stderr is None:
+        sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - as above
 
 
 def _refuse_two_trackers(words: Sequence[str]) -> None:

@@ -218,6 +218,24 @@ def test_a_standard_output_that_is_closed_is_one_that_nobody_reads():
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.parametrize("closed", ["2>&-", "0<&- 2>&-"])
+def test_a_standard_error_that_is_closed_changes_no_code_and_is_no_file_of_ours(tmp_path, closed):
+    program = """
+import os, sys
+from pathlib import Path
+from daemon.entry import main
+try:
+    main()
+finally:
+    Path(sys.argv[-1]).with_name("opened").write_text(str(os.open(sys.argv[0], os.O_RDONLY)))
+"""
+    (tmp_path / "program.py").write_text(program)
+    words = [sys.executable, tmp_path / "program.py", "config", "check", tmp_path / "nothing.toml"]
+    done = subprocess.run(["sh", "-c", f'exec "$@" {closed}', "sh", *words], timeout=PATIENCE_S, cwd=ROOT)
+    assert done.returncode == 2
+    assert int((tmp_path / "opened").read_text()) > 2
+
+
 @pytest.mark.parametrize(
     ("library", "words", "sentence"),
     [
