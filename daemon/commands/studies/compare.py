@@ -163,7 +163,8 @@ def fit(
     as_json: JsonOption = False,
 ) -> None:
     """Find the bias between the two measuring chains from a time in which both trackers lay flat."""
-    check_outputs([out, out.with_suffix(".png"), out.with_suffix(".svg")], "--out", force=force)
+    check_outputs([out], "--out", force=force)
+    check_outputs([out.with_suffix(".png"), out.with_suffix(".svg")], "--out", force=force)
     _check_measurements(data, store, cube, chrono)
     from daemon.studies.compare import figures
     from daemon.studies.compare.fit import as_text, flat_pairs, write

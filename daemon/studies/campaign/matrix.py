@@ -9,6 +9,7 @@ from daemon.base import plugins
 from daemon.base.errors import UserError
 from daemon.studies.campaign.draw import COMMANDS, ROTATOR_SPANS, SPANS, draw, value_ranges
 from daemon.studies.campaign.schedule import Happening, Schedule
+from daemon.studies.inputs import check_ordinary
 
 if TYPE_CHECKING:
     from daemon.config.settings import Settings
@@ -195,6 +196,7 @@ def chosen_schedules(
         A name is not known, or cannot be done; the file cannot be read.
     """
     if file is not None:
+        check_ordinary(file, "a schedule")
         try:
             schedule = Schedule.from_json(file.read_text(encoding="utf-8"))
         except OSError as error:
