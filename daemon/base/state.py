@@ -21,6 +21,8 @@ log = logging.getLogger("heliocube.state")
 
 ROOM_BYTES = 4096
 """That a spare has from the beginning: a block of most file systems."""
+# Of kept state, many times what any of it can grow to.
+_LONGEST = 8 << 20
 _CLOSE_WITHIN_S = 3.0
 _SLOW_AFTER_S = 5.0
 
@@ -350,10 +352,15 @@ class StateFile(Generic[State]):
         if self.path is None:
             return None
         try:
-            if self.path.exists() and not self.path.is_file():
-                # Whoever opens a pipe waits for a writer, and a device may never end.
+            if not self.path.is_file() and (self.path.exists() or self.path.is_symlink()):
+                # Whoever opens a pipe waits for a writer, and a device may never end; and where a link leads nowhere, a
+                # disk may be missing.
                 raise UnreadableStateError(self.path)
-            return self._model.model_validate_json(self.path.read_bytes())
+            with self.path.open("rb") as file:
+                content = file.read(_LONGEST + 1)
+            if len(content) > _LONGEST:
+                raise UnreadableStateError(self.path)
+            return self._model.model_validate_json(content)
         except (FileNotFoundError, NotADirectoryError):
             return None
         except (OSError, ValueError) as error:

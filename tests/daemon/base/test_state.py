@@ -64,6 +64,20 @@ def test_a_pipe_in_its_place_is_not_waited_for_and_the_next_contents_take_its_pl
         assert state_file(tmp_path).load() == Kept(count=count)
 
 
+def test_a_link_that_leads_nowhere_and_a_file_without_end_cannot_be_read(tmp_path):
+    path = tmp_path / "kept.json"
+    path.symlink_to("nowhere")
+    with pytest.raises(UnreadableStateError):
+        state_file(tmp_path).load()
+    path.unlink()
+    with path.open("w") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(UnreadableStateError):
+        state_file(tmp_path).load()
+    state_file(tmp_path).save(Kept(count=2))
+    assert state_file(tmp_path).load() == Kept(count=2)
+
+
 def test_a_disk_that_fails_is_reported_once_until_it_works_again_and_gets_the_newest_content(tmp_path, caplog):
     caplog.set_level(logging.INFO)
     directory = tmp_path / "folder"
