@@ -10,6 +10,7 @@ import socket
 import threading
 from contextlib import asynccontextmanager, suppress
 
+import h11
 import httpx
 import pytest
 
@@ -96,6 +97,34 @@ def test_a_flood_of_connections_that_say_nothing_keeps_out_neither_who_comes_nor
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         runner.run(scenario())
+
+
+def test_a_head_without_end_is_refused_also_where_it_comes_in_one_piece():
+    async def scenario():
+        async with served() as address:
+            reader, writer = await asyncio.open_connection(*address)
+            writer.write(PAGE + b"y: 1\r\n" * 8_000 + b"\r\n")
+            with suppress(ConnectionError):
+                assert b"HTTP/1.1 200 " not in await reader.read(4096)
+            writer.close()
+
+    asyncio.run(scenario())
+
+
+def test_the_small_parts_of_a_body_that_nobody_asks_for_are_not_taken_apart(monkeypatch):
+    taken, take = [], h11.Connection.receive_data
+    monkeypatch.setattr(h11.Connection, "receive_data", lambda conn, data: [taken.append(len(data)), take(conn, data)])
+
+    async def scenario():
+        async with served() as address:
+            reader, writer = await asyncio.open_connection(*address)
+            writer.write(b"POST /none HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n")
+            writer.write(b"1\r\nx\r\n" * 10_000)
+            await asyncio.wait_for(until_its_end(reader), PATIENCE_S)
+            writer.close()
+
+    asyncio.run(scenario())
+    assert sum(taken) < 10_000
 
 
 @pytest.mark.parametrize(
