@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import InterruptedEarlyError, UserError
-from daemon.commands.answers import JsonOption, print_json, warn
+from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, checked_seed, chosen_workers
 from daemon.commands.studies.simulate import progress_bar
 from daemon.store.outputs import check_outputs
@@ -203,6 +203,8 @@ def _compare(
         Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")
     if ended is not None:
         raise type(ended)(f"{ended}: {out} has {len(rows)} of {len(skies) * len(names)} laws")
+    if not as_json:
+        _say_written(out, "energy")
 
 
 def _tell_losses(
@@ -239,6 +241,8 @@ def _tell_losses(
         Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")
     if done != "all":
         raise InterruptedEarlyError(f"interrupted: the losses in {out} are those of {done} laws")
+    if not as_json:
+        _say_written(out, "energy-losses")
 
 
 def _laid_out(
@@ -325,6 +329,12 @@ def _compare_sites(
         raise type(ended)(f"{ended}: {out} has {len(outcomes)} of the table's {len(sites)} lines")
     if refused:
         raise UserError(f"{len(refused)} of {len(sites)} sites could not be used: {out} says why")
+    if not as_json:
+        _say_written(out, "energy-sites")
+
+
+def _say_written(out: Path, stem: str) -> None:
+    say(f"\nwritten to {out}: {', '.join(f'{stem}.{ending}' for ending in _ENDINGS)}")
 
 
 def _words(text: str) -> list[str]:

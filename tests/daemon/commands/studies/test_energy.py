@@ -63,7 +63,8 @@ def test_it_writes_table_csv_and_picture(monkeypatch, short_weather, tmp_path, c
     out = capsys.readouterr().out
     assert "sky perez1993" in out
     assert "There is no daily budget of moves and travel here: the service follows" in " ".join(out.split())
-    assert (tmp_path / "o" / "energy.txt").read_text() == out
+    written_to = f"\nwritten to {tmp_path / 'o'}: energy.txt, energy.csv, energy.png\n"
+    assert (tmp_path / "o" / "energy.txt").read_text() + written_to == out
     rows = list(csv.DictReader((tmp_path / "o" / "energy.csv").read_text().splitlines()))
     assert [row["law"] for row in rows[:6]] == laws.split(",")
     assert float(rows[5]["share_pct"]) == pytest.approx(100.0)
@@ -331,7 +332,9 @@ def test_a_site_far_from_greenwich_has_no_day_more_than_its_file(monkeypatch, tm
     table = tmp_path / "sites.csv"
     table.write_text("name,latitude,longitude,weather\nfar,40,180,weather.csv\n")
     assert energy(monkeypatch, "--sites", table, "--out", tmp_path / "o", "--laws", "flat") == 0
-    assert ", 2 days. Gains are" in " ".join(capsys.readouterr().out.split())
+    told = capsys.readouterr().out
+    assert ", 2 days. Gains are" in " ".join(told.split())
+    assert told.endswith(f"written to {tmp_path / 'o'}: energy-sites.txt, energy-sites.csv, energy-sites.png\n")
     (row,) = csv.DictReader((tmp_path / "o" / "energy-sites.csv").read_text().splitlines())
     assert row["days"] == "2"
 

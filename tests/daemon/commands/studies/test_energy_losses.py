@@ -145,7 +145,9 @@ def test_weather_that_nobody_measured_is_marked(monkeypatch, short_weather, tmp_
     lines = short_weather.read_text().splitlines()
     short_weather.write_text("\n".join([f"{lines[0]},simulated", *(f"{line},true" for line in lines[1:])]))
     assert energy(monkeypatch, short_weather, "--site", SITE, "--losses", "--out", tmp_path / "o") == 0
-    assert capsys.readouterr().out.startswith("SIMULATED: ")
+    told, names = capsys.readouterr().out, "energy-losses.txt, energy-losses.csv, energy-losses.png"
+    assert told.startswith("SIMULATED: ")
+    assert told.endswith(f"written to {tmp_path / 'o'}: {names}\n")
     rows = csv.DictReader((tmp_path / "o" / "energy-losses.csv").read_text().splitlines())
     assert {row["simulated"] for row in rows} == {"true"}
 
