@@ -3,7 +3,7 @@
 import asyncio
 import math
 import warnings
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,7 +18,7 @@ from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.store.export import KINDS, export
 from daemon.studies.inputs import instant, settings_for
-from daemon.studies.recorded import RecordedScan, read_csv, unit_note
+from daemon.studies.recorded import RecordedScans, read_csv, unit_note
 from daemon.studies.replay import replay as run_replay
 from daemon.studies.simulate import simulate as run_simulation
 from solar.ephemeris import Site
@@ -152,9 +152,9 @@ def read_faces(path: Path | str) -> pd.DataFrame:
         _warn(f"{path}: {recording.broken.note()}")
     rows = recording.rows
     # Seconds since 1970 in a float are good for a microsecond, and no more is written.
-    times = pd.to_datetime([row.time_utc_s for row in rows], unit="s", utc=True).round("us")
+    times = pd.to_datetime(rows.utc_s, unit="s", utc=True).round("us")
     index = pd.DatetimeIndex(times, name="time")
-    return pd.DataFrame([row.irradiances_w_m2 for row in rows], index=index, columns=list(FACES))
+    return pd.DataFrame(rows.faces_w_m2, index=index, columns=list(FACES))
 
 
 def replay(
@@ -225,7 +225,7 @@ def _in_a_loop_of_its_own(work: Callable[[Callable[[float], None]], Result]) -> 
             raise
 
 
-def _rows(faces: pd.DataFrame) -> Sequence[RecordedScan]:
+def _rows(faces: pd.DataFrame) -> RecordedScans:
     # Whoever has no frame, such as the array in it, is told the same.
     index = getattr(faces, "index", None)
     if not isinstance(index, pd.DatetimeIndex) or index.tz is None or not index.is_monotonic_increasing:
@@ -246,11 +246,7 @@ def _rows(faces: pd.DataFrame) -> Sequence[RecordedScan]:
         values = faces[list(FACES)].to_numpy(dtype=np.float64, na_value=np.nan)
     except (TypeError, ValueError) as error:
         raise UserError(f"the readings must be numbers [W/m2], NaN where a face has none ({error})") from None
-    values = np.where(possible(values), values, np.nan)
-    return [
-        RecordedScan(at, (row[0], row[1], row[2], row[3]))
-        for at, row in zip(seconds.tolist(), values.tolist(), strict=True)
-    ]
+    return RecordedScans(seconds, np.where(possible(values), values, np.nan))
 
 
 def _tables(folder: Path) -> Tables:

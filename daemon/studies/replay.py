@@ -30,7 +30,7 @@ from daemon.service.rig import Rig, Role, TrackerInstruments
 from daemon.service.service import Service
 from daemon.service.tracker import Tracker
 from daemon.studies.failed_laws import failed_laws
-from daemon.studies.recorded import RecordedScan
+from daemon.studies.recorded import RecordedScan, RecordedScans
 from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Angles, Array
 from solar.laws.law import Law
@@ -71,7 +71,7 @@ class Replayed(NamedTuple):
     failed_laws: list[str]
 
 
-def replay(settings: Settings, rows: Sequence[RecordedScan], out: Path, progress: Callable[[float], None]) -> Replayed:
+def replay(settings: Settings, rows: RecordedScans, out: Path, progress: Callable[[float], None]) -> Replayed:
     """Run the tracker's role on recorded readings and write one line per row to `out`.
 
     Parameters
@@ -79,7 +79,7 @@ def replay(settings: Settings, rows: Sequence[RecordedScan], out: Path, progress
     settings
         With the site and the law. The rhythm of the cube is taken from the rows; store, bridge and wind are left out.
     rows
-        In rising time.
+        To run on.
     out
         CSV file with `COLUMNS`, compressed if it ends in ``.gz``; replaced if it is there, and only when all is done.
     progress
@@ -99,7 +99,7 @@ def replay(settings: Settings, rows: Sequence[RecordedScan], out: Path, progress
             log = _run(settings, rows, progress)
             done = len(log.modes)
             qualities = np.frombuffer(log.qualities, dtype=np.uint8).reshape(-1, len(FACES))[:done]
-            _write(file, settings, rows[:done], log, qualities == _QUALITIES.index(Quality.OK))
+            _write(file, settings, rows, log, qualities == _QUALITIES.index(Quality.OK))
         part.replace(out)
     except OSError as error:
         raise UserError(f"--out: {out} cannot be written: {error.strerror}") from None
@@ -134,12 +134,11 @@ class _Log:
             self.law = ""
 
 
-def _fitted(settings: Settings, rows: Sequence[RecordedScan]) -> Settings:
+def _fitted(settings: Settings, rows: RecordedScans) -> Settings:
     """Return the settings with the rhythm of the rows, and without what a replay has no business with."""
     if len(rows) < 2:
         raise UserError("a replay needs two rows at least, to know how far apart they are")
-    times = np.array([row.time_utc_s for row in rows])
-    every_s = float(np.median(np.diff(times)))
+    every_s = float(np.median(np.diff(rows.utc_s)))
     if every_s > _SLOWEST_S + 0.5:
         raise UserError(
             f"the rows are {every_s:.0f} s apart and a tracker needs one every {_SLOWEST_S:.0f} s at least: "
@@ -154,10 +153,10 @@ def _fitted(settings: Settings, rows: Sequence[RecordedScan]) -> Settings:
     return on_a_port_of_its_own(settings, insecure=True).model_copy(update=changes)
 
 
-def _run(settings: Settings, rows: Sequence[RecordedScan], progress: Callable[[float], None]) -> _Log:
+def _run(settings: Settings, rows: RecordedScans, progress: Callable[[float], None]) -> _Log:
     with virtual_time() as runner:
         loop = cast("VirtualTimeLoop", runner.get_loop())
-        clock = LoopClock(loop.time, rows[0].time_utc_s - _WARM_UP_S)
+        clock = LoopClock(loop.time, float(rows.utc_s[0]) - _WARM_UP_S)
         truth, positioner = build_simulated_positioner(settings, clock)
         bus = Bus()
         service = Service(
@@ -209,9 +208,9 @@ class _Feeder:
         self._seen_at_rest = False
         self._gap_s = max(_AWAKE_S, 2.0 * self._cube.scan_every_s)
 
-    async def run(self, rows: Sequence[RecordedScan], progress: Callable[[float], None]) -> None:
+    async def run(self, rows: RecordedScans, progress: Callable[[float], None]) -> None:
         log, control, loop = self._log, self._control, self._loop
-        start_s = _WARM_UP_S - rows[0].time_utc_s
+        start_s = _WARM_UP_S - float(rows.utc_s[0])
         for number, row in enumerate(rows):
             due_s = row.time_utc_s + start_s
             if due_s - loop.time() > self._gap_s:
@@ -323,23 +322,24 @@ def _opened(path: Path, suffix: str) -> TextIO:
     return path.open("w", encoding="utf-8", newline="")
 
 
-def _write(file: TextIO, settings: Settings, rows: Sequence[RecordedScan], log: _Log, good: NDArray[np.bool_]) -> None:
+def _write(file: TextIO, settings: Settings, rows: RecordedScans, log: _Log, good: NDArray[np.bool_]) -> None:
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(COLUMNS)
     angles = np.frombuffer(log.angles).reshape(-1, 4)
     site = settings.site.place()
-    for first in range(0, len(rows), _ROWS_AT_ONCE):
-        some = rows[first : first + _ROWS_AT_ONCE]
-        utc_s = np.array([row.time_utc_s for row in some])
-        faces = np.where(good[first : first + len(some)], [row.irradiances_w_m2 for row in some], np.nan)
-        estimates: list[tuple[str, ...]] = [("", "", "")] * len(some)
+    # Those that were done before Ctrl-C.
+    for first in range(0, len(good), _ROWS_AT_ONCE):
+        some = slice(first, min(first + _ROWS_AT_ONCE, len(good)))
+        utc_s = rows.utc_s[some]
+        faces = np.where(good[some], rows.faces_w_m2[some], np.nan)
+        estimates: list[tuple[str, ...]] = [("", "", "")] * len(utc_s)
         if log.learned:
             estimates = _estimates(log.pointing.law, faces, sun_direction(utc_s, *site), first, log.learned)
-        for at, row in enumerate(some):
+        for at, time_utc_s in enumerate(utc_s.tolist()):
             mode, law = log.modes[first + at], log.laws[first + at]
             a_set, b_set, a, b = angles[first + at].tolist()
             texts = [f"{value:z.3f}" for value in (a_set, b_set, a, b)]
-            writer.writerow([iso_utc(row.time_utc_s), *texts, mode.value, law, *estimates[at], "true"])
+            writer.writerow([iso_utc(time_utc_s), *texts, mode.value, law, *estimates[at], "true"])
 
 
 def _estimates(

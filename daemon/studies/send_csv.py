@@ -75,7 +75,7 @@ async def send_csv(
     try:
         start_s = clock.monotonic()
         for sequence, row in enumerate(rows):
-            due_s = start_s + (row.time_utc_s - rows[0].time_utc_s) / speed
+            due_s = start_s + (row.time_utc_s - float(rows.utc_s[0])) / speed
             await asyncio.sleep(max(0.0, due_s - clock.monotonic()))
             utc_s = row.time_utc_s if keep_times else clock.utc()
             sender.send(_scan(row, source, session, sequence, utc_s, clock.monotonic()))

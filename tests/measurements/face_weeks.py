@@ -24,7 +24,7 @@ import numpy as np
 from daemon.base.records import FACES
 from daemon.rigs.measured import measured_weather
 from daemon.studies.inputs import settings_for
-from daemon.studies.recorded import RecordedScan
+from daemon.studies.recorded import RecordedScans
 from daemon.studies.replay import replay
 from solar.energy import best_possible, build_sky, faces_under, lay_out
 from solar.ephemeris import DAY_S, Site, sun_direction
@@ -107,7 +107,7 @@ class Week:
 
     def driven(self, law, readings):
         """Return the share of the headroom [%], the worst day against chronometric [%], travel [deg/day] and modes."""
-        rows = [RecordedScan(at, tuple(row)) for at, row in zip(self.utc_s.tolist(), readings.tolist(), strict=True)]
+        rows = RecordedScans(self.utc_s, readings)
         site = dict(zip(("latitude_deg", "longitude_deg", "altitude_m"), LYNGBY, strict=True))
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder, "out.csv")

@@ -18,7 +18,7 @@ import numpy as np
 from daemon.base.records import FACES
 from daemon.rigs.measured import measured_weather
 from daemon.studies.inputs import parse_site, settings_for, site_values
-from daemon.studies.recorded import RecordedScan
+from daemon.studies.recorded import RecordedScans
 from daemon.studies.replay import replay
 from solar.energy import best_possible, build_sky, faces_under, lay_out
 from solar.ephemeris import DAY_S, Site
@@ -102,7 +102,7 @@ def main():
     print(f"{'case':18}{'share %':>9}{'worst day %':>13}{'deg/day':>9}  modes")
     for case in arguments.case:
         readings = spoilt(faces, case, light, np.random.default_rng(arguments.seed))
-        rows = [RecordedScan(at, tuple(row)) for at, row in zip(light.utc_s.tolist(), readings.tolist(), strict=True)]
+        rows = RecordedScans(light.utc_s, readings)
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder, "out.csv")
             replay(settings, rows, out, lambda _share: None)

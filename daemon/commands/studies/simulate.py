@@ -1,7 +1,6 @@
 """What `heliocube simulate` tells on the terminal while it works and when it is done."""
 
 import contextlib
-import gc
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -231,10 +230,8 @@ def replay(
     if in_kilowatts is not None:
         warn(in_kilowatts)
     # The last reading belongs to it.
-    span = (rows[0].time_utc_s, rows[-1].time_utc_s + 1.0)
+    span = (float(rows.utc_s[0]), float(rows.utc_s[-1]) + 1.0)
     local = checked_report(report_to, zone, settings, span, force=force)
-    # The readings stay until the process ends: the collector need not look at them again and again.
-    gc.freeze()
     with progress_bar(Console(stderr=True), "replaying") as progress:
         replayed = run_replay(settings, rows, out, progress)
     done = len(replayed.qualities)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from daemon.base.records import FACES, Event, Quality
 from daemon.config.settings import Settings
-from daemon.studies.recorded import RecordedScan
+from daemon.studies.recorded import RecordedScans
 from daemon.studies.replay import Replayed
 from daemon.studies.report.material import Material, from_tables, of_tables
 from daemon.studies.report.span import ReportSpan
@@ -50,7 +50,7 @@ def report_simulation(
 def report_replay(
     settings: Settings,
     span: tuple[float, float],
-    rows: Sequence[RecordedScan],
+    rows: RecordedScans,
     replayed: Replayed,
     positions: Path,
     out: Path,
@@ -61,10 +61,9 @@ def report_replay(
     """Write the report of a replay from its rows, what became of them and the positions; returns the page's path."""
     table = pd.read_csv(positions, index_col="time")
     table.index = pd.to_datetime(table.index, utc=True, format="ISO8601")
-    faces = np.array([row.irradiances_w_m2 for row in rows])
     found = of_tables(
         {
-            "scans": _scans(table, faces, replayed.qualities),
+            "scans": _scans(table, rows.faces_w_m2, replayed.qualities),
             "poses": _poses(table),
             "moves": _moves(table),
             "modes": _modes(table),

@@ -2,6 +2,7 @@
 
 import gzip
 import re
+import tracemalloc
 
 import pandas as pd
 import pytest
@@ -252,3 +253,19 @@ def test_a_second_line_of_a_header_is_told_with_what_to_do(tmp_path, read, head,
     with pytest.raises(UserError, match=rf"{path}, line 3: ") as refused:
         read(path)
     assert "second line" not in str(refused.value)
+
+
+def test_a_row_of_readings_takes_no_more_memory_than_its_numbers(tmp_path):
+    path, count = tmp_path / "faces.csv", 4000
+    hours = [f"2022-10-{1 + at // 1440:02d}T{at // 60 % 24:02d}:{at % 60:02d}Z" for at in range(count)]
+    lines = [f"{hour},{at}.25,{at % 900}.5,{at % 700}.75,{at % 80}" for at, hour in enumerate(hours)]
+    path.write_text("\n".join(["time,east,south,west,zenith", *lines]))
+    tracemalloc.start()
+    try:
+        rows = read_csv(path).rows
+        taken, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(rows) == count
+    # Five numbers of 8 bytes, and room for what grows.
+    assert taken / count < 80

@@ -290,4 +290,4 @@ def test_ctrl_c_leaves_the_rows_that_were_done(tmp_path):
     done = len(replay(settings, source, tmp_path / "out.csv", interrupt).qualities)
     assert 2000 < done < len(source)
     lines = (tmp_path / "out.csv").read_text().splitlines()
-    assert (len(lines), lines[-1].split(",")[0]) == (done + 1, iso_utc(source[done - 1].time_utc_s))
+    assert (len(lines), lines[-1].split(",")[0]) == (done + 1, iso_utc(source.utc_s[done - 1]))
