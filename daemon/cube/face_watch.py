@@ -52,7 +52,7 @@ _CHECK = {
     Doubt.FROZEN: _STUCK,
     Doubt.OVER: "the gain of {}, and whether faces are interchanged",
     Doubt.NIGHT: _STUCK,
-    Doubt.ODD: "whether {} is shaded, dirty, stuck or turned",
+    Doubt.ODD: "{} for shade, dirt, reflections, a stuck sensor or a turned mount",
     Doubt.SWAPPED: "whether the cables of {} are swapped",
     Doubt.TORN: "all four, and the clock",
 }

@@ -228,6 +228,7 @@ def test_a_face_in_a_shade_of_its_own_is_named_and_used_again_when_it_follows_th
     assert day.doubted() == [1]
     (alarm,) = day.alarms.active
     assert "the south face reads what the others and the sun's position contradict" in alarm.text
+    assert alarm.text.endswith(": check south for shade, dirt, reflections, a stuck sensor or a turned mount")
     day.share = [1.0] * 4
     day.minutes(60)
     assert day.doubted() == []
