@@ -191,7 +191,7 @@ def _compare(
     if prices is not None:
         years = worth.years_known(minutes.utc_s, days)
         worths = worth.worths(rows, days.whole_days(), years, prices)
-        text += worth.as_text(worths, prices)
+        text += worth.as_text(worths, years, prices)
         page["worth"] = worth.as_page(worths, prices)
     with _writing_to(out):
         (out / "energy.txt").write_text(text, encoding="utf-8")

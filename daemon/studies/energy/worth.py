@@ -102,10 +102,11 @@ def worths(rows: Sequence[EnergyRow], whole_days: float, years: float, prices: P
     return [_worth(row, whole_days, years, prices) for row in rows if row.law != BOUND]
 
 
-def as_text(found: Sequence[Worth], prices: Prices) -> str:
-    """Return the tables of all skies, for reading."""
+def as_text(found: Sequence[Worth], years: float, prices: Prices) -> str:
+    """Return the tables of all skies, for reading; `years` as of `years_known`."""
     assumed = (
-        f"In money, a mean year: {prices.peak_kw:g} kW of modules at {prices.per_kwh:g} per kWh, without their losses;"
+        f"In money, scaled to a year from {years * _YEAR_DAYS:.1f} days of records, whatever their season:"
+        f" {prices.peak_kw:g} kW of modules at {prices.per_kwh:g} per kWh, without their losses;"
         f" drives for {prices.drive:,g} last {prices.life_deg:,.0f} deg of travel, the way back at night among it."
     )
     lines = ["", *wrap(assumed, WIDTH)]

@@ -144,6 +144,7 @@ def test_a_law_s_worth_is_its_energy_less_the_wear_of_its_travel(monkeypatch, we
     most = max(worth.values(), key=lambda row: row["left"])["law"]
     text = (tmp_path / "o" / "energy.txt").read_text()
     assert f"sky perez1990: most is left by {most}\n" in text
+    assert "In money, scaled to a year from 1.0 days of records, whatever their season: 2 kW" in " ".join(text.split())
     assert all(len(line) <= 80 for line in text.splitlines())
 
 
