@@ -100,16 +100,31 @@ def check_path(text: str) -> str:
     return text
 
 
+class _TwiceError(ValueError):
+    """A message has a name twice: nobody knows which value is meant."""
+
+
+def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise _TwiceError(f"the message has {ascii(name)[:40]} twice")
+        found[name] = value
+    return found
+
+
 def find(payload: bytes, path: str) -> Any:
     """Return the value at `path` of a message; with an empty path the message itself, as JSON or else as text.
 
     Raises
     ------
     ValueError
-        In one sentence: the message is no JSON, or has nothing there.
+        In one sentence: the message is no JSON, has a name twice, or has nothing there.
     """
     try:
-        found = json.loads(payload)
+        found = json.loads(payload, object_pairs_hook=_once_each)
+    except _TwiceError:
+        raise
     except (ValueError, RecursionError):
         if path:
             raise ValueError("the message is not JSON") from None

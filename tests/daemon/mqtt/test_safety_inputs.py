@@ -113,13 +113,16 @@ def test_a_path_finds_its_value(path, payload, speed):
     assert readings.strongest_since_last_read() == speed
 
 
-@pytest.mark.parametrize("payload", ['{"wind": {}}', '{"wind": 3}', "[]", "3", "{"])
+@pytest.mark.parametrize(
+    "payload",
+    ['{"wind": {}}', '{"wind": 3}', "[]", "3", "{", '{"wind": {"speed": 30, "speed": 3}}', '{"a": 1, "a": 1}'],
+)
 def test_a_path_that_finds_nothing_is_one_sentence(payload):
     readings, _, told, _ = wind(json_path="wind.speed")
     readings.take(said(payload))
     assert readings.strongest_since_last_read() is None
     (sentence,) = told.now.values()
-    assert sentence.endswith(("nothing at wind.speed", "not JSON"))
+    assert sentence.endswith(("nothing at wind.speed", "not JSON", "has 'speed' twice", "has 'a' twice"))
 
 
 @pytest.mark.parametrize(("unit", "told"), [("km/h", "54"), ("kn", "29.1576674"), ("kt", "29.1576674")])
