@@ -91,14 +91,16 @@ def check_weather_file(path: Path, built_in: Sequence[str] = _SKIES) -> None:
 def check_table(path: Path) -> str:
     """Return what stands between the cells of a CSV file: a comma, or the semicolon or the tab of a spreadsheet.
 
-    What cannot be opened is left to the reader, which tells the reason. Raises `UserError` for a device or a pipe, and
-    for a table that is packed otherwise than with gzip, or whose first lines are no table's.
+    What cannot be opened is left to the reader, which tells the reason, and so is a pipe. Raises `UserError` for a
+    device, which may have no end, and for a table that is packed otherwise than with gzip, or whose first lines are no
+    table's.
     """
     if path.name.lower().endswith(_PACKED):
         raise UserError(
             f"{path} is packed in a way that cannot be read: unpack it, or pack the table alone with gzip (.gz)"
         )
-    _refuse_devices(path)
+    if path.is_char_device() or path.is_block_device():
+        raise _no_file(path)
     if not path.is_file():
         return ","
     try:
@@ -156,13 +158,12 @@ def check_ordinary(path: Path, what: str) -> None:
     """Raise `UserError` for a folder, a device or a pipe where a file with `what` is meant."""
     if path.is_dir():
         raise UserError(f"{path} is a folder: name a file with {what} in it")
-    _refuse_devices(path)
+    if path.exists() and not path.is_file():
+        raise _no_file(path)
 
 
-def _refuse_devices(path: Path) -> None:
-    """Raise `UserError` for what may have no end, or wait for whoever writes into it."""
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise UserError(f"{path} is no ordinary file: write its records into one and name that")
+def _no_file(path: Path) -> UserError:
+    return UserError(f"{path} is no ordinary file: write its records into one and name that")
 
 
 def check_data_files(paths: Sequence[Path], what: str) -> None:
