@@ -5,6 +5,8 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from daemon.base.json_names import NameTwiceError, once_each
+
 _LONGEST = 200
 
 
@@ -100,19 +102,6 @@ def check_path(text: str) -> str:
     return text
 
 
-class _TwiceError(ValueError):
-    """A message has a name twice: nobody knows which value is meant."""
-
-
-def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, value in pairs:
-        if name in found:
-            raise _TwiceError(f"the message has {ascii(name)[:40]} twice")
-        found[name] = value
-    return found
-
-
 def find(payload: bytes, path: str) -> Any:
     """Return the value at `path` of a message; with an empty path the message itself, as JSON or else as text.
 
@@ -122,9 +111,9 @@ def find(payload: bytes, path: str) -> Any:
         In one sentence: the message is no JSON, has a name twice, or has nothing there.
     """
     try:
-        found = json.loads(payload, object_pairs_hook=_once_each)
-    except _TwiceError:
-        raise
+        found = json.loads(payload, object_pairs_hook=once_each)
+    except NameTwiceError as error:
+        raise ValueError(f"the message has {error.name} twice") from None
     except (ValueError, RecursionError):
         if path:
             raise ValueError("the message is not JSON") from None

@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.alarms.kinds import as_typed
+from daemon.base.json_names import NameTwiceError, once_each
 from daemon.base.process import TRACKER
 from daemon.base.recurrence import RateLimit
 from daemon.service.acknowledge import acknowledge
@@ -359,7 +360,9 @@ def _object(name: str, content: bytes) -> dict[str, Any]:
     if name == "mode" and not content.lstrip().startswith(b"{"):
         return {"mode": content.decode("ascii", "replace")}
     try:
-        found = json.loads(content, object_pairs_hook=_once_each)
+        found = json.loads(content, object_pairs_hook=_as_meant)
+    except NameTwiceError as error:
+        raise BodyError(f"the body has {error.name} twice") from None
     except (ValueError, RecursionError):
         raise BodyError("the body is not JSON") from None
     if not isinstance(found, dict):
@@ -367,15 +370,9 @@ def _object(name: str, content: bytes) -> dict[str, Any]:
     return found
 
 
-def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return the pairs as they are meant; of a name that stands twice nobody knows which value is."""
+def _as_meant(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     # What no encoding has, half a letter, is for nobody to check.
-    pairs = [(name.encode("utf-8", "backslashreplace").decode(), value) for name, value in pairs]
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        twice = next(name for number, (name, _) in enumerate(pairs) if name in dict(pairs[:number]))
-        raise BodyError(f"the body has {ascii(twice)[:40]} twice")
-    return found
+    return once_each([(name.encode("utf-8", "backslashreplace").decode(), value) for name, value in pairs])
 
 
 def _utc_s(text: str) -> float:
