@@ -15,11 +15,11 @@ import h11
 import httpx
 import uvicorn
 from anyio.to_thread import current_default_thread_limiter
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from daemon.base.addresses import DEFAULT_DASHBOARD, SEND_NO_MORE_ONCE_CLOSED, Address, parse_address
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
+from daemon.base.piecewise import READ_AT_ONCE, PiecewiseProtocol
 from daemon.base.process import Notifier, on_signals
 from daemon.config.links import DashboardSettings, section_of_guest
 from daemon.dashboard.app import Dashboard
@@ -30,9 +30,6 @@ _CONNECTIONS = 256
 # More than the five seconds that the server keeps one for the next request.
 _REQUEST_WITHIN_S = 10.0
 _READ_WITHIN_S = 10.0
-# Of what a connection has sent, at one turn of the loop: the limit of a head holds only for what does not come at once,
-# and hundreds of small parts of a body would be taken apart in one go.
-_READ_AT_ONCE = 1024
 # Each file of the page is read in a thread, and a browser asks for six at once; its unit allows 16 threads in all.
 _FILES_AT_ONCE = 8
 _WHY_NOT_BOUND = {
@@ -53,7 +50,7 @@ class _Server(uvicorn.Server):
         yield
 
 
-class _Connection(H11Protocol, asyncio.BufferedProtocol):
+class _Connection(PiecewiseProtocol):
     """A connection that those that say nothing, or much at once, keep nobody out of.
 
     It is closed where no whole request comes, and where nothing of an answer is read; and a new one that is one too
@@ -62,14 +59,10 @@ class _Connection(H11Protocol, asyncio.BufferedProtocol):
 
     _limit: asyncio.TimerHandle | None = None
     _reading: asyncio.TimerHandle | None = None
-    _read = bytearray()
-
-    def get_buffer(self, sizehint: int) -> bytearray:  # noqa: ARG002 - the event loop's
-        return self._read
 
     def buffer_updated(self, nbytes: int) -> None:
-        self.data_received(bytes(self._read[:nbytes]))
-        if nbytes < _READ_AT_ONCE or self.conn.their_state is not h11.SEND_BODY:
+        super().buffer_updated(nbytes)
+        if nbytes < READ_AT_ONCE or self.conn.their_state is not h11.SEND_BODY:
             return
         # More of a body is there: it comes as whoever answers asks for it, and not once he has answered.
         if self.conn.our_state is h11.DONE:
@@ -79,7 +72,6 @@ class _Connection(H11Protocol, asyncio.BufferedProtocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        self._read = bytearray(_READ_AT_ONCE)
         self._wait()
         everybody = [one for one in self.connections if isinstance(one, _Connection) and one.is_open]
         if len(everybody) >= _CONNECTIONS:

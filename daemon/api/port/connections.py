@@ -13,11 +13,11 @@ from typing import Any, cast
 
 import h11
 from starlette.datastructures import Headers
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from daemon.api.gate import GIVEN_UP, Token
 from daemon.api.refusals import ApiRefusals
 from daemon.base.addresses import without_mapping
+from daemon.base.piecewise import READ_AT_ONCE, PiecewiseProtocol
 
 _MOST = 384
 MOST_OF_AN_ADDRESS = 32
@@ -27,9 +27,6 @@ _HEAD_WITHIN_S = 5.0
 _NEXT_HEAD_WITHIN_S = 10.0
 _BODY_WITHIN_S = 5.0
 _READ_WITHIN_S = 10.0
-# Of what a connection has sent, at one turn of the loop: the limit of a head holds only for what does not come at once,
-# and hundreds of small parts of a body would be taken apart in one go.
-_READ_AT_ONCE = 1024
 # One who sends garbage over and over is held up by that.
 _GARBAGE_PAUSE_S = 0.25
 # The kernel would grow it to megabytes for one who does not read.
@@ -100,7 +97,7 @@ class Connections:
             self.refusals.settle()
 
 
-class HttpConnection(H11Protocol, asyncio.BufferedProtocol):
+class HttpConnection(PiecewiseProtocol):
     """One connection: the server's own, with a limit to each of its waits, and to what is looked at in one go.
 
     Parameters
@@ -117,7 +114,6 @@ class HttpConnection(H11Protocol, asyncio.BufferedProtocol):
         self._unread = 0
         self._answering: asyncio.TimerHandle | None = None
         self._garbled = False
-        self._read = bytearray(_READ_AT_ONCE)
         self.address = ""
         self.from_loopback = False
 
@@ -160,14 +156,6 @@ class HttpConnection(H11Protocol, asyncio.BufferedProtocol):
             self.cycle.scope.setdefault("extensions", {})[GIVEN_UP] = {}
         super().connection_lost(exc)
 
-    def get_buffer(self, sizehint: int) -> bytearray:  # noqa: ARG002 - the event loop's
-        """Return what the next bytes are to be read into."""
-        return self._read
-
-    def buffer_updated(self, nbytes: int) -> None:
-        """Take in what was read."""
-        self.data_received(bytes(self._read[:nbytes]))
-
     def data_received(self, data: bytes) -> None:
         """Take in what was sent; whoever goes on with a body that has been answered is cut off."""
         if self._garbled:
@@ -181,7 +169,7 @@ class HttpConnection(H11Protocol, asyncio.BufferedProtocol):
             return
         if self.conn.our_state is h11.DONE:
             self.abort()
-        elif len(data) == _READ_AT_ONCE and not self.bears_the_token:
+        elif len(data) == READ_AT_ONCE and not self.bears_the_token:
             # More of its body is there: it comes as whoever answers throws it away.
             self.flow.pause_reading()
 
