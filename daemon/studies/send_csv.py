@@ -73,9 +73,9 @@ async def send_csv(
     session = f"{rng.getrandbits(64):016x}"
     await sender.open()
     try:
-        start_s = clock.monotonic()
+        start_s, first_utc_s = clock.monotonic(), float(rows.utc_s[0])
         for sequence, row in enumerate(rows):
-            due_s = start_s + (row.time_utc_s - float(rows.utc_s[0])) / speed
+            due_s = start_s + (row.time_utc_s - first_utc_s) / speed
             await asyncio.sleep(max(0.0, due_s - clock.monotonic()))
             utc_s = row.time_utc_s if keep_times else clock.utc()
             sender.send(_scan(row, source, session, sequence, utc_s, clock.monotonic()))
