@@ -15,7 +15,7 @@ from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
@@ -67,7 +67,10 @@ class Dashboard:
         self._sessions = Sessions(clock.monotonic)
         self._places = Places(_MOST_LISTENERS)
         self._closing = asyncio.Event()
-        hello = {"version": version("heliocube"), "page": _digest(STATIC), "services": list(fleet.services)}
+        digest = _digest(STATIC)
+        index = (STATIC / "index.html").read_text(encoding="utf-8")
+        self._index = index.replace('data-page=""', f'data-page="{digest}"')
+        hello = {"version": version("heliocube"), "page": digest, "services": list(fleet.services)}
         self._hello = f"event: hello\ndata: {json.dumps(hello)}\n\n"
         self.app = Starlette(
             routes=[
@@ -92,7 +95,7 @@ class Dashboard:
         self._closing.set()
 
     async def _page(self, _: Request) -> Response:
-        return FileResponse(STATIC / "index.html")
+        return HTMLResponse(self._index)
 
     async def _health(self, _: Request) -> Response:
         return JSONResponse({"ok": True, "version": version("heliocube"), "listeners": self._fleet.listeners})

@@ -66,7 +66,7 @@ function alarm(time, tries) {
 
 async function live({ state, from, to }) {
   const service = "127.0.0.1:1";
-  window.stream.tell("hello", { version: "test", page: "first", services: [service] });
+  window.stream.tell("hello", { version: "test", page: document.documentElement.dataset.page, services: [service] });
   for (let second = from; second < to; second += 1) {
     const gone = second % 7200 < 20;
     const told = gone ? { up: false, why: "does not answer" } : { up: true, state: stateAt(state, second) };

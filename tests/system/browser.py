@@ -146,6 +146,14 @@ def run_dashboard(folder, *services):
     return process, f"http://127.0.0.1:{port}"
 
 
+def answers(url):
+    """Whether a dashboard is there."""
+    try:
+        return WEB.get(f"{url}/healthz").is_success
+    except httpx.HTTPError:
+        return False
+
+
 def with_interface(folder, text, last=""):
     """Write a configuration to which the interface and the store are added; return its path and the address."""
     (folder / "api.token").write_text(TOKEN + "\n")

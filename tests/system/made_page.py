@@ -29,7 +29,7 @@ window.EventSource = class extends EventTarget {
   }
   tell() {
     const state = { ...STATE, time: new Date().toISOString() };
-    const hello = { version: "test", page: window.page ?? "first", services: ["made"] };
+    const hello = { version: "test", page: window.page ?? "", services: ["made"] };
     const said = { hello, message: { service: "made", up: true, state } };
     for (const [kind, data] of Object.entries(said)) {
       this.dispatchEvent(new MessageEvent(kind, { data: JSON.stringify(data) }));

@@ -1,7 +1,13 @@
 """Tabs of a real browser: what those say that are behind others, were hidden, or slept with their machine."""
 
+import shutil
+import subprocess
+import sys
+
 import pytest
 
+from daemon.dashboard.app import STATIC
+from tests.support import PATIENCE_S
 from tests.support.addresses import free_port
 from tests.system.processes import wait_until
 
@@ -19,6 +25,15 @@ HIDE = """(state) => {
     document.dispatchEvent(new Event("visibilitychange"));
 }"""
 """What a browser does with a tab behind another one; playwright keeps all in front."""
+OF_FILES = """
+import sys
+from pathlib import Path
+from daemon.dashboard import app
+app.STATIC = Path(sys.argv.pop(1))
+from daemon.entry import main
+main()
+"""
+"""The program, whose dashboard has the files of another folder."""
 
 
 @pytest.fixture(scope="module")
@@ -147,3 +162,44 @@ def test_the_symbols_stay_when_the_dashboard_is_gone(context, tmp_path):
     assert len(drawn) > 12
     assert all(drawn)
     assert page.complaints == []
+
+
+def run_dashboard_of(files, site, listen):
+    arguments = ["dashboard", "--api", site.api, "--listen", listen]
+    return subprocess.Popen([sys.executable, "-c", OF_FILES, files, *arguments], stderr=subprocess.DEVNULL)
+
+
+def test_after_an_upgrade_no_page_is_told_by_the_code_of_an_older_one(context, site, tmp_path):
+    older = tmp_path / "older"
+    shutil.copytree(STATIC, older)
+    for name, now, before in (
+        ("worker.js", "port.postMessage(message)", "port.postMessage({ older: message })"),
+        ("live.js", "this.take(data)", "this.take(data.older)"),
+    ):
+        file = older / "js" / name
+        text = file.read_text()
+        assert now in text
+        file.write_text(text.replace(now, before))
+    listen = f"127.0.0.1:{free_port()}"
+    url = f"http://{listen}"
+    dashboard = run_dashboard_of(older, site, listen)
+    try:
+        wait_until(lambda: browsers.answers(url), "the older dashboard answers")
+        one, other = (browsers.Page(context, url) for _ in range(2))
+        for page in (one, other):
+            page.sees(".hero h1", "Tracking")
+        # This one stays as it is while somebody types.
+        other.page.locator("#who").click()
+    finally:
+        dashboard.terminate()
+        dashboard.wait(PATIENCE_S)
+    dashboard = run_dashboard_of(STATIC, site, listen)
+    try:
+        one.sees(".hero h1", "No connection")
+        one.sees(".hero h1", "Tracking")
+        other.page.keyboard.press("Escape")
+        other.sees(".hero h1", "Tracking")
+        assert one.complaints == other.complaints == []
+    finally:
+        dashboard.terminate()
+        dashboard.wait(PATIENCE_S)

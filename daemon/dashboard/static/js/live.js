@@ -8,7 +8,8 @@ export class Live {
     this.changed = changed;
     this.renewed = renewed;
     this.services = new Map();
-    this.page = null;
+    this.page = document.documentElement.dataset.page;
+    this.named = false;
     this.connected = null;
     this.lostAt = null;
     this.ahead = NaN;
@@ -17,7 +18,8 @@ export class Live {
 
   start() {
     if ("SharedWorker" in window) {
-      const { port } = new SharedWorker("/static/js/worker.js", { type: "module", name: "heliocube" });
+      // One for pages of the same files: after an upgrade that of an older page, still open in another tab, goes on.
+      const { port } = new SharedWorker(`/static/js/worker.js?${this.page}`, { type: "module", name: "heliocube" });
       port.onmessage = ({ data }) => this.take(data);
       const tell = () => port.postMessage(document.visibilityState);
       document.addEventListener("visibilitychange", tell);
@@ -38,8 +40,8 @@ export class Live {
     } else this.connected = true;
     if (kind === "beat") this.ahead = data - performance.now() / 1000;
     if (kind === "hello") {
-      if (this.page !== null && this.page !== data.page) this.renewed();
-      this.page = data.page;
+      if (this.page !== data.page) this.renewed();
+      this.named = true;
       for (const name of this.services.keys()) if (!data.services.includes(name)) this.services.delete(name);
       for (const name of data.services) if (!this.services.has(name)) this.services.set(name, { name, up: null, why: null, state: null });
     }
@@ -88,7 +90,7 @@ export class Live {
     const [address, name = null] = key.split("/");
     const service = { name: address, up: null, ...this.services.get(address) };
     let why = service.why;
-    if (this.page !== null && !this.services.has(address)) why = "is no longer one of this dashboard's: choose another tracker";
+    if (this.named && !this.services.has(address)) why = "is no longer one of this dashboard's: choose another tracker";
     else if (service.state) why = `has no tracker ${name} any more: choose another`;
     if (why !== service.why) Object.assign(service, { up: false, why, state: null });
     return { key, service, name, tracker: null, label: name ? `${name}, ${address}` : address };
