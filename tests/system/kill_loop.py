@@ -54,13 +54,15 @@ def main(folder, restarts, seed):
         child = os.fork()
         if not child:
             serve(settings)
-        if turn % 2:
-            wait_for_records(folder / FILE_NAME)
-        last = turn == restarts - 1
-        # The last one long enough for a batch that is not written in time to be missed.
-        time.sleep(BATCH_S + MARGIN_S + 0.5 if last else chance.uniform(0.0, 0.5))
-        waited_s = waited_for_processor_s(child)
-        os.kill(child, signal.SIGKILL)
+        try:
+            if turn % 2:
+                wait_for_records(folder / FILE_NAME)
+            last = turn == restarts - 1
+            # The last one long enough for a batch that is not written in time to be missed.
+            time.sleep(BATCH_S + MARGIN_S + 0.5 if last else chance.uniform(0.0, 0.5))
+            waited_s = waited_for_processor_s(child)
+        finally:
+            os.kill(child, signal.SIGKILL)
         killed_utc = START + (datetime.now(UTC) - anchor) * SPEED
         assert os.WIFSIGNALED(os.waitpid(child, 0)[1]), "the service ended by itself"
         # A busy machine keeps a service from making records and from writing them.
@@ -81,7 +83,12 @@ def serve(settings):
 
 def waited_for_processor_s(pid):
     """Return how long the threads of a process have been ready to run and did not."""
-    return sum(int(path.read_text().split()[1]) for path in Path(f"/proc/{pid}/task").glob("*/schedstat")) / 1e9
+    waited_ns = 0
+    for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
+        # A thread may end meanwhile.
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+            waited_ns += int(path.read_text().split()[1])
+    return waited_ns / 1e9
 
 
 inspected = {"run": 0}
