@@ -40,9 +40,13 @@ class Rotctld:
             else:
                 return
 
+    def connect(self):
+        """Return a connection of another client: rotctld now and then resets one that begins while another ends."""
+        return socket.create_connection(("127.0.0.1", self.port), timeout=PATIENCE_S)
+
     def ask(self, text, until=None):
         """Send text as another client, and return what comes up to a mark, or until it has answered all."""
-        with socket.create_connection(("127.0.0.1", self.port), timeout=PATIENCE_S) as peer:
+        with self.connect() as peer:
             peer.sendall(text.encode())
             if until is None:
                 # Who says no more is left when all is answered.
@@ -81,4 +85,8 @@ class Rotctld:
 
 
 def _state(stat):
-    return stat.read_text().rpartition(")")[2].split()[0]
+    try:
+        return stat.read_text().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        # A thread that has ended meanwhile has stopped too.
+        return "T"
