@@ -23,8 +23,11 @@ class Clock(Protocol):
     def utc(self) -> float:
         """Return seconds since 1970-01-01T00:00Z; may step when the machine's clock is set."""
 
-    def asleep_s(self) -> float:
-        """Return for how long the machine has slept, since any fixed instant [s]: `monotonic` stood still meanwhile."""
+    def asleep_s(self) -> float | None:
+        """Return for how long the machine has slept since any fixed instant [s], or None where nothing tells.
+
+        `monotonic` stood still meanwhile.
+        """
 
 
 class SystemClock:
@@ -38,10 +41,10 @@ class SystemClock:
         """Return seconds of the machine's real-time clock."""
         return time.time()
 
-    def asleep_s(self) -> float:
-        """Return for how long the machine has slept [s]; not on Linux, a clock that was set forward looks the same."""
+    def asleep_s(self) -> float | None:
+        """Return for how long the machine has slept [s] by its battery-backed clock; None but on Linux."""
         if not sys.platform.startswith("linux"):
-            return time.time() - time.monotonic()
+            return None
         # clock_gettime(2): it goes on in a sleep, and nobody can set it.
         return time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic()
 

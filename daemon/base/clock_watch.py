@@ -21,7 +21,9 @@ _NEVER = (
 
 
 class ClockWatch:
-    """Compares UTC with monotonic time.
+    """Compares UTC with time that nobody sets: monotonic time, and the sleeps of the machine.
+
+    Where the clock does not tell of its sleeps, one is a step forward.
 
     Parameters
     ----------
@@ -52,7 +54,7 @@ class ClockWatch:
         self._clock = clock
         self._alarms = alarms
         self._synchronised = synchronised
-        self._offset_s = self._believed_s = clock.utc() - clock.monotonic()
+        self._offset_s = self._believed_s = clock.utc() - self._ran_s()
         self._believed_at_s = clock.monotonic()
         self._ask_s = clock.monotonic() + _SYNCHRONISE_WITHIN_S
         # None: not asked yet, and nothing to tell of.
@@ -63,7 +65,7 @@ class ClockWatch:
         self._wrong_start: str | None = None
         if ran_utc_s - clock.utc() > _DISTRUST_S and synchronised() is not True:
             self.trusted, self._never = False, False
-            self._believed_s = ran_utc_s - clock.monotonic()
+            self._believed_s = ran_utc_s - self._ran_s()
             self._wrong_start = _doubt_of_start(clock.utc(), ran_utc_s)
 
     def step_s(self) -> float | None:
@@ -74,7 +76,7 @@ class ClockWatch:
         it is back where it would be without the step, or synchronised.
         """
         now_s = self._clock.monotonic()
-        offset_s = self._clock.utc() - now_s
+        offset_s = self._clock.utc() - self._ran_s()
         step_s = offset_s - self._offset_s
         self._offset_s = offset_s
         if self.trusted and abs(step_s) < _STEP_S:
@@ -91,12 +93,15 @@ class ClockWatch:
     @property
     def believed_utc_s(self) -> float:
         """UTC [s] as it was believed last: what the clock would show had nobody set it, within 30 s if undoubted."""
-        return self._clock.monotonic() + self._believed_s
+        return self._ran_s() + self._believed_s
 
     @property
     def trusted_now(self) -> bool:
         """Whether the time of day is right for all that is known at this instant, and not only at the last look."""
         return self.trusted and abs(self._clock.utc() - self.believed_utc_s) <= _DISTRUST_S
+
+    def _ran_s(self) -> float:
+        return self._clock.monotonic() + (self._clock.asleep_s() or 0.0)
 
     def _ask(self, now_s: float) -> None:
         if now_s < self._ask_s:
@@ -132,9 +137,17 @@ _YEAR_S = 31_557_600.0
 
 def step_words(step_s: float) -> str:
     """Return a step of the clock [s] as a person says it: ``set forward by 52 years``, ``set back by 61 min``."""
-    size_s = abs(step_s)
+    return f"set {'forward' if step_s > 0 else 'back'} by {_lasting(abs(step_s))}"
+
+
+def _lasting(size_s: float) -> str:
     found = next((f"{size_s / of_s:.3g} {unit}" for unit, of_s, below_s in _UNITS if size_s < below_s), None)
-    return f"set {'forward' if step_s > 0 else 'back'} by {found or f'{size_s / _YEAR_S:.0f} years'}"
+    return found or f"{size_s / _YEAR_S:.0f} years"
+
+
+def told_sleep(slept_s: float) -> str:
+    """Return the sentence for a sleep of the machine of so long [s]."""
+    return f"the machine slept for {_lasting(slept_s)}: readings and wind of before it count no more"
 
 
 def told_step(step_s: float, now_utc_s: float) -> str:

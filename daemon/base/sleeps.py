@@ -26,6 +26,8 @@ def slept_since(since_s: float, sleeps: Sequence[Sleep]) -> float:
 class SleepGauge:
     """Tells how long the machine has slept since somebody asked last.
 
+    Where the clock does not tell of its sleeps, UTC that was set forward counts as one: that looks the same.
+
     Parameters
     ----------
     clock
@@ -34,12 +36,16 @@ class SleepGauge:
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
-        self._asleep_s = clock.asleep_s()
+        self._asleep_s = self._now_s()
 
     def take_s(self) -> float:
         """Return for how long it has slept since the last call [s]."""
-        before_s, self._asleep_s = self._asleep_s, self._clock.asleep_s()
+        before_s, self._asleep_s = self._asleep_s, self._now_s()
         return max(self._asleep_s - before_s, 0.0)
+
+    def _now_s(self) -> float:
+        asleep_s = self._clock.asleep_s()
+        return self._clock.utc() - self._clock.monotonic() if asleep_s is None else asleep_s
 
 
 class SleepWatch:

@@ -11,6 +11,7 @@ from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.records import FACES
+from daemon.base.sleeps import SleepGauge
 from daemon.config.sections import CubeSettings, SiteSettings
 from daemon.cube.contradictions import MINUTES, Contradictions
 from daemon.cube.told_faces import in_a_row, kept_since, reads, since_each
@@ -101,6 +102,7 @@ class FaceWatch:
         self._normals = face_normals(cube, site.latitude_deg)
         self._clock = clock
         self._clock_watch = ClockWatch(clock) if clock_watch is None else clock_watch
+        self._sleeps = SleepGauge(clock)
         self._alarms = alarms
         self._since: dict[str, str] = {}
         self._blocks: deque[tuple[Array, Array]] = deque(maxlen=BLOCKS)
@@ -124,7 +126,7 @@ class FaceWatch:
         elapsed_s = self._clock.monotonic() - self._begun_s
         if elapsed_s < _BLOCK_S:
             return
-        if elapsed_s > _LONGEST_BLOCK_S:
+        if elapsed_s + self._sleeps.take_s() > _LONGEST_BLOCK_S:
             # Nothing was read for a while: a mean over the gap would mix two suns.
             self._blocks.clear()
             self._minutes.clear()

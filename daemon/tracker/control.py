@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
-from daemon.base.clock_watch import ClockWatch, told_step
+from daemon.base.clock_watch import ClockWatch, told_sleep, told_step
 from daemon.base.records import Decision, Estimate, Event, Irradiances, Mode, ModeChange, Pose, Record, Scan, Target
 from daemon.base.recurrence import Recurrence, Wording
 from daemon.base.sleeps import SleepGauge
@@ -232,9 +232,8 @@ class Control(Doors):
         mean = self._readings.mean(now_s)
         situation = self._situation(now_s, mean)
         self._data = situation.data
-        at_stow = self.at_stow
-        mode, why = next_mode(self.mode, situation, at_stow=at_stow)
-        self._reminders.watch_stow(None if at_stow else situation.stow_why, self.wishes)
+        mode, why = next_mode(self.mode, situation, at_stow=self.at_stow)
+        self._reminders.watch_stow(None if self.at_stow else situation.stow_why, self.wishes)
         if mode is not self.mode:
             if self.mode is Mode.STOW and situation.stow_why is None:
                 # Where nothing is decided anew at once, the way to the stow position would go on.
@@ -254,8 +253,9 @@ class Control(Doors):
     def _watch_clock(self, now_s: float) -> None:
         if (step_s := self._clock_watch.step_s()) is not None:
             self._warn(told_step(step_s, self._clock.utc()))
-        if self._sleeps.take_s() > self._settings.safety.scan_stale_s:
+        if (slept_s := self._sleeps.take_s()) > self._settings.safety.scan_stale_s:
             # What is old seems fresh by the steady clock.
+            self._warn(told_sleep(slept_s))
             self._readings.forget()
             self._stow_watch.note_sleep(now_s)
             if (text := self._orders.end_goto_on_its_way(self._parking.stands_at)) is not None:

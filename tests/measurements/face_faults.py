@@ -77,6 +77,10 @@ class HandClock(Clock):
         """Return the time that is set."""
         return self.utc_s
 
+    def asleep_s(self) -> float:
+        """Return 0: it never sleeps."""
+        return 0.0
+
 
 def found(utc_s: Array, faces: Array, concerned: tuple[int, ...]) -> tuple[float, bool]:
     """Return after how many minutes the watch doubts a face, infinite for never, and whether only a wrong one."""

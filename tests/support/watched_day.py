@@ -18,9 +18,13 @@ class Hand:
     def __init__(self, utc_s, off_s=0.0):
         self.utc_s = utc_s
         self.off_s = off_s
+        self.slept_s = 0.0
 
     def monotonic(self):
-        return self.utc_s
+        return self.utc_s - self.slept_s
+
+    def asleep_s(self):
+        return self.slept_s
 
     def utc(self):
         return self.utc_s + self.off_s
@@ -66,6 +70,10 @@ class WatchedDay:
                 if found[face] is None and self.watch.implausible(face):
                     found[face] = number * every_s / 60.0
         return found
+
+    def sleep(self, lasts_s):
+        self.clock.utc_s += lasts_s
+        self.clock.slept_s += lasts_s
 
     def doubted(self):
         return [face for face in range(4) if self.watch.implausible(face)]

@@ -10,12 +10,16 @@ class SetClock:
     def __init__(self):
         self.now = 100.0
         self.offset = 1.7e9
+        self.asleep = None
 
     def monotonic(self):
         return self.now
 
     def utc(self):
         return self.now + self.offset
+
+    def asleep_s(self):
+        return self.asleep
 
 
 @pytest.mark.parametrize("step", [3600.0, -3600.0, 86400.0, -86400.0])
@@ -37,6 +41,37 @@ def test_a_step_is_told_once_and_the_sun_is_doubted_until_it_is_undone(step):
     watch.step_s()
     assert watch.trusted
     assert watch.believed_utc_s == clock.utc()
+
+
+@pytest.mark.parametrize(
+    ("slept", "step", "told"),
+    [(7200.0, 0.0, None), (7200.0, -7200.0, -7200.0), (7200.0, 3600.0, 3600.0)],
+)
+def test_a_sleep_is_no_step_and_hides_none_where_it_is_known_how_long_it_was(slept, step, told):
+    clock = SetClock()
+    clock.asleep = 500.0
+    watch = ClockWatch(clock)
+    clock.asleep += slept
+    clock.offset += slept + step
+    right = step == 0.0
+    assert watch.trusted_now == right, "also before anybody has looked"
+    assert watch.step_s() == told
+    assert watch.trusted == right
+    assert watch.believed_utc_s == clock.utc() - step
+    clock.offset -= step
+    watch.step_s()
+    assert watch.trusted
+
+
+def test_a_known_sleep_does_not_make_a_start_before_the_last_one_right():
+    clock = SetClock()
+    clock.asleep = 500.0
+    watch = ClockWatch(clock, ran_utc_s=clock.utc() + 7200.0)
+    clock.asleep += 7200.0
+    clock.offset += 7200.0
+    watch.step_s()
+    assert not watch.trusted
+    assert watch.believed_utc_s == clock.utc() + 7200.0
 
 
 @pytest.mark.parametrize(("known", "trusted"), [(None, False), (False, False), (True, True)])

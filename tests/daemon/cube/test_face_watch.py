@@ -36,6 +36,13 @@ def test_a_sound_cube_is_believed_on_a_day_of_passing_clouds(start_utc_s):
     assert WatchedDay(start_utc_s).minutes(16 * 60) == [None] * 4
 
 
+def test_no_face_is_judged_after_a_sleep_of_the_machine_by_the_light_of_before():
+    day = WatchedDay(MORNING_UTC_S)
+    day.minutes(10)
+    day.sleep(10 * 3600.0)
+    assert day.minutes(10) == [None] * 4
+
+
 @pytest.mark.parametrize(("at_w_m2", "found"), [(1800.0, True), (1200.0, False)])
 def test_more_than_sun_and_sky_can_give_is_found_within_minutes(at_w_m2, found):
     day = WatchedDay(MORNING_UTC_S)

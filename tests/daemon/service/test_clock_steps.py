@@ -40,6 +40,20 @@ def test_a_step_of_the_clock_moves_nothing_and_changes_no_rhythm(run_rig, step_s
     assert any(re.match(r"the clock was set \w+ by .* UTC$", event.text) for event in rig.of(Event))
 
 
+@pytest.mark.parametrize("set_back_s", [0.0, 7200.0])
+def test_a_sleep_of_the_machine_is_told_and_is_no_doubt_of_its_clock_nor_hides_one(run_rig, set_back_s):
+    async def scenario(rig):
+        await tracking(rig)
+        rig.clock.slept_s, rig.clock.step_s = 7200.0, -set_back_s
+        await asyncio.sleep(10)
+        told = [event.text for event in rig.of(Event)]
+        assert "the machine slept for 2 h: readings and wind of before it count no more" in told
+        assert any(text.startswith("the clock was set back by 2 h, from ") for text in told) == bool(set_back_s)
+        assert ("clock" in [alarm.name for alarm in rig.tracker.alarms.active]) == bool(set_back_s)
+
+    run_rig(scenario)
+
+
 def test_the_ages_that_people_read_have_a_sleep_of_the_machine_in_them(run_rig):
     def ages_s(rig, recent):
         state = state_json(rig.see(recent, links={"tracker": LINK}))

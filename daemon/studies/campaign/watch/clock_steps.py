@@ -22,24 +22,17 @@ class ClockSteps:
     def __init__(self, fails: Callable[[str, str], None]) -> None:
         self._fails = fails
         self._set = [(-math.inf, 0.0)]
-        self._slept = [(-math.inf, 0.0)]
 
     def note(self, off_s: float, now_s: float) -> None:
         """Take note by how much the clock is off from now on."""
         self._set.append((now_s, off_s))
-
-    def sleeps(self, slept_s: float, now_s: float) -> None:
-        """Take note that the machine has slept for so long [s]: by its steady clock UTC has made a step of that."""
-        self._slept.append((now_s, slept_s))
 
     def check(self, mount: PlantTracker, target: tuple[float, float], now_s: float, begun_s: float) -> None:
         """Look at a target [deg] that is sent by the clock, of a service that began at `begun_s`."""
         clock, control = mount.clock, mount.control
         # A process that began after a step has never known another time, and believes that one.
         began_off_s = next(off_s for at_s, off_s in reversed(self._set) if at_s <= begun_s)
-        # A step that makes up for a sleep, to the half minute, nobody can tell from none.
-        stepped_s = clock.step_s - began_off_s + sum(slept_s for at_s, slept_s in self._slept if at_s > begun_s)
-        known = min(abs(clock.step_s), abs(clock.step_s - began_off_s), abs(stepped_s)) > CLOCK_STEP_S
+        known = min(abs(clock.step_s), abs(clock.step_s - began_off_s)) > CLOCK_STEP_S
         wrong = known and now_s - self._set[-1][0] > _NOTICED_WITHIN_S
         # To be parked when it is night in truth takes no clock; in that of its start a service may believe to the end.
         true_s, sun_deg = clock.utc() - clock.step_s, mount.service.sun_elevation_deg

@@ -44,7 +44,6 @@ class Decided:
 
     def wakes(self, mount: PlantTracker, slept_s: float, now_s: float) -> None:
         """Take note that the machine has slept for so long [s], until now."""
-        self.steps.sleeps(slept_s, now_s)
         if slept_s > _stale_s(mount):
             self._woke_s = now_s
             hold, truth = mount.control.wishes.hold if mount.is_served else None, mount.truth()
