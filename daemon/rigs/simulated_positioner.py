@@ -33,7 +33,11 @@ def as_built(settings: Settings, setup: Setup) -> Setup:
     try:
         a = _mechanics(settings, positioner.a_axis, A_ACTUATOR, (limits.a_min_deg, limits.a_max_deg))
         b = _mechanics(settings, positioner.b_axis, B_ACTUATOR, (limits.b_min_deg, limits.b_max_deg))
-        setup = replace(setup, a_actuator=a, b_actuator=b, drive=_drive(setup.drive, a))
+        drive = _drive(setup.drive, a)
+        if positioner.position_unit == "impulse":
+            # It can stand nowhere between two of them, nor be sent there.
+            drive = replace(drive, counts_per_mm=1.0)
+        setup = replace(setup, a_actuator=a, b_actuator=b, drive=drive)
         return setup if layout is None else replace(setup, b_out_bit=layout)
     except ValueError as error:
         raise UserError(f"instruments.positioner has a geometry that cannot be simulated: {error}") from error

@@ -26,6 +26,11 @@ GEOMETRIES = {
     },
     "slew drives": {"position_unit": "deg", "a_axis": {"low_deg": -60.0}, "b_axis": {"low_deg": 10.0}},
     "impulses": {"position_unit": "impulse", "a_axis": {"impulses_per_deg": 80.0}},
+    "more impulses": {
+        "position_unit": "impulse",
+        "a_axis": {"impulses_per_deg": 300.0},
+        "b_axis": {"impulses_per_deg": 240.0, "zero_offset": 100.0},
+    },
 }
 
 
