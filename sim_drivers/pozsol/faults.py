@@ -6,8 +6,8 @@ from sim_drivers.pozsol.motion import Axis
 from sim_drivers.pozsol.supply import LOW_V, NOMINAL_V
 from sim_drivers.pozsol.unit import Button, PositionerUnit
 
-SLIP_MM = 5.0
-"""How much one slip falsifies the count: the axis is further out than the unit believes."""
+SLIP_COUNTS = 375
+"""Hall impulses that one slip takes from the count, 5 mm of an actuator: the axis is further out than counted."""
 
 _AXIS_EVENTS = ("overcurrent", "pulse_loss", "destination", "slip")
 _AXIS_CONDITIONS = ("hall_loss", "cable", "switch_closed", "switch_open", "ignores_targets")
@@ -56,7 +56,7 @@ def _inject_axis(axis: Axis, kind: str, present: bool, now: float) -> None:
     elif kind == "ignores_targets":
         axis.ignores_targets = present
     elif kind == "slip":
-        axis.slip(SLIP_MM)
+        axis.slip(SLIP_COUNTS / axis.drive.counts_per_mm)
     else:
         axis.cable_broken = present if kind == "cable" else axis.cable_broken
         if present:

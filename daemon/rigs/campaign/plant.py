@@ -35,6 +35,8 @@ UNIT_GOES_TO = Angles(35.0, 30.0)
 """Where the unit's own tracking and its stow modes drive, far from what the service ever asks for by itself."""
 _WRITE_S = 0.004
 """As to a real port through its thread: what else happens while a packet is on its way can come in between."""
+_MOST_PER_DEG = 5.0
+"""Millimetres that actuators extend for a degree; of what counts degrees more than there are."""
 
 
 def nothing() -> None:
@@ -153,6 +155,12 @@ class PlantTracker:
         return (
             not isinstance(self.unit, SleeplessRotator) and self.settings.instruments.positioner.position_unit != "mm"
         )
+
+    def units_per_deg(self, axis: AxisName) -> float:
+        """Return how much of what its unit counts in a degree is at the most."""
+        positioner = self.settings.instruments.positioner
+        by_impulses = positioner.position_unit == "impulse"
+        return float(getattr(positioner, f"{axis}_axis").impulses_per_deg) if by_impulses else _MOST_PER_DEG
 
     def is_lowered(self, axis: AxisName) -> bool:
         """Tell whether an axis counts upwards where its angle goes down."""

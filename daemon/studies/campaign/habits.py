@@ -69,6 +69,14 @@ BUILT: tuple[Chosen, ...] = (
     },
     {"positioner": {"b_axis": {"sense": "lowers", "low_deg": 93.0, "apex_deg": 130.0}}},
     {"positioner": {"position_unit": "deg"}, "motion": {"tolerance_deg": 1.2}},
+    {"positioner": {"position_unit": "impulse"}},
+    {
+        "positioner": {
+            "position_unit": "impulse",
+            "a_axis": {"impulses_per_deg": 300.0},
+            "b_axis": {"impulses_per_deg": 240.0, "zero_offset": 100.0},
+        }
+    },
 )
 """Ways to build the axes of a unit."""
 

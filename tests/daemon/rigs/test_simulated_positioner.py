@@ -12,6 +12,8 @@ from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.config.simulation import SimulationSettings
 from daemon.rigs.simulated import build_simulated_positioner
+from daemon.rigs.simulated_positioner import build_unit
+from daemon.studies.campaign.watch.true_count import REFERENCE_DEG
 from tests.support.phases import at_rest, tracking
 
 GEOMETRIES = {
@@ -69,6 +71,13 @@ def test_the_service_tracks_with_it(run_rig, geometry):
         assert rig.of(Move)[-1].outcome is MoveOutcome.ARRIVED
 
     run_rig(scenario, instruments={"positioner": geometry})
+
+
+@pytest.mark.parametrize("geometry", GEOMETRIES.values(), ids=GEOMETRIES)
+def test_a_count_that_slips_is_wrong_by_more_than_anybody_may_believe(geometry):
+    unit = build_unit(settings_of(geometry), LoopClock(lambda: 0.0, 1.7e9))
+    unit.inject("a_slip", 0.0)
+    assert abs(unit.shown_deg("a", 0.0) - unit.truth(0.0).a_deg) > REFERENCE_DEG
 
 
 def test_the_fastest_actuators_that_may_be_set_turn_no_axis_so_fast_that_its_count_seems_to_jump(run_rig):

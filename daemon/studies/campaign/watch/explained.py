@@ -9,11 +9,11 @@ from drivers.positioners.pozsol.wire import Field
 from drivers.positioners.rotctld.protocol import SET_POSITION
 
 RUN_OUT_S = 3.0
-AT_TARGET = 1.5
-"""Units of position within which direction says nothing any more."""
+AT_TARGET_DEG = 0.3
+"""What is left of a way within which direction says nothing any more."""
 _SAME_DESTINATION = 0.5
-# So far from its end switch, in units of position, a reference run drives an axis off it first where that is in doubt.
-_LEAVES_SWITCH = 30.0
+# So far from its end switch a reference run drives an axis off it first where that is in doubt.
+_LEAVES_SWITCH_DEG = 6.0
 
 _TARGETS: dict[int, AxisName] = {
     Field.A_ANGLE: "a", Field.B_ANGLE: "b", Field.A_DESTINATION: "a", Field.B_DESTINATION: "b"
@@ -25,10 +25,19 @@ Why = Literal["hand", "home", "order", "run-out"]
 
 
 class Counted(NamedTuple):
-    """What the unit itself says of an axis: position and destination in what it counts in."""
+    """What the unit itself says of an axis: position and destination in what it counts in.
+
+    `per_deg` is how much of that a degree is at the most.
+    """
 
     position: float
     destination: float
+    per_deg: float
+
+    @property
+    def left_deg(self) -> float:
+        """How far it is to the destination at the least [deg]."""
+        return abs(self.destination - self.position) / self.per_deg
 
 
 class Explained:
@@ -125,7 +134,8 @@ class Explained:
             return "hand"
         if axis in self._homing and homing:
             return "home"
-        if homing and axis in self._sent_off and 0.0 < counted.destination <= _LEAVES_SWITCH and counts_up:
+        off_switch = 0.0 < counted.destination <= _LEAVES_SWITCH_DEG * counted.per_deg
+        if homing and axis in self._sent_off and off_switch and counts_up:
             return "order"
         if heading and self._is_ordered(axis, counted, counts_up=counts_up):
             return "order"
@@ -136,4 +146,4 @@ class Explained:
         if destination is None or (not self.by_position and abs(counted.destination - destination) > _SAME_DESTINATION):
             return False
         way = destination - counted.position
-        return abs(way) <= AT_TARGET or (way > 0) is counts_up
+        return abs(way) <= AT_TARGET_DEG * counted.per_deg or (way > 0) is counts_up

@@ -10,8 +10,11 @@ from typing import NamedTuple
 from daemon.rigs.campaign.plant import PlantTracker
 from solar.frames import Angles
 
-FASTEST_PER_S, FASTEST_DEG_PER_S = 10.0, 5.0
-"""No axis of a tracker turns so fast, in its position units and in degrees; full speed is a third of that."""
+FASTEST_COUNTED_DEG_PER_S, FASTEST_DEG_PER_S = 2.0, 5.0
+"""No axis of a tracker turns so fast, in what its unit counts of a degree at the most, and in degrees.
+
+Full speed is a third of that.
+"""
 
 
 class Turning(NamedTuple):

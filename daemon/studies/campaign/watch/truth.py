@@ -15,10 +15,10 @@ from daemon.rigs.campaign.plant import PlantTracker
 from daemon.studies.campaign.watch.asked_for import check_asked_for
 from daemon.studies.campaign.watch.believed import check_scan
 from daemon.studies.campaign.watch.decided import Decided
-from daemon.studies.campaign.watch.explained import AT_TARGET, RUN_OUT_S, Counted, Explained
+from daemon.studies.campaign.watch.explained import AT_TARGET_DEG, RUN_OUT_S, Counted, Explained
 from daemon.studies.campaign.watch.reach import Reach
 from daemon.studies.campaign.watch.reporting import Reporting, Violation
-from daemon.studies.campaign.watch.steady import FASTEST_DEG_PER_S, FASTEST_PER_S, STANDS, Steady, turning
+from daemon.studies.campaign.watch.steady import FASTEST_COUNTED_DEG_PER_S, FASTEST_DEG_PER_S, STANDS, Steady, turning
 from daemon.studies.campaign.watch.storms import STORM_S, Storms
 from daemon.studies.campaign.watch.true_count import REFERENCE_EVERY_S, TrueCount
 from drivers.interfaces import AxisName
@@ -35,7 +35,6 @@ SAMPLING_S = 0.15
 UNIT_TRIPS_S = 1.5
 """Without Hall pulses nobody but the unit can see an axis move, and it takes 2 s to notice."""
 LIMIT_DEG, SLEW_RUN_OUT_DEG = 0.02, 0.06  # A slew drive is sent to a limit that is a whole unit, and runs out beyond.
-LEFT_PER_DEG = 5.0  # More than a degree of a move's tolerance is in the unit's positions.
 
 
 class TruthWatch:
@@ -289,10 +288,10 @@ class TruthWatch:
             return math.inf
         self._note_motion(now_s)
         counted = self._counted_of(axis)
-        motion, left = self.mount.motion, abs(counted.destination - counted.position)
+        motion, left_deg = self.mount.motion, counted.left_deg
         # A move has arrived within its tolerance; what is left of it the axis may still make up.
         heads_until_s = self._headed_s + RUN_OUT_S
-        has_arrived = left <= LEFT_PER_DEG * self.mount.settings.motion.tolerance_deg
+        has_arrived = left_deg <= self.mount.settings.motion.tolerance_deg
         heading = motion.target is not None or (has_arrived and now_s < heads_until_s)
         counts_up = (turned_deg > 0.0) is not self.mount.is_lowered(axis)
         why = self.explained.why(axis, counted, now_s, counts_up=counts_up, homing=motion.homing, heading=heading)
@@ -311,8 +310,8 @@ class TruthWatch:
         self._unexplained_s[axis] = None
         self.reporting.stands()
         if why == "order":
-            left_deg = self._check_limits(axis, at_deg, turned_deg)
-            until_s = now_s + min((left - AT_TARGET) / FASTEST_PER_S, left_deg / FASTEST_DEG_PER_S)
+            limit_s = self._check_limits(axis, at_deg, turned_deg) / FASTEST_DEG_PER_S
+            until_s = now_s + min((left_deg - AT_TARGET_DEG) / FASTEST_COUNTED_DEG_PER_S, limit_s)
             return until_s if motion.target is not None else min(until_s, heads_until_s)
         return math.inf if why == "home" else -math.inf
 
@@ -324,7 +323,7 @@ class TruthWatch:
         return self._counted_of("a"), self._counted_of("b")
 
     def _counted_of(self, axis: AxisName) -> Counted:
-        return Counted(*self.mount.unit.course(axis, self.now_s))
+        return Counted(*self.mount.unit.course(axis, self.now_s), self.mount.units_per_deg(axis))
 
     # The promises.
 

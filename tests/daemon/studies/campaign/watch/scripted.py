@@ -30,6 +30,7 @@ class Scripted:
         self.sun_deg = 30.0
         self.is_silent = self.is_gone = self.has_slew_drives = False
         self.lowered = ""
+        self.per_deg = 5.0
         self.called = ""
         self.settings = Settings.model_validate({})
         self.service = SimpleNamespace(sun_elevation_deg=lambda utc_s: self.sun_deg)
@@ -48,12 +49,15 @@ class Scripted:
         limits = self.settings.limits
         return (limits.a_min_deg, limits.a_max_deg) if axis == "a" else (limits.b_min_deg, limits.b_max_deg)
 
+    def units_per_deg(self, axis):
+        return self.per_deg
+
     def is_lowered(self, axis):
         return axis == self.lowered
 
     def course(self, axis, now_s):
         self.close_looks += 1
-        position = self.at[axis] * (-5 if self.is_lowered(axis) else 5)
+        position = self.at[axis] * (-self.per_deg if self.is_lowered(axis) else self.per_deg)
         return position, self.destination[axis]
 
     def changes(self, now_s):
@@ -78,8 +82,8 @@ class Scripted:
             self.watch.packet(b"$\x2c%g" % a, self.now_s)
             self.watch.packet(b"$\x30%g" % b, self.now_s)
             self.destination = {
-                "a": a * (-5 if self.is_lowered("a") else 5),
-                "b": b * (-5 if self.is_lowered("b") else 5),
+                "a": a * (-self.per_deg if self.is_lowered("a") else self.per_deg),
+                "b": b * (-self.per_deg if self.is_lowered("b") else self.per_deg),
             }
             if not taken:
                 raise ConnectionError

@@ -278,8 +278,20 @@ def test_an_axis_turns_the_way_that_its_count_goes(plant, lowered, broken):
     plant.lowered = lowered
     plant.order(30.0, 60.0)
     plant.destination["a"] = -150.0
-    plant.watch.explained.confirmed(*(Counted(*plant.course(axis, 0.0)) for axis in "ab"))
+    plant.watch.explained.confirmed(*(Counted(*plant.course(axis, 0.0), plant.per_deg) for axis in "ab"))
     plant.wait(8.0, a=8.0)
+    assert promises(plant) == broken
+
+
+@pytest.mark.parametrize("per_deg", [5.0, 60.0, 300.0])
+@pytest.mark.parametrize(("left_deg", "broken"), [(0.7, []), (1.9, ["unexplained-motion"])])
+def test_what_is_left_of_a_move_is_measured_by_what_the_unit_counts_of_a_degree(plant, per_deg, left_deg, broken):
+    plant.per_deg = per_deg
+    plant.order(10, 60)
+    plant.wait(9.0, a=10.0 - left_deg)
+    plant.motion.target = None
+    plant.wait(2.8, a=0.5)
+    plant.wait(2.0)
     assert promises(plant) == broken
 
 
