@@ -11,10 +11,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.text import Text
 from matplotlib.transforms import Bbox, BboxBase
 
 from daemon.studies.energy.benchmark import EnergyRow
-from daemon.studies.energy.names import BOUND, FIXED
+from daemon.studies.energy.names import BOUND, FIXED, choice
 from daemon.studies.picture_file import save_picture
 from daemon.studies.stamp import stamped
 from solar.energy import DAY_TYPES
@@ -36,6 +37,7 @@ _LOWEST_SHARE_PCT = -60.0
 # In a narrower panel hundredths of a degree would look like wear.
 _NARROWEST_DEG = 50.0
 _MARK_PX = 6.0
+_LINE_STEP_PX = 4.0
 _NOTE_LETTERS = 80
 
 
@@ -151,8 +153,8 @@ def _draw_marks(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str
 
 def _finish_wear(axes: Axes, with_mark: Sequence[EnergyRow], rows: Sequence[EnergyRow]) -> None:
     """Give the panel its lines, limits and words, and say below it what has no mark in it."""
-    axes.axhline(100.0, color=_GREY, linewidth=1.5)
-    axes.axhline(0.0, color="black", linewidth=0.8)
+    axes.axhline(100.0, color=_GREY, linewidth=1.5, zorder=1)
+    axes.axhline(0.0, color="black", linewidth=0.8, zorder=1)
     axes.margins(y=0.08)
     right = max(1.12 * max((row.travel_deg_per_day for row in with_mark), default=0.0), _NARROWEST_DEG)
     axes.set_xlim(-0.04 * right, right)
@@ -179,19 +181,56 @@ def _finish_wear(axes: Axes, with_mark: Sequence[EnergyRow], rows: Sequence[Ener
 
 
 def _name_laws(axes: Axes, rows: Sequence[EnergyRow]) -> None:
-    """Write each law's name above or below its marks of all skies, where nothing else is."""
+    """Write each law's name above or below its marks of all skies, and what was tried at its highest line."""
     frame = axes.get_window_extent()
     marks = axes.transData.transform(np.reshape([(row.travel_deg_per_day, row.share_pct) for row in rows], (-1, 2)))
     taken = [Bbox([mark - _MARK_PX, mark + _MARK_PX]) for mark in marks]
     taken += [text.get_window_extent() for text in axes.texts]
+    taken += [Bbox([point, point + 1.0]) for line in axes.lines for point in _along(line)]
     laws = np.array([_law_of(row) for row in rows])
+    highest = {_law_of(row): row.sky for row in sorted(rows, key=lambda row: row.share_pct)}
+    tried = {_law_of(row) for row in rows if ":" in row.law}
+    for row, mark in zip(rows, marks, strict=True):
+        if _law_of(row) in tried and row.sky == highest[_law_of(row)]:
+            number = axes.text(0.0, 0.0, _tried(row.law)[1], ha="center", va="center", fontsize="small")
+            _put(number, _around(mark, number.get_window_extent(), frame), taken)
     for law in dict.fromkeys(laws.tolist()):
-        name = axes.text(0.0, 0.0, law, ha="center", va="center")
-        places = _beside(marks[laws == law], name.get_window_extent(), frame, len(rows))
-        free = (box for box in places if not any(box.overlaps(other) for other in taken))
-        taken.append(next(free, places[0]))
-        x, y = axes.transData.inverted().transform(taken[-1].corners().mean(axis=0))
-        name.set_position((x, y))
+        called = f"{law}, by {_tried(law)[0]}" if law in tried else law
+        name = axes.text(0.0, 0.0, called, ha="center", va="center")
+        _put(name, _beside(marks[laws == law], name.get_window_extent(), frame, len(rows)), taken)
+
+
+def _tried(name: str) -> tuple[str, str]:
+    """Return what the one parameter of a law is called, and its value under this name of the command line."""
+    settings = choice(name).settings
+    assert settings is not None and settings.knob is not None  # noqa: S101, PT018 - nothing else has two values
+    return settings.knob, f"{getattr(settings, settings.knob):g}"
+
+
+def _along(line: Line2D) -> Array:
+    """Return points of a line as it is drawn, one every few pixels [pixels]."""
+    corners = np.asarray(line.get_transform().transform(line.get_xydata()))
+    reached = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))))
+    steps = np.arange(0.0, reached[-1], _LINE_STEP_PX)
+    return np.column_stack([np.interp(steps, reached, corners[:, axis]) for axis in (0, 1)])
+
+
+def _put(text: Text, places: Sequence[Bbox], taken: list[Bbox]) -> None:
+    """Move a text to the first of some places that overlaps nothing, or to the first one, which is taken then."""
+    free = (box for box in places if not any(box.overlaps(other) for other in taken))
+    taken.append(next(free, places[0]))
+    assert text.axes is not None  # noqa: S101 - narrowing; it was made in some
+    x, y = text.axes.transData.inverted().transform(taken[-1].corners().mean(axis=0))
+    text.set_position((x, y))
+
+
+def _around(mark: Array, size: BboxBase, frame: BboxBase) -> list[Bbox]:
+    """Return the places of a text of some size around a mark [pixels], inside the frame, nearest first."""
+    reach = np.array([size.width, size.height]) / 2.0 + _MARK_PX
+    ways = np.array([(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)])
+    found = [mark + far * reach * way for far in (1.1, 1.7, 2.5) for way in ways]
+    boxes = [Bbox.from_bounds(x - size.width / 2.0, y - size.height / 2.0, size.width, size.height) for x, y in found]
+    return [box for box in boxes if frame.contains(box.x0, box.y0) and frame.contains(box.x1, box.y1)] or boxes
 
 
 def _beside(marks: Array, size: BboxBase, frame: BboxBase, lines: int) -> list[Bbox]:

@@ -93,6 +93,31 @@ def test_names_lie_inside_the_panel_of_wear_and_not_over_one_another(pictures, d
     assert not any(one.overlaps(other) for one, other in combinations(words, 2))
 
 
+def words_on(axes):
+    """Return the texts in a panel, and whether each lies on one of its horizontal lines."""
+    levels = axes.transData.transform([(0.0, 0.0), (0.0, 100.0)])[:, 1]
+    boxes = {text.get_text(): text.get_window_extent() for text in axes.texts}
+    return {word: any(box.y0 <= level <= box.y1 for level in levels) for word, box in boxes.items()}
+
+
+def test_no_name_lies_on_a_line_of_the_panel_of_wear():
+    below_the_bound = row("flat", 20.0, 93.5, 20.0)
+    above_zero = (row("mu-prime", 0.0, -4.5, 400.0), row("sun-vector", 0.0, -4.5, 900.0))
+    words = words_on(picture((below_the_bound, *above_zero, BOUND)).axes[1])
+    assert words == dict.fromkeys(("the bound", "flat", "mu-prime", "sun-vector"), False)
+
+
+def test_marks_of_a_parameter_have_its_values_and_its_name(pictures):
+    tried = [row(f"optimal{value}", 1.0, share, 300.0 + share) for value, share in ((":4", 70), ("", 80), (":0.5", 81))]
+    other_sky = [row(each.law, 1.0, each.share_pct - 3.0, each.travel_deg_per_day, "cie") for each in tried]
+    axes = picture((*tried, *other_sky, BOUND)).axes[1]
+    assert sorted(words_on(axes)) == ["0.5", "1", "4", "optimal, by thrift", "the bound"]
+    number = next(text for text in axes.texts if text.get_text() == "4").get_window_extent()
+    mark = axes.transData.transform((370.0, 70.0))
+    assert np.hypot(*(number.corners().mean(axis=0) - mark)) < 30.0
+    assert "optimal" in {text.get_text() for text in pictures["clear"].axes[1].texts}, "one setting needs no number"
+
+
 @pytest.mark.parametrize("day", DAYS)
 def test_the_panel_of_wear_has_room_left_of_nothing_and_never_shows_hundredths_of_a_degree(pictures, day):
     left, right = pictures[day].axes[1].get_xlim()
