@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from daemon.base.errors import UserError
+from daemon.base.process import as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.options import CONFIG_VARIABLE, FILES, ForceOption, TableFormat
 from daemon.studies.inputs import instant
@@ -29,6 +30,7 @@ class KindChoice(StrEnum):
 
 
 @app.command(rich_help_panel=FILES)
+@as_ctrl_c()
 def export(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the tables; created if it is missing.")],
     start: Annotated[

@@ -16,6 +16,7 @@ from typer.core import TyperGroup
 
 from daemon.base.clock import iso_utc
 from daemon.base.errors import ExitCode, InterruptedEarlyError, UserError
+from daemon.base.process import as_ctrl_c
 from daemon.commands import alarms, dashboard, export, operate, probe, store, tools
 from daemon.commands import config as config_commands
 from daemon.commands.answers import JsonOption, print_json, say
@@ -203,6 +204,7 @@ def run(
 
 
 @app.command(rich_help_panel=SERVICE)
+@as_ctrl_c()
 def simulate(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the tables; created if it is missing.")],
     start: Annotated[str, typer.Option(metavar="UTC", help="First day or instant, such as 2022-10-14.")],

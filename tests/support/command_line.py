@@ -1,6 +1,7 @@
 """The command line as a person calls it, in the test's own process."""
 
 import functools
+import signal
 import sys
 
 import pytest
@@ -24,6 +25,19 @@ def heliocube(monkeypatch, capsys):
         return ended.value.code, written.out, written.err
 
     return run
+
+
+@pytest.fixture
+def signal_at_once(monkeypatch):
+    """Sends a signal that it is given to the process where work shows its progress first, as on a terminal."""
+    # One that no command takes must not end the tests.
+    safe = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: lambda *_: None}
+    before = {number: signal.signal(number, handler) for number, handler in safe.items()}
+    asked: list[signal.Signals] = []
+    monkeypatch.setattr("rich.progress.Progress.update", lambda *_, **_more: asked and signal.raise_signal(asked.pop()))
+    yield asked.append
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture

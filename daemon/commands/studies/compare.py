@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
+from daemon.base.process import as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, TableFormat, checked_seed, chosen_workers
 from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW
@@ -46,6 +47,7 @@ LawsOption = Annotated[str, typer.Option(metavar="LAW,LAW", help="Laws of T-Cube
 
 
 @app.command()
+@as_ctrl_c()
 def simulate(
     start: Annotated[str, typer.Option(metavar="UTC", help="First day or instant, such as 2022-10-12.")],
     out: Annotated[

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from daemon.base.errors import InterruptedEarlyError, UserError
+from daemon.base.process import as_ctrl_c
 from daemon.base.words import counted
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ForceOption, LawOption, ReportOption, TrackerOption, ZoneOption
@@ -170,6 +171,7 @@ def tell_pages(paths: "Sequence[Path]") -> None:
         say(f"written: {path}")
 
 
+@as_ctrl_c()
 def replay(
     out: Annotated[
         Path, typer.Option(metavar="FILE", help="File for the positions, one line per reading: .csv or .csv.gz.")

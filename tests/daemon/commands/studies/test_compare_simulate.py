@@ -2,6 +2,7 @@
 
 import csv
 import json
+import signal
 
 import numpy as np
 import pandas as pd
@@ -34,6 +35,13 @@ def test_two_trackers_under_one_sky_follow_their_own_laws(compare, tmp_path):
     ratio = float(cube[-1]["irradiance_w_m2"]) / float(chrono[-1]["irradiance_w_m2"])
     tilt = np.radians(57.0)
     assert ratio == pytest.approx(1 / ((1 + np.cos(tilt)) / 2 + 0.2 * (1 - np.cos(tilt)) / 2), abs=0.02)
+
+
+def test_one_that_is_ended_leaves_nothing(compare, tmp_path, signal_at_once):
+    signal_at_once(signal.SIGTERM)
+    code, _, err = compare("simulate", "--start", "2022-10-14T11:00", "--days", "0.02", "--out", tmp_path)
+    assert (code, err) == (130, "heliocube: interrupted before its end; no result was written\n")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_law_that_fails_ends_the_comparison_in_a_sentence(compare, tmp_path, monkeypatch):

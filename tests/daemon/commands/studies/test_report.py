@@ -282,20 +282,13 @@ def test_simulate_and_replay_write_the_same_page(heliocube, tmp_path):
     assert not (tmp_path / "q.csv").exists(), "it was refused before the work"
 
 
-@pytest.fixture
-def _ctrl_c_at_once(monkeypatch):
-    """Interrupt what shows its progress when it does so first, as a terminal does."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    asked = iter([True])
-    shown = "rich.progress.Progress.update"
-    monkeypatch.setattr(shown, lambda *_, **_more: next(asked, False) and signal.raise_signal(signal.SIGINT))
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.usefixtures("_ctrl_c_at_once")
-@pytest.mark.parametrize("command", ["simulate", "replay"])
-def test_after_an_interruption_there_is_no_page_and_no_folder_for_it(heliocube, tmp_path, command):
+@pytest.mark.parametrize(
+    ("command", "number"), [("simulate", signal.SIGINT), ("simulate", signal.SIGTERM), ("replay", signal.SIGTERM)]
+)
+def test_after_an_interruption_there_is_no_page_and_no_folder_for_it(
+    heliocube, tmp_path, signal_at_once, command, number
+):
+    signal_at_once(number)
     faces = tmp_path / "faces.csv"
     faces.write_text(
         "time,east,south,west,zenith\n2022-10-12T11:00Z,220,300,210,510\n2022-10-12T11:01Z,220,300,210,510"
@@ -309,6 +302,7 @@ def test_after_an_interruption_there_is_no_page_and_no_folder_for_it(heliocube, 
     assert said.splitlines()[-1].startswith("heliocube: interrupted: ")
     assert said.endswith(", and no page was written\n")
     assert not (tmp_path / "pages").exists()
+    assert not list(tmp_path.rglob("*.part"))
 
 
 def test_the_page_of_a_replay_knows_what_the_service_did_not_believe(heliocube, tmp_path):
