@@ -79,9 +79,13 @@ def check_file(
             problems.append(str(error))
     weather = settings.simulation.weather
     if isinstance(weather, Path) and not settings.real:
-        from daemon.rigs.measured import measured_weather
+        from daemon.studies.inputs import check_weather_file
 
         try:
+            check_weather_file(weather)
+            # What reads it takes seconds to load.
+            from daemon.rigs.measured import measured_weather
+
             measured_weather(weather)
         except UserError as error:
             problems.append(f"simulation.weather: {error}")

@@ -86,8 +86,7 @@ def gain(
         raise UserError("--plot-kind needs a file to draw in; add --plot FILE")
     if weather not in (None, "clear") and lat_range is None:
         check_weather_file(Path(weather), built_in=("clear",))
-    from daemon.studies.gain import output, request
-    from daemon.studies.gain.evaluate import evaluate, evaluate_points
+    from daemon.studies.gain import request
 
     errors, console = Console(stderr=True), Console()
     if as_json and (table_format is not None or out is not None):
@@ -99,7 +98,12 @@ def gain(
         clash = next((name for name, value in given.items() if value is not None), None)
         if clash is not None:
             raise UserError(f"--points takes its cases from the file; leave out {clash}")
-        rows = evaluate_points(request.read_points(points), with_printed=printed)
+        cases = request.read_points(points)
+        # What computes takes longer to load than the file to read.
+        from daemon.studies.gain import output
+        from daemon.studies.gain.evaluate import evaluate_points
+
+        rows = evaluate_points(cases, with_printed=printed)
         if as_json:
             print_json(output.as_page(rows, None))
         else:
@@ -116,6 +120,9 @@ def gain(
         against=request.devices(against),
         printed=printed,
     )
+    from daemon.studies.gain import output
+    from daemon.studies.gain.evaluate import evaluate
+
     sky = _sky(weather, asked, lon, altitude)
     if sky is not None and sky.warning:
         warn(sky.warning)

@@ -116,6 +116,11 @@ WRONG = {
     "archive --config home.toml": "password_file = '~nosuch/x': there is no such user; write the whole path",
     "notify --config deep.toml": "deep.toml is not TOML: its brackets are nested too deeply",
     "dashboard --config deep.toml": "deep.toml is not TOML: its brackets are nested too deeply",
+    "config check sky.toml": "simulation.weather: there is no weather file at ",
+    "gain --points none.csv": "there is no points file at none.csv",
+    "gain --points file": "points file file has no column phi_deg; found: mine",
+    "gain": "give --lat or --lat-range, such as --lat 48.7 or --lat-range 0:65:1",
+    "gain --lat 48 --day 400": "--day: 400 is not in 1..365",
     "export --out new": "export needs either --store DIR or --config FILE",
 }
 
@@ -128,6 +133,7 @@ def refused(tmp_path_factory):
     (folder / "home.toml").write_text(
         "[notify]\npeople_file = '~nosuch/x'\n[archive]\ndatabase = 'postgresql://u@h/d'\npassword_file = '~nosuch/x'\n"
     )
+    (folder / "sky.toml").write_text("[simulation]\nweather = 'none.csv'\n")
     (folder / "deep.toml").write_text(f"a = {'[' * 5000}")
     (folder / "there").mkdir()
     os.mkfifo(folder / "pipe")

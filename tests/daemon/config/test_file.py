@@ -297,7 +297,7 @@ def test_checking_looks_at_the_files_that_are_named(tmp_path):
         check_file(path)
     key, weather = caught.value.problems
     assert key.startswith(f"bridge.key_file: the key file {tmp_path / 'bridge.key'} does not exist")
-    assert weather == f"simulation.weather: there is no weather file at {tmp_path / 'day.csv'}"
+    assert weather.startswith(f"simulation.weather: there is no weather file at {tmp_path / 'day.csv'}, and it is not")
 
     (tmp_path / "bridge.key").write_text("A" * 43)
     (tmp_path / "bridge.key").chmod(0o644)
