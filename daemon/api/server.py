@@ -15,6 +15,7 @@ from daemon.api.port.connections import Connections
 from daemon.api.port.doorkeeper import Doorkeeper
 from daemon.base.addresses import Address, parse_address
 from daemon.base.clock import Clock
+from daemon.base.piecewise import LONGEST_HEAD
 from daemon.base.reconnect import Outage
 from daemon.config.links import ApiSettings
 
@@ -22,7 +23,6 @@ log = logging.getLogger("heliocube.api")
 
 _AGAIN_S = 10.0
 _GRACE_S = 1
-_LONGEST_HEAD = 16 << 10
 _KEEP_ALIVE_S = 5
 
 
@@ -153,7 +153,7 @@ class ApiServer:
                 access_log=False,
                 server_header=False,
                 date_header=False,
-                h11_max_incomplete_event_size=_LONGEST_HEAD,
+                h11_max_incomplete_event_size=LONGEST_HEAD,
                 # These are counted on the loop's clock, which may be a fast one.
                 timeout_keep_alive=_KEEP_ALIVE_S * pace,
                 timeout_graceful_shutdown=_GRACE_S * pace,

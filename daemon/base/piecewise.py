@@ -1,6 +1,8 @@
 """Connections to our HTTP servers, of each of which little is looked at in one go."""
 
 import asyncio
+import os
+from contextlib import suppress
 from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -8,6 +10,12 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 READ_AT_ONCE = 1024
 """Of what a connection has sent, at one turn of the loop [bytes]: the limit of a head holds only for what does not come
 at once, and hundreds of small parts of a body would be taken apart in one go."""
+
+LONGEST_HEAD = 16 << 10
+"""Of a request [bytes]."""
+TOO_LONG = f"the head of this request is longer than {LONGEST_HEAD} bytes; a browser sends fewer without its cookies"
+# What comes at once with a head that is too long: three times as much, and more.
+_MOST_UNREAD = 1 << 16
 
 
 class PiecewiseProtocol(H11Protocol, asyncio.BufferedProtocol):
@@ -24,3 +32,18 @@ class PiecewiseProtocol(H11Protocol, asyncio.BufferedProtocol):
     def buffer_updated(self, nbytes: int) -> None:
         """Take in what was read."""
         self.data_received(bytes(self._read[:nbytes]))
+
+    @property
+    def head_is_too_long(self) -> bool:
+        """Whether what was refused is a head of more than `LONGEST_HEAD`, and else it is not HTTP."""
+        return len(self.conn.trailing_data[0]) > LONGEST_HEAD
+
+    def drop_unread(self) -> None:
+        """Drop what has been sent and is not read: the kernel would take the answer back for it at the end."""
+        with suppress(OSError):
+            os.read(self.transport.get_extra_info("socket").fileno(), _MOST_UNREAD)
+
+    def send_400_response(self, msg: str) -> None:
+        """Answer what cannot be read, and close."""
+        self.drop_unread()
+        super().send_400_response(TOO_LONG if self.head_is_too_long else msg)

@@ -19,7 +19,7 @@ from anyio.to_thread import current_default_thread_limiter
 from daemon.base.addresses import DEFAULT_DASHBOARD, SEND_NO_MORE_ONCE_CLOSED, Address, parse_address
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
-from daemon.base.piecewise import READ_AT_ONCE, PiecewiseProtocol
+from daemon.base.piecewise import LONGEST_HEAD, READ_AT_ONCE, PiecewiseProtocol
 from daemon.base.process import Notifier, on_signals
 from daemon.config.links import DashboardSettings, section_of_guest
 from daemon.dashboard.app import Dashboard
@@ -245,6 +245,7 @@ def _server(dashboard: Dashboard) -> _Server:
             access_log=False,
             server_header=False,
             date_header=False,
+            h11_max_incomplete_event_size=LONGEST_HEAD,
             limit_concurrency=_CONNECTIONS,
             timeout_graceful_shutdown=_GRACE_S,
         )

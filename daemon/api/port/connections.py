@@ -17,7 +17,7 @@ from starlette.datastructures import Headers
 from daemon.api.gate import GIVEN_UP, Token
 from daemon.api.refusals import ApiRefusals
 from daemon.base.addresses import without_mapping
-from daemon.base.piecewise import READ_AT_ONCE, PiecewiseProtocol
+from daemon.base.piecewise import READ_AT_ONCE, TOO_LONG, PiecewiseProtocol
 
 _MOST = 384
 MOST_OF_AN_ADDRESS = 32
@@ -180,7 +180,8 @@ class HttpConnection(PiecewiseProtocol):
 
     def send_400_response(self, msg: str) -> None:  # noqa: ARG002 - the server's
         """Answer what is not HTTP, after a while."""
-        self._refusals.note("garbage", f"what {self.address} sends is not HTTP")
+        what = "is a head that is too long" if self.head_is_too_long else "is not HTTP"
+        self._refusals.note("garbage", f"what {self.address} sends {what}")
         self._garbled = True
         if self.cycle is not None and not self.cycle.response_complete:
             self.abort()
@@ -213,7 +214,11 @@ class HttpConnection(PiecewiseProtocol):
 
     def _answer_garbage(self) -> None:
         if not self.transport.is_closing():
-            content = b'{"error":"this is not HTTP"}'
-            head = f"HTTP/1.1 400 Bad Request\r\ncontent-type: application/json\r\ncontent-length: {len(content)}\r\n"
-            self.transport.write(head.encode() + b"connection: close\r\n\r\n" + content)
+            status, why = "400 Bad Request", "this is not HTTP"
+            if self.head_is_too_long:
+                status, why = "431 Request Header Fields Too Large", TOO_LONG
+            content = f'{{"error":"{why}"}}'
+            head = f"HTTP/1.1 {status}\r\ncontent-type: application/json\r\ncontent-length: {len(content)}\r\n"
+            self.drop_unread()
+            self.transport.write(f"{head}connection: close\r\n\r\n{content}".encode())
             self.transport.close()

@@ -360,11 +360,14 @@ def test_whoever_comes_by_ipv4_to_a_socket_for_all_of_ipv6_is_treated_as_coming_
 def test_a_long_head_is_refused_also_where_it_comes_in_one_piece(serve, caplog, before, end):
     async def scenario(rig, call):
         reader, writer = await connect(call, before + HALF_A_HEAD + b"alhost" + b"\r\ny: 1" * 8_000 + end)
-        assert (await closed(reader)).count(b"HTTP/1.1 200 OK") <= bool(before)
+        reply = await closed(reader)
+        assert reply.count(b"HTTP/1.1 200 OK") <= bool(before)
+        assert before or reply.startswith(b"HTTP/1.1 431 ")
+        assert before or b'{"error":"the head of this request is longer than 16384 bytes' in reply
         writer.close()
 
     serve(scenario)
-    assert lines_of(caplog) == ["what 127.0.0.1 sends is not HTTP"]
+    assert lines_of(caplog) == ["what 127.0.0.1 sends is a head that is too long"]
 
 
 def test_the_small_parts_of_a_body_without_the_token_are_taken_apart_a_few_at_a_time(serve, monkeypatch):

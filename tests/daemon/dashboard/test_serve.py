@@ -239,6 +239,18 @@ def test_what_is_not_a_whole_request_fills_no_log(caplog, content):
     assert [record for record in caplog.records if record.name.startswith("uvicorn")] == []
 
 
+def test_a_head_that_is_too_long_is_answered_in_a_sentence():
+    async def scenario():
+        async with served() as address:
+            reader, writer = await asyncio.open_connection(*address)
+            writer.write(b"GET / HTTP/1.1\r\nHost: localhost\r\nCookie: a=" + b"1" * 40_000 + b"\r\n\r\n")
+            assert b"longer than 16384 bytes" in await reader.read()
+            writer.close()
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
+
+
 @pytest.mark.parametrize(("name", "is_dropped"), [("auto", True), ("stop", False)])
 def test_an_order_that_was_given_up_is_not_sent_on_once_the_network_is_back_unless_it_is_a_stop(name, is_dropped):
     async def scenario():
