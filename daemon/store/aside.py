@@ -1,6 +1,10 @@
-"""A store that cannot be used is moved aside, with its date and the reason in its name; nothing in it is touched."""
+"""A store that cannot be used is moved aside, with its date and the reason in its name; nothing in it is touched.
+
+Where only the place of a file is taken that SQLite keeps beside it, that alone is moved, and the store goes on.
+"""
 
 import os
+import stat
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,8 +17,11 @@ KINDS = {
     "foreign": "a file that is no store of heliocube, or one with a damaged beginning,",
     "folder": "a folder in the store's place",
     "device": "a pipe or a device in the store's place",
+    "link": "a link in the store's place that leads back to itself",
     "locked": "a store that may not be written by this user",
+    "beside": "what was in the place of a file that SQLite keeps beside the store",
 }
+_HOLDS_NO_RECORDS = ("folder", "device", "link", "beside")
 
 
 def companions(path: Path) -> list[Path]:
@@ -22,8 +29,21 @@ def companions(path: Path) -> list[Path]:
     return [beside for suffix in _COMPANIONS if os.path.lexists(beside := Path(f"{path}{suffix}"))]
 
 
+def in_the_way(path: Path) -> list[Path]:
+    """Return what is in the place of such a file and is none: a folder, a pipe, a link to nowhere."""
+    return [beside for beside in companions(path) if not _is_file(beside)]
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return stat.S_ISREG(path.stat().st_mode)
+    except OSError:
+        # SQLite itself may have removed it meanwhile.
+        return not path.is_symlink()
+
+
 def move_aside(path: Path, kind: str, utc_s: float) -> Path:
-    """Give a store and what belongs to it a new name in its folder, and return that.
+    """Give a store and what belongs to it a new name in its folder, and return that; or what is in the way beside it.
 
     Parameters
     ----------
@@ -39,15 +59,25 @@ def move_aside(path: Path, kind: str, utc_s: float) -> Path:
     OSError
         The folder cannot be written to.
     """
+    if kind == "beside":
+        for beside in in_the_way(path):
+            beside.rename(_free(path, kind, utc_s))
+        return stores_aside(path)[-1]
+    aside = _free(path, kind, utc_s)
+    # These first: a store that is still there without them would be used again, and lose what is in them.
+    for beside in companions(path):
+        beside.rename(f"{aside}{str(beside).removeprefix(str(path))}")
+    path.rename(aside)
+    return aside
+
+
+def _free(path: Path, kind: str, utc_s: float) -> Path:
+    """Return a name that nothing has yet."""
     stamp = datetime.fromtimestamp(utc_s, UTC).strftime("%Y%m%dT%H%M%SZ")
     again, aside = 1, path.with_name(f"{path.stem}.{stamp}.{kind}{path.suffix}")
     while os.path.lexists(aside):
         again += 1
         aside = path.with_name(f"{path.stem}.{stamp}-{again}.{kind}{path.suffix}")
-    # These first: a store that is still there without them would be used again, and lose what is in them.
-    for beside in companions(path):
-        beside.rename(f"{aside}{str(beside).removeprefix(str(path))}")
-    path.rename(aside)
     return aside
 
 
@@ -66,8 +96,9 @@ def aside_text(path: Path) -> str | None:
     more = f", and {len(found) - 1} before it" if len(found) > 1 else ""
     kind = newest.name.split(".")[-2]
     salvage = f"'heliocube store salvage {newest} --into {path.parent}' gets what can be read from it; "
-    remedy = "" if kind in ("folder", "device") else salvage
+    remedy = "" if kind in _HOLDS_NO_RECORDS else salvage
+    what_now = "the store goes on" if kind == "beside" else "a new one begun"
     return (
-        f"{KINDS[kind]} was moved aside as {newest}{more}, and a new one begun: {remedy}"
+        f"{KINDS[kind]} was moved aside as {newest}{more}, and {what_now}: {remedy}"
         "this alarm ends when it is moved to another folder"
     )

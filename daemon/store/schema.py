@@ -10,6 +10,7 @@ from typing import Any
 
 from daemon.base.errors import UserError
 from daemon.base.records import Record, Scan
+from daemon.store.aside import in_the_way
 from daemon.store.copies import keep_copy
 from daemon.store.tables import COLUMNS, Row, with_irradiances
 
@@ -92,7 +93,7 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
     Raises
     ------
     UnusableStoreError
-        What is there is no store, damaged, or that of a newer program.
+        What is there is no store, damaged, or that of a newer program, or something is in the place of its log.
     StoreError
         It is a link into a folder that is not there.
     sqlite3.Error
@@ -103,6 +104,10 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
         raise UnusableStoreError(f"{path} is a folder: move it away", "folder")
     if path.exists() and not path.is_file():
         raise UnusableStoreError(f"{path} is a pipe or a device: move it away", "device")
+    if Path(os.path.realpath(path)).is_symlink():
+        raise UnusableStoreError(f"{path} is a link that leads back to itself: remove it", "link")
+    for beside in in_the_way(path):
+        raise UnusableStoreError(f"{beside} is not a file of SQLite's: move it away", "beside")
     # SQLite would remove the log that lies beside a file that it does not know.
     if path.exists() and not _is_database(path):
         raise UnusableStoreError(f"{path} is not a store of heliocube, or its beginning is damaged", "foreign")

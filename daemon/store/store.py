@@ -199,6 +199,9 @@ class Store:
         except OSError:
             return False
         self._moved_s = self._clock.monotonic()
+        if kind == "beside":
+            log.error("the store %s could not be used (%s): that is %s now", self._path, error, aside)
+            return True
         self._forget_file()
         log.error("the store %s cannot be used (%s): it is %s now, and a new one begins", self._path, error, aside)
         return True

@@ -96,7 +96,14 @@ def pipe_in_its_place(path):
     os.mkfifo(path)
 
 
+def link_to_itself(path):
+    path.unlink()
+    path.symlink_to(path)
+
+
 def content(path):
+    if path.is_symlink():
+        return path.readlink()
     if path.is_fifo():
         return "a pipe"
     return {one.name: one.read_bytes() for one in path.iterdir()} if path.is_dir() else path.read_bytes()
@@ -115,6 +122,7 @@ def content(path):
         (of_another_program, "foreign", "a file that is no store of heliocube, or one with a damaged beginning,"),
         (folder_in_its_place, "folder", "a folder in the store's place"),
         (pipe_in_its_place, "device", "a pipe or a device in the store's place"),
+        (link_to_itself, "link", "a link in the store's place that leads back to itself"),
     ],
 )
 def test_what_cannot_be_used_is_moved_aside_as_it_is_and_said_once(keep, tmp_path, caplog, spoil, kind, says):
@@ -156,6 +164,25 @@ def test_what_sqlite_keeps_beside_it_goes_with_it(keep):
     (aside,) = stores_aside(path)
     assert Path(f"{aside}-wal").read_text() == "-wal"
     assert Path(f"{aside}-shm").read_text() == "-shm"
+
+
+def test_what_is_in_the_place_of_a_file_beside_it_is_moved_alone_and_the_store_goes_on(keep, caplog):
+    folder, alarms = keep(scan(0)), {}
+    path = folder / FILE_NAME
+    Path(f"{path}-wal").mkdir()
+    Path(f"{path}-journal").mkdir()
+    Path(f"{path}-shm").symlink_to(folder / "nowhere")
+    store = opened(folder, alarms)
+    store.keep(scan(1))
+    store.close()
+    aside = stores_aside(path)
+    assert [one.name.split(".")[-2] for one in aside] == ["beside"] * 3
+    says = f"what was in the place of a file that SQLite keeps beside the store was moved aside as {aside[-1]}, and 2"
+    assert alarms["store-aside"].startswith(f"{says} before it, and the store goes on: this alarm ends when")
+    assert alarms.get("store-down") is None
+    assert [record.levelname for record in caplog.records] == ["ERROR"]
+    with closing(open_for_reading(path)) as connection:
+        assert connection.execute("SELECT count(*) FROM scans").fetchone() == (2,)
 
 
 def test_damage_that_is_found_while_writing_costs_no_record(keep, tmp_path):
