@@ -189,7 +189,7 @@ def fit(
     if flat.simulated:
         say("SIMULATED")
     say(as_text(found), end="")
-    say(f"written to {out}")
+    say(f"written to {out}; figure: {out.with_suffix('.png').name} and {out.with_suffix('.svg').name}")
 
 
 @app.command()

@@ -77,6 +77,7 @@ def test_fit_finds_the_bias_and_report_takes_it_away(compare, flat, day, tmp_pat
     code, out, err = compare("fit", flat, "--out", tmp_path / "bias.json")
     assert (code, err) == (0, "")
     assert "720 pairs" in out
+    assert out.endswith(f"written to {tmp_path / 'bias.json'}; figure: bias.png and bias.svg\n")
     found = json.loads((tmp_path / "bias.json").read_text())
     assert found["linear"] == pytest.approx(1 / 0.99)
     assert found["constant_w"] == pytest.approx(2 / 0.99)
