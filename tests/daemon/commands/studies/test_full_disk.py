@@ -1,4 +1,4 @@
-"""Pictures of the studies on a full disk."""
+"""Pictures and tables of the studies on a full disk."""
 
 import pytest
 
@@ -33,6 +33,7 @@ def inputs(tmp_path):
         ("gain --lat 48 --plot PICTURE", "gain.png"),
         ("gain --lat 48 --plot PICTURE", "gain.svg"),
         ("gain --lat 48 --plot PICTURE", "gain.pdf"),
+        ("gain --lat 48 --format csv --out PICTURE", "gain.csv"),
         ("energy weather.csv --laws flat --out .", "energy.png"),
         ("energy weather.csv --laws optimal --losses --out .", "energy-losses.png"),
         ("energy --sites sites.csv --laws flat --out .", "energy-sites.png"),
