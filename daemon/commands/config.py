@@ -176,7 +176,7 @@ def write_example(
             plugged.settings_class(name)
             chosen.append((plugged.path, name))
             values[f"{plugged.path}.{DRIVER}"] = name
-    if directory.suffix == file.suffix and not directory.is_dir():
+    if directory.is_file() or (directory.suffix == file.suffix and not directory.is_dir()):
         raise UserError(f"{directory} is the name of a file: name the folder that {file.name} is to be in")
     written: list[Path] = []
     made: list[Path] = []

@@ -53,6 +53,7 @@ def send_csv(
     from random import SystemRandom
 
     from daemon.base.clock import SystemClock
+    from daemon.base.errors import UserError
     from daemon.bridge.signing import load_key
     from daemon.commands.studies.simulate import progress_bar
     from daemon.config.file import load_settings, override
@@ -66,6 +67,11 @@ def send_csv(
     if key is not None or insecure:
         changes.update(key_file=key, insecure=insecure)
     bridge = override(settings, {"bridge": changes}).bridge
+    if bridge.key_file is None and not bridge.insecure:
+        raise UserError(
+            "bridge send-csv signs what it sends: name its key with --key FILE or --config FILE, or send without, in a"
+            " closed lab only, by --insecure"
+        )
     secret = load_key(bridge.key_file) if bridge.key_file is not None else None
     with progress_bar(Console(stderr=True)) as progress:
         sent = asyncio.run(
