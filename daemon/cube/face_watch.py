@@ -17,6 +17,7 @@ from daemon.cube.contradictions import MINUTES, Contradictions
 from daemon.cube.told_faces import in_a_row, kept_since, reads, since_each
 from solar.ephemeris import SunDirection
 from solar.faces.contradiction import misfits
+from solar.faces.jumps import jumps
 from solar.faces.plausible import LOWEST_SINE, Doubt, Response, doubts, lit, lit_at_night, responses
 from solar.frames import FACE_NORMALS, Array
 from solar.skies.sky import normal_from_tilt
@@ -44,6 +45,7 @@ _WHY = {
     Doubt.ODD: "what the others and the sun's position contradict",
     Doubt.SWAPPED: "each what the other should",
     Doubt.TORN: "what no light explains, and which of them is wrong is not known",
+    Doubt.LOOSE: "for a minute now and then what the others do not",
 }
 _STUCK = "whether the sensor or the channel of {} is stuck"
 _CHECK = {
@@ -56,6 +58,7 @@ _CHECK = {
     Doubt.ODD: "{} for shade, dirt, reflections, a stuck sensor or a turned mount",
     Doubt.SWAPPED: "whether the cables of {} are swapped",
     Doubt.TORN: "all four, and the clock",
+    Doubt.LOOSE: "plug, cable and multiplexer input of {} for a loose contact",
 }
 # A face that stood still is no better for reading, for a while, what could be true.
 _MUST_FOLLOW = (Doubt.FROZEN, Doubt.NIGHT, Doubt.ODD)
@@ -177,11 +180,15 @@ class FaceWatch:
             found[:_ZENITH][found[:_ZENITH] == Doubt.OVER] = Doubt.NONE
         light = bool(lit(faces, sun)[0])
         self._add_minute()
-        followed = self._responses()
-        against = self._contradicted()
+        by_minute, suns = (np.array(column) for column in zip(*self._minutes, strict=True))
+        jumped = jumps(by_minute)
+        followed = self._responses(jumped.settled, suns)
+        against = self._contradicted(jumped.settled, suns)
         found[against != Doubt.NONE] = against[against != Doubt.NONE]
         # To stand still is the plainer word for the same face; of two that are swapped one may seem to.
         found[(followed == Response.STAYS) & (found != Doubt.SWAPPED)] = Doubt.FROZEN
+        if self._is_upright and len(suns) == MINUTES:
+            found[jumped.repeated(suns)] = Doubt.LOOSE
         for face, doubt in enumerate(found.tolist()):
             agrees = light and self._agrees(face, followed[face]) and not np.isnan(faces[face])
             self._count(face, Doubt(doubt), sound=agrees)
@@ -211,11 +218,10 @@ class FaceWatch:
         with np.errstate(invalid="ignore"):
             self._minutes.append((sums / counts, self._sun_direction(self._clock.utc() - _BLOCK_S / 2)))
 
-    def _contradicted(self) -> NDArray[np.int64]:
+    def _contradicted(self, faces: Array, suns: Array) -> NDArray[np.int64]:
         """Tell of each face whether it contradicts the others over the last half hour."""
         if not self._is_upright:
             return np.full(len(FACES), Doubt.NONE, dtype=np.int64)
-        faces, suns = (np.array(column) for column in zip(*self._minutes, strict=True))
         against = self._contradictions.look(faces, suns, self._whys)
         still = np.ptp(faces, axis=0) == 0.0
         if len(faces) < MINUTES or not still.any():
@@ -223,11 +229,10 @@ class FaceWatch:
         # What repeats itself to the last digit lies, and beside it sound faces may seem to be swapped.
         return np.where(still, against, Doubt.NONE)
 
-    def _responses(self) -> NDArray[np.int64]:
+    def _responses(self, faces: Array, suns: Array) -> NDArray[np.int64]:
         """Tell of each face whether it has followed the light of the last half hour."""
-        if not self._is_upright or len(self._minutes) < MINUTES:
+        if not self._is_upright or len(faces) < MINUTES:
             return np.full(len(FACES), Response.UNKNOWN, dtype=np.int64)
-        faces, suns = (np.array(column) for column in zip(*self._minutes, strict=True))
         # Among faces that nobody can tell apart, one that stands still tells.
         found = responses(faces, suns, [why in (Doubt.NONE, Doubt.TORN) for why in self._whys])
         stays = np.flatnonzero(found == Response.STAYS)

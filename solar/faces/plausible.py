@@ -55,6 +55,7 @@ class Doubt(IntEnum):
     ODD = 7
     SWAPPED = 8
     TORN = 9
+    LOOSE = 10
 
 
 class Response(IntEnum):

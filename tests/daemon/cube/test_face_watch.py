@@ -6,6 +6,7 @@ from datetime import datetime
 import numpy as np
 import pytest
 
+from daemon.base.records import FACES
 from daemon.config.sections import CubeSettings
 from daemon.cube.face_watch import face_normals
 from solar.frames import FACE_NORMALS
@@ -225,6 +226,22 @@ def test_beside_a_face_that_repeats_itself_to_the_last_digit_no_other_is_accused
     day.order = [0, 3, 2, 1]
     found = day.minutes(60, frozen=2, at_w_m2=200.0, exactly=exactly)
     assert [minutes is not None for minutes in found] == [False, not exactly, False, not exactly]
+
+
+@pytest.mark.parametrize(("face", "at_w_m2"), [(0, 1350.0), (1, 0.0)])
+def test_a_face_that_jumps_for_a_minute_now_and_then_is_named_and_no_other_is(face, at_w_m2):
+    day = WatchedDay(DECEMBER_UTC_S)
+    day.in_cloud_w_m2 = 750.0
+    for _ in range(4):
+        # Half of the jump in the one minute, half in the next.
+        day.minutes(9.5)
+        assert set(day.doubted()) <= {face}
+        day.minutes(1, frozen=face, at_w_m2=at_w_m2)
+    assert day.doubted() == [face]
+    (alarm,) = day.alarms.active
+    assert f"the {FACES[face]} face reads for a minute now and then what the others do not" in alarm.text
+    day.minutes(45)
+    assert day.doubted() == []
 
 
 def test_a_face_in_a_shade_of_its_own_is_named_and_used_again_when_it_follows_the_light():

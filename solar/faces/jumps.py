@@ -1,0 +1,71 @@
+"""Which face jumps alone and is back within two minutes, as a loose contact makes it.
+
+A cloud that passes before the sun changes every face that the sun reaches, and the sky and the ground that the others
+see. What shows for a minute on one face alone is no light.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from solar.frames import FACE_NORMALS, Array
+
+# How far a face is apart, and how much of that another one shares at the most: not to be gone by, and to be accused.
+_UNSURE_W_M2, _UNSURE_SHARED = 15.0, 0.2
+_SURE_W_M2, _SURE_SHARED = 80.0, 0.05
+_REACHED_COSINE = 0.15
+_REACHED_OTHERS = 2
+_JUMPS = 2
+# Minutes together that tell what a face reads without a jump; a jump of one or two of them is over within these.
+_MINUTES, _BESIDE = 5, 2
+
+
+class Jumps(NamedTuple):
+    """The jumps of some minutes, and what the faces read without them.
+
+    Attributes
+    ----------
+    sure
+        In which minutes a face was surely alone apart from the median of five, shape (n, 4).
+    settled
+        The faces [W/m2], with that median where one may have been, shape (n, 4).
+    """
+
+    sure: NDArray[np.bool_]
+    settled: Array
+
+    def repeated(self, sun: Array) -> NDArray[np.bool_]:
+        """Tell which face has jumped, and come back, more than once, shape (4,).
+
+        `sun` are the unit vectors to the sun, shape (n, 3). It has to reach two other faces, of which one may be dead
+        or stand still: the third would show a cloud.
+        """
+        reached = sun @ FACE_NORMALS.T > _REACHED_COSINE
+        others = reached.sum(axis=-1, keepdims=True) - reached
+        back = (self.sure & (others >= _REACHED_OTHERS))[:-_BESIDE]
+        begun = back[1:] & ~back[:-1]
+        result: NDArray[np.bool_] = back[0] + begun.sum(axis=0) >= _JUMPS
+        return result
+
+
+def jumps(faces_w_m2: Array) -> Jumps:
+    """Find the jumps of minutes that follow each other.
+
+    Parameters
+    ----------
+    faces_w_m2
+        East, south, west and zenith, shape (n, 4). With less than five, and beside NaN, no jump is found.
+    """
+    count = len(faces_w_m2)
+    if count < _MINUTES:
+        return Jumps(np.zeros(faces_w_m2.shape, dtype=np.bool_), faces_w_m2)
+    medians = np.sort(sliding_window_view(faces_w_m2, _MINUTES, axis=0), axis=-1)[..., _BESIDE]
+    # The first five minutes have one median, and so have the last.
+    middle = medians[np.clip(np.arange(count) - _BESIDE, 0, count - _MINUTES)]
+    apart = np.abs(faces_w_m2 - middle)
+    others = np.where(np.eye(4, dtype=np.bool_), 0.0, apart[:, None, :]).max(axis=-1)
+    sure = (apart > _SURE_W_M2) & (others < _SURE_SHARED * apart)
+    unsure = (apart > _UNSURE_W_M2) & (others < _UNSURE_SHARED * apart)
+    return Jumps(sure, np.where(unsure, middle, faces_w_m2))

@@ -1,0 +1,58 @@
+"""A face that jumps alone for a minute, and faces that the light changes."""
+
+import numpy as np
+import pytest
+
+from solar.energy import build_sky, faces_under, lay_out
+from solar.ephemeris import Site
+from solar.faces.jumps import jumps
+
+SITE = Site(55.79064, 12.52505, 50.0)
+JUNE_UTC_S = 1655283600.0  # 2022-06-15 09:00
+DECEMBER_UTC_S = 1671098400.0  # 2022-12-15 10:00
+MINUTES = np.arange(30)
+
+
+def half_hour(at_utc_s, passing, model="perez1990"):
+    """Return faces under a beam of which clouds leave some, with a sensor's noise, and the sun's directions."""
+    beam_w_m2 = 700.0 * np.where(passing, 0.1, 1.0)
+    weather = lay_out(at_utc_s + 60.0 * MINUTES, beam_w_m2, np.full(30, 100.0), SITE, 60.0)
+    faces = faces_under(build_sky(weather, model), 0.2)
+    return faces + np.random.default_rng(1).normal(0.0, 0.3, faces.shape), weather.sun
+
+
+@pytest.mark.parametrize("model", ["perez1990", "perez1993", "cie"])
+@pytest.mark.parametrize("at_utc_s", [JUNE_UTC_S, DECEMBER_UTC_S])
+def test_what_a_cloud_takes_for_a_minute_is_no_jump_of_a_face(at_utc_s, model):
+    faces, sun = half_hour(at_utc_s, MINUTES % 10 == 5, model)
+    found = jumps(faces)
+    assert not found.sure.any()
+    assert not found.repeated(sun).any()
+
+
+@pytest.mark.parametrize("length", [1, 2])
+@pytest.mark.parametrize("at_w_m2", [0.0, 1350.0])
+@pytest.mark.parametrize("face", [1, 3])
+def test_a_face_that_jumps_for_a_minute_or_two_reads_what_it_did_before_and_after(face, at_w_m2, length):
+    faces, sun = half_hour(JUNE_UTC_S, MINUTES < 0)
+    sound = faces.copy()
+    jumped = np.isin(MINUTES % 10, [3, 4][:length])
+    faces[jumped, face] = at_w_m2
+    found = jumps(faces)
+    assert np.flatnonzero(found.sure.any(axis=1)).tolist() == np.flatnonzero(jumped).tolist()
+    assert found.repeated(sun).tolist() == [place == face for place in range(4)]
+    assert found.settled == pytest.approx(sound, abs=5.0)
+
+
+def test_one_jump_accuses_nobody_and_neither_does_one_that_may_not_come_back():
+    faces, sun = half_hour(JUNE_UTC_S, MINUTES < 0)
+    faces[[10, 11, 29], 1] = 0.0
+    assert not jumps(faces).repeated(sun).any()
+
+
+def test_beside_a_dead_zenith_face_a_cloud_before_a_low_sun_accuses_no_other():
+    faces, sun = half_hour(DECEMBER_UTC_S + 3000.0, MINUTES % 10 == 5)
+    faces[:, 3] = np.random.default_rng(2).normal(0.0, 0.3, 30)
+    found = jumps(faces)
+    assert found.sure[:, 1].any(), "the sun reaches neither east nor west"
+    assert not found.repeated(sun).any()
