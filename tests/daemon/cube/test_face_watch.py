@@ -244,6 +244,18 @@ def test_a_face_that_jumps_for_a_minute_now_and_then_is_named_and_no_other_is(fa
     assert day.doubted() == []
 
 
+@pytest.mark.parametrize(("hours", "share"), [(0.0, 0.1), (2.25, 1.0)])
+def test_jumps_that_do_not_tell_their_face_accuse_no_other(hours, share):
+    # In dim light they are small, and the sun of a winter noon reaches one other face only.
+    day = WatchedDay(DECEMBER_UTC_S + 3600.0 * hours)
+    day.in_cloud_w_m2 = 750.0
+    day.share = [share] * 4
+    for _ in range(4):
+        day.minutes(9.5)
+        day.minutes(1, frozen=1, at_w_m2=0.0)
+    assert day.doubted() == []
+
+
 def test_a_face_in_a_shade_of_its_own_is_named_and_used_again_when_it_follows_the_light():
     day = WatchedDay(MORNING_UTC_S - 3600.0)
     day.minutes(40)
