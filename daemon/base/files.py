@@ -29,6 +29,19 @@ def drop_cut(path: Path, error: OSError) -> None:
             path.unlink()
 
 
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[TextIO]:
+    """Give a text file that is in the place of `path` once all has been written; an error leaves what was there."""
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with part.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file:
+            yield file
+        part.replace(path)
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink()
+
+
 def replace_file(path: Path, text: str) -> None:
     """Write `text` to `path` by way of a file beside it, and make its folder; raises `OSError` and leaves nothing."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -10,6 +10,7 @@ import numpy as np
 
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
+from daemon.base.files import whole_file
 from daemon.studies.compare.pairs import Pairs
 from solar.agreement import Agreement, agreement
 from solar.compare import ChainBias, fit_chain_bias, lies_flat
@@ -129,7 +130,8 @@ def write(found: Fit, path: Path) -> None:
     }
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        with whole_file(path) as file:
+            file.write(json.dumps(content, indent=2) + "\n")
     except OSError as error:
         raise UserError(f"--out: {path} cannot be written: {error.strerror}") from None
 

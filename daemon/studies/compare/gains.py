@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
+from daemon.base.files import whole_file
 from daemon.studies.compare.pairs import Pairs
 from daemon.studies.compare.spans import Span
 from daemon.studies.text_table import signed, table
@@ -174,7 +175,7 @@ def extrapolation(rows: Sequence[Gain], name: str) -> str | None:
 
 def write_csv(rows: Sequence[Gain], path: Path) -> None:
     """Write the gains as CSV; what is not known is empty."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with whole_file(path) as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow([field.name for field in fields(Gain)])
         for row in rows:

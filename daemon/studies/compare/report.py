@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
+from daemon.base.files import whole_file
 from daemon.store.outputs import check_outputs
 from daemon.studies.compare import figures
 from daemon.studies.compare.fit import Fit
@@ -237,7 +238,8 @@ def write_page(path: Path, title: str, notes: Sequence[str], tables: Sequence[Ta
             f"<figure><img alt='{said}' src='data:image/png;base64,{data}'><figcaption>{said}</figcaption></figure>"
         )
     try:
-        path.write_text("\n".join(parts) + "\n", encoding="utf-8")
+        with whole_file(path) as file:
+            file.write("\n".join(parts) + "\n")
     except OSError as error:
         raise UserError(f"{path} cannot be written: {error.strerror}") from None
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.base.errors import UserError, raised_at
+from daemon.base.files import whole_file
 from daemon.base.words import counted
 from daemon.config.plugged import FALLBACK_LAW
 from daemon.rigs.measured import by_the_minute, measured_weather
@@ -193,7 +194,7 @@ def _cause(error: BaseException) -> str:
 
 def write_csv(rows: Sequence[EnergyRow], path: Path, *, simulated: bool) -> None:
     """Write the rows, one line each, with whether the weather was simulated."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with whole_file(path) as file:
         writer = csv.writer(file)
         writer.writerow(("sky", "law", *CSV_NUMBERS, "simulated"))
         writer.writerows((row.sky, row.law, *csv_cells(row), "true" if simulated else "false") for row in rows)

@@ -29,6 +29,7 @@ from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
+from daemon.base.files import whole_file
 from daemon.studies.energy.benchmark import IDEAL, DaysUnderSky, Terms, conditions, under_sky
 from daemon.studies.energy.names import choice
 from daemon.studies.text_table import WIDTH, table
@@ -132,7 +133,7 @@ def as_text(found: Sequence[Losses], weather: DaylightWeather, terms: Terms, *, 
 
 def write_csv(found: Sequence[Losses], path: Path, *, simulated: bool) -> None:
     """Write a line for each cause and type of day, with whether the weather was simulated."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with whole_file(path) as file:
         writer = csv.writer(file)
         writer.writerow(("sky", "law", "cause", "day_type", "lost_kwh_m2", "points", "simulated"))
         for each in found:

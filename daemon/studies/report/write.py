@@ -7,6 +7,7 @@ from datetime import tzinfo
 from pathlib import Path
 
 from daemon.base.errors import UserError
+from daemon.base.files import whole_file
 from daemon.config.settings import Settings
 from daemon.store.outputs import check_folder, check_outputs
 from daemon.studies.report.material import Material
@@ -67,13 +68,10 @@ def write_reports(
 
 def write_text(path: Path, text: str) -> Path:
     """Write a file whole or not at all, its folder made if it is missing; raises `UserError`."""
-    part = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(text, encoding="utf-8", errors="backslashreplace")
-        part.replace(path)
+        with whole_file(path) as file:
+            file.write(text)
     except OSError as error:
         raise UserError(f"{path} cannot be written: {error.strerror}") from None
-    finally:
-        part.unlink(missing_ok=True)
     return path

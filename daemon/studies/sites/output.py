@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from daemon.base.files import whole_file
 from daemon.base.words import counted
 from daemon.studies.energy.benchmark import CSV_NUMBERS, UNLIMITED, EnergyRow, csv_cells
 from daemon.studies.sites.study import Benchmark, SiteOutcome
@@ -26,7 +27,7 @@ def is_simulated(outcomes: Sequence[SiteOutcome]) -> bool:
 
 def write_csv(outcomes: Sequence[SiteOutcome], path: Path) -> None:
     """Write a line for each site, sky and law; a site that could not be used has one line with the reason."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with whole_file(path) as file:
         writer = csv.writer(file)
         writer.writerow((*_COLUMNS, *CSV_NUMBERS, "simulated", "refused"))
         for outcome in outcomes:

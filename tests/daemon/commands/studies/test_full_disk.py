@@ -53,3 +53,27 @@ def test_a_picture_that_a_full_disk_does_not_take_whole_is_not_left_there(
     assert code == 2
     assert told.endswith(f"{picture} cannot be written: No space left on device\n")
     assert not (tmp_path / picture).is_symlink()
+
+
+@pytest.mark.parametrize(
+    ("words", "table"),
+    [
+        ("energy weather.csv --laws flat --out .", "energy.csv"),
+        ("energy --sites sites.csv --laws flat --out .", "energy-sites.csv"),
+        ("compare report flat.csv --out .", "gains.csv"),
+        ("compare fit flat.csv --out bias.json", "bias.json"),
+    ],
+)
+def test_a_table_that_a_full_disk_does_not_take_whole_is_as_it_was(
+    heliocube, inputs, tmp_path, monkeypatch, words, table
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / table).write_text("of yesterday")
+    part = tmp_path / f".{table}.part"
+    part.symlink_to("/dev/full")
+    no_site = words.startswith(("compare fit", "energy --sites"))
+    code, _, told = heliocube(*words.split(), "--force", *(() if no_site else SITE))
+    assert code == 2
+    assert told.endswith(": No space left on device\n")
+    assert (tmp_path / table).read_text() == "of yesterday"
+    assert not part.is_symlink()
