@@ -83,6 +83,7 @@ def salvage(file: Path, into: Path, progress: Callable[[float], None] = lambda _
     target = into / FILE_NAME
     if target.exists() and target.samefile(file):
         raise UserError(f"{file} is the store of {into} itself: name another folder with --into")
+    is_new = not into.exists()
     try:
         make_folder(into)
         with tempfile.TemporaryDirectory(prefix=".salvage-", dir=into) as scratch:
@@ -93,6 +94,11 @@ def salvage(file: Path, into: Path, progress: Callable[[float], None] = lambda _
         raise UserError(f"{target} cannot take the records: {error}") from None
     except OSError as error:
         raise UserError(f"{into} cannot take the records and a copy of {file}: {error.strerror}") from None
+    finally:
+        if is_new:
+            # As long as nothing is in it.
+            with contextlib.suppress(OSError):
+                into.rmdir()
 
 
 def _for_owner(target: Path) -> sqlite3.Connection:
@@ -110,8 +116,8 @@ def _copy(file: Path, scratch: Path) -> Path:
     copy = scratch / "copy.sqlite"
     shutil.copyfile(file, copy)
     for beside in companions(file):
-        # SQLite makes its index of the log anew.
-        if not beside.name.endswith("-shm"):
+        # SQLite makes its index of the log anew; what is in a log's place and is none may be a folder.
+        if beside.is_file() and not beside.name.endswith("-shm"):
             shutil.copyfile(beside, f"{copy}{str(beside).removeprefix(str(file))}")
     _lengthen(copy)
     return copy

@@ -152,6 +152,12 @@ def test_records_in_the_log_beside_it_are_salvaged(keep, tmp_path):
         assert connection.execute("SELECT sequence FROM scans").fetchall() == [(77,)]
 
 
+def test_a_folder_in_the_place_of_its_log_keeps_no_records_back(keep, tmp_path):
+    path = keep(scan(0)) / FILE_NAME
+    path.with_name(f"{FILE_NAME}-wal").mkdir()
+    assert salvage(path, tmp_path / "new").added["scans"] == 1
+
+
 def test_what_a_newer_version_has_kept_is_salvaged_as_far_as_this_one_knows_it(keep, tmp_path):
     folder = keep(*ALL)
     with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
@@ -217,3 +223,4 @@ def test_the_command_says_what_it_read_and_what_cannot_be_meant(whole, tmp_path,
         assert (code, out) == (2, "")
         assert err.startswith(f"heliocube: {sentence}")
         assert err.count("\n") == 1
+    assert not (tmp_path / "new2").exists(), "no folder is left in which nothing came"
