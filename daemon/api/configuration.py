@@ -34,9 +34,10 @@ class OwnConfiguration:
 
     def __init__(self, file: Path | None, trackers: Sequence[str]) -> None:
         self._paths = () if file is None else paths_of(file)
-        whose = self._paths[0] if self._paths else "no configuration"
+        without = "a service that was started without a configuration"
+        whose = f"the service of {self._paths[0]}" if self._paths else without
         names = f"{len(trackers)} trackers" if len(trackers) > 1 else "".join(f"tracker {name}" for name in trackers)
-        self._text = f"the service of {whose}{f' ({names})' if names else ''}"
+        self._text = f"{whose}{f' ({names})' if names else ''}"
 
     def require(self, meant: Sequence[str], undone: str = "") -> None:
         """Raise `WrongServiceError` with `undone` in front, unless the configuration that is meant is this one."""
