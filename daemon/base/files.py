@@ -30,11 +30,14 @@ def drop_cut(path: Path, error: OSError) -> None:
 
 
 @contextlib.contextmanager
-def whole_file(path: Path) -> Iterator[TextIO]:
-    """Give a text file that is in the place of `path` once all has been written; an error leaves what was there."""
+def whole_file(path: Path, errors: str = "strict") -> Iterator[TextIO]:
+    """Give a text file that is in the place of `path` once all has been written; an error leaves what was there.
+
+    `errors` is what becomes of letters that UTF-8 does not have, as for `open`.
+    """
     part = path.with_name(f".{path.name}.part")
     try:
-        with part.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file:
+        with part.open("w", encoding="utf-8", errors=errors, newline="") as file:
             yield file
         part.replace(path)
     finally:
@@ -45,7 +48,9 @@ def whole_file(path: Path) -> Iterator[TextIO]:
 def replace_file(path: Path, text: str) -> None:
     """Write `text` to `path` by way of a file beside it, and make its folder; raises `OSError` and leaves nothing."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    _swap_in(path.with_suffix(".part"), path, text)
+    with whole_file(path) as file:
+        _fill(file, text)
+    sync_names(path.parent)
 
 
 def rewrite_file(path: Path, text: str) -> None:
@@ -57,19 +62,8 @@ def rewrite_file(path: Path, text: str) -> None:
         It cannot be written, on a full disk for one. The file is what it was.
     """
     path = path.resolve()
-    _swap_in(path.with_name(f".{path.name}.part"), path, text, path.stat())
-
-
-def _swap_in(part: Path, path: Path, text: str, like: os.stat_result | None = None) -> None:
-    """Put a text in a file's place by way of `part`, with owner and rights as in `like`; `OSError` leaves nothing."""
-    try:
-        with part.open("w", encoding="utf-8", newline="\n") as file:
-            _fill(file, part, text, like)
-        part.replace(path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            part.unlink()
-        raise
+    with whole_file(path) as file:
+        _fill(file, text, path.stat())
     sync_names(path.parent)
 
 
@@ -84,20 +78,20 @@ def write_new(path: Path, text: str, like: os.stat_result | None = None) -> None
     file = path.open("x", encoding="utf-8", newline="\n")
     try:
         with file:
-            _fill(file, path, text, like)
+            _fill(file, text, like)
     except OSError:
         path.unlink(missing_ok=True)
         raise
     sync_names(path.parent)
 
 
-def _fill(file: TextIO, path: Path, text: str, like: os.stat_result | None) -> None:
-    """Write a text into a file that was opened at `path`, and have it on the disk."""
+def _fill(file: TextIO, text: str, like: os.stat_result | None = None) -> None:
+    """Write a text into an open file, with owner and rights as in `like`, and have it on the disk."""
     if like is not None:
-        path.chmod(stat.S_IMODE(like.st_mode))
+        Path(file.name).chmod(stat.S_IMODE(like.st_mode))
     if like is not None and sys.platform != "win32":
         # Refused where it would make somebody else's file one's own.
-        os.chown(path, like.st_uid, like.st_gid)
+        os.chown(file.name, like.st_uid, like.st_gid)
     file.write(text)
     file.flush()
     os.fsync(file.fileno())

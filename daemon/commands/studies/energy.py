@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import InterruptedEarlyError, UserError
-from daemon.base.files import whole_file
+from daemon.base.files import replace_file
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, checked_seed, chosen_workers
 from daemon.commands.studies.simulate import progress_bar
@@ -195,8 +195,7 @@ def _compare(
         text += worth.as_text(worths, years, prices)
         page["worth"] = worth.as_page(worths, prices)
     with _writing_to(out):
-        with whole_file(out / "energy.txt") as file:
-            file.write(text)
+        replace_file(out / "energy.txt", text)
         write_csv(rows, out / "energy.csv", simulated=simulated)
         plot(rows, out / "energy.png", simulated=simulated)
     if as_json:
@@ -234,8 +233,7 @@ def _tell_losses(
                 raise
     text = as_text(found, days, terms, simulated=minutes.simulated)
     with _writing_to(out):
-        with whole_file(out / "energy-losses.txt") as file:
-            file.write(text)
+        replace_file(out / "energy-losses.txt", text)
         write_csv(found, out / "energy-losses.csv", simulated=minutes.simulated)
         plot(found, out / "energy-losses.png", simulated=minutes.simulated)
     if as_json:
@@ -321,8 +319,7 @@ def _compare_sites(
         raise UserError(f"no site could be used; the first: {refused[0].site.name}: {refused[0].refused}")
     text = as_text(outcomes, benchmark)
     with _writing_to(out):
-        with whole_file(out / "energy-sites.txt") as file:
-            file.write(text)
+        replace_file(out / "energy-sites.txt", text)
         write_csv(outcomes, out / "energy-sites.csv")
         draw_map(outcomes, out / "energy-sites.png")
     if as_json:

@@ -10,7 +10,7 @@ import numpy as np
 
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
-from daemon.base.files import whole_file
+from daemon.base.files import replace_file
 from daemon.studies.compare.pairs import Pairs
 from solar.agreement import Agreement, agreement
 from solar.compare import ChainBias, fit_chain_bias, lies_flat
@@ -129,9 +129,7 @@ def write(found: Fit, path: Path) -> None:
         "simulated": found.simulated,
     }
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as file:
-            file.write(json.dumps(content, indent=2) + "\n")
+        replace_file(path, json.dumps(content, indent=2) + "\n")
     except OSError as error:
         raise UserError(f"--out: {path} cannot be written: {error.strerror}") from None
 

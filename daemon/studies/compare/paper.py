@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from daemon.base.errors import UserError
-from daemon.base.files import whole_file
+from daemon.base.files import replace_file, whole_file
 from daemon.base.words import counted
 from daemon.config.file import override
 from daemon.config.plugged import FALLBACK_LAW
@@ -331,8 +331,7 @@ def write_paper(
         paragraphs.append(f"The figures are of the sky {first.sky} and seed {first.seed}.")
     try:
         out.mkdir(parents=True, exist_ok=True)
-        with whole_file(out / "paper.txt") as file:
-            file.write(text)
+        replace_file(out / "paper.txt", text)
         with whole_file(out / "paper.csv") as file:
             rows = csv.writer(file, lineterminator="\n")
             names = ("sky", "seed", "period", "cube_wh", "chrono_wh", "gain_pct", "irradiation_pct", "simulated")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
-from daemon.base.files import whole_file
+from daemon.base.files import replace_file
 from daemon.store.outputs import check_outputs
 from daemon.studies.compare import figures
 from daemon.studies.compare.fit import Fit
@@ -238,8 +238,7 @@ def write_page(path: Path, title: str, notes: Sequence[str], tables: Sequence[Ta
             f"<figure><img alt='{said}' src='data:image/png;base64,{data}'><figcaption>{said}</figcaption></figure>"
         )
     try:
-        with whole_file(path) as file:
-            file.write("\n".join(parts) + "\n")
+        replace_file(path, "\n".join(parts) + "\n")
     except OSError as error:
         raise UserError(f"{path} cannot be written: {error.strerror}") from None
 

@@ -70,7 +70,7 @@ def write_text(path: Path, text: str) -> Path:
     """Write a file whole or not at all, its folder made if it is missing; raises `UserError`."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as file:
+        with whole_file(path, errors="backslashreplace") as file:
             file.write(text)
     except OSError as error:
         raise UserError(f"{path} cannot be written: {error.strerror}") from None

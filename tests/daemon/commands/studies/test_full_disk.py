@@ -27,6 +27,19 @@ def inputs(tmp_path):
     beside(tmp_path, days=1)
 
 
+@pytest.fixture
+def study(heliocube, inputs, tmp_path, monkeypatch):
+    """Runs a study in the folder of its inputs; returns its exit code and what it says of an error."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(words):
+        no_site = words.startswith(("gain", "compare fit", "energy --sites"))
+        code, _, told = heliocube(*words.split(), "--force", *(() if no_site else SITE))
+        return code, told
+
+    return run
+
+
 @pytest.mark.parametrize(
     ("words", "picture"),
     [
@@ -43,13 +56,9 @@ def inputs(tmp_path):
         ("compare report flat.csv --out .", "power-2022-10-12.png"),
     ],
 )
-def test_a_picture_that_a_full_disk_does_not_take_whole_is_not_left_there(
-    heliocube, inputs, tmp_path, monkeypatch, words, picture
-):
-    monkeypatch.chdir(tmp_path)
+def test_a_picture_that_a_full_disk_does_not_take_whole_is_not_left_there(study, tmp_path, words, picture):
     (tmp_path / picture).symlink_to("/dev/full")
-    no_site = words.startswith(("gain", "compare fit", "energy --sites"))
-    code, _, told = heliocube(*words.replace("PICTURE", picture).split(), "--force", *(() if no_site else SITE))
+    code, told = study(words.replace("PICTURE", picture))
     assert code == 2
     assert told.endswith(f"{picture} cannot be written: No space left on device\n")
     assert not (tmp_path / picture).is_symlink()
@@ -64,15 +73,11 @@ def test_a_picture_that_a_full_disk_does_not_take_whole_is_not_left_there(
         ("compare fit flat.csv --out bias.json", "bias.json"),
     ],
 )
-def test_a_table_that_a_full_disk_does_not_take_whole_is_as_it_was(
-    heliocube, inputs, tmp_path, monkeypatch, words, table
-):
-    monkeypatch.chdir(tmp_path)
+def test_a_table_that_a_full_disk_does_not_take_whole_is_as_it_was(study, tmp_path, words, table):
     (tmp_path / table).write_text("of yesterday")
     part = tmp_path / f".{table}.part"
     part.symlink_to("/dev/full")
-    no_site = words.startswith(("compare fit", "energy --sites"))
-    code, _, told = heliocube(*words.split(), "--force", *(() if no_site else SITE))
+    code, told = study(words)
     assert code == 2
     assert told.endswith(": No space left on device\n")
     assert (tmp_path / table).read_text() == "of yesterday"
