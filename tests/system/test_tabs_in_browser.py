@@ -1,5 +1,6 @@
 """Tabs of a real browser: what those say that are behind others, were hidden, or slept with their machine."""
 
+import contextlib
 import shutil
 import subprocess
 import sys
@@ -164,9 +165,15 @@ def test_the_symbols_stay_when_the_dashboard_is_gone(context, tmp_path):
     assert page.complaints == []
 
 
-def run_dashboard_of(files, site, listen):
+@contextlib.contextmanager
+def dashboard_of(files, site, listen):
     arguments = ["dashboard", "--api", site.api, "--listen", listen]
-    return subprocess.Popen([sys.executable, "-c", OF_FILES, files, *arguments], stderr=subprocess.DEVNULL)
+    process = subprocess.Popen([sys.executable, "-c", OF_FILES, files, *arguments], stderr=subprocess.DEVNULL)
+    try:
+        yield f"http://{listen}"
+    finally:
+        process.terminate()
+        process.wait(PATIENCE_S)
 
 
 def test_after_an_upgrade_no_page_is_told_by_the_code_of_an_older_one(context, site, tmp_path):
@@ -181,25 +188,16 @@ def test_after_an_upgrade_no_page_is_told_by_the_code_of_an_older_one(context, s
         assert now in text
         file.write_text(text.replace(now, before))
     listen = f"127.0.0.1:{free_port()}"
-    url = f"http://{listen}"
-    dashboard = run_dashboard_of(older, site, listen)
-    try:
+    with dashboard_of(older, site, listen) as url:
         wait_until(lambda: browsers.answers(url), "the older dashboard answers")
         one, other = (browsers.Page(context, url) for _ in range(2))
         for page in (one, other):
             page.sees(".hero h1", "Tracking")
         # This one stays as it is while somebody types.
         other.page.locator("#who").click()
-    finally:
-        dashboard.terminate()
-        dashboard.wait(PATIENCE_S)
-    dashboard = run_dashboard_of(STATIC, site, listen)
-    try:
+    with dashboard_of(STATIC, site, listen):
         one.sees(".hero h1", "No connection")
         one.sees(".hero h1", "Tracking")
         other.page.keyboard.press("Escape")
         other.sees(".hero h1", "Tracking")
         assert one.complaints == other.complaints == []
-    finally:
-        dashboard.terminate()
-        dashboard.wait(PATIENCE_S)
