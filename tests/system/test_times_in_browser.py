@@ -78,6 +78,20 @@ def test_a_stop_from_the_day_before_is_told_since_then_after_a_restart_too(conte
     assert said.endswith(f", for 12{FIRM}h 0{FIRM}min")
 
 
+def test_the_light_of_a_decision_is_told_only_while_the_law_decides(context, tmp_path):
+    page = MadeSite(tmp_path).open(context, MIDNIGHT)
+    said = page.page.evaluate("""async () => {
+      const { light } = await import("/static/js/views/cards.js");
+      const card = light();
+      const decision = { dni_est: 3, dhi_est: 12, albedo_est: 0.2 };
+      return [45, null, 60].map((next_decision_s) => {
+        card.update({ tracker: { decision, next_decision_s, law: {}, load: null }, extra: 0, old: false });
+        return card.node.hidden;
+      });
+    }""")
+    assert said == [False, True, False]
+
+
 def test_a_stow_is_let_go_in_so_long_or_nobody_knows_when(context, tmp_path):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     said = page.page.evaluate("""async () => {

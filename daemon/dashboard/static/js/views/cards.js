@@ -112,7 +112,8 @@ export function light() {
     const decision = tracker?.decision;
     const learned = tracker?.law.learned;
     const curve = tracker?.load?.curve;
-    const believes = decision && decision.dni_est !== null;
+    // Where nothing is decided, as at night, the last decision tells of a light that has gone.
+    const believes = decision && decision.dni_est !== null && tracker.next_decision_s !== null;
     node.hidden = !believes && !learned && !tracker?.load;
     if (node.hidden) return;
     const show = (name, text) => {
