@@ -100,7 +100,8 @@ class _Families:
     def by_axis(self, name: str, about: str, a_value: float, b_value: float, **labels: str) -> None:
         for axis, value in (("a", a_value), ("b", b_value)):
             if math.isfinite(value):
-                self.gauge(name, about, value, **labels, axis=axis)
+                # Grafana would show -0.
+                self.gauge(name, about, value + 0.0, **labels, axis=axis)
 
     def __iter__(self) -> Iterator[Metric]:
         yield from self._gauges.values()

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from daemon.api.metrics import Metrics
+from solar.frames import Angles
 from tests.daemon.bridge.desk import Desk, scan
 from tests.support.phases import under_way
 
@@ -24,6 +25,18 @@ def test_metrics_are_those_of_prometheus(serve):
         assert about.endswith(" in the last minute or two.")
 
     serve(scenario)
+
+
+def test_an_axis_at_zero_has_no_sign(run_rig):
+    async def scenario(rig):
+        await rig.until(lambda: rig.motion.pose is not None, 60, "a pose")
+        seen = rig.see()
+        (tracker,) = seen.trackers
+        level = replace(tracker.positioner, pose=Angles(-0.0, 90.0))
+        text = Metrics(replace(seen, trackers=(replace(tracker, positioner=level),)), {}).text().decode()
+        assert 'heliocube_angle_degrees{axis="a",tracker="tracker"} 0.0' in text.splitlines()
+
+    run_rig(scenario)
 
 
 def test_faults_of_a_positioner_that_does_not_answer_are_not_zero_but_not_there(serve):
