@@ -102,6 +102,18 @@ def test_a_stop_whose_tracker_is_not_clear_is_for_all_and_nothing_else_is_done_f
     serve(scenario, tracker=[{"name": "east"}, {"name": "west"}])
 
 
+@pytest.mark.parametrize(("query", "body"), [("?tracker=east", b""), ("", b'{"tracker": "east"}')])
+def test_a_stop_of_one_tracker_lets_the_others_go_on(serve, query, body):
+    async def scenario(rig, call):
+        east, west = rig.service.trackers
+        await rig.until(lambda: west.control.mode is east.control.mode is Mode.TRACKING, 120, "tracking of both")
+        assert (await call.post(f"stop{query}", body)).status == 200
+        assert east.control.wishes.stop is not None
+        assert (west.control.wishes.stop, west.control.mode) == (None, Mode.TRACKING)
+
+    serve(scenario, tracker=[{"name": "east"}, {"name": "west"}])
+
+
 @pytest.mark.parametrize(
     ("headers", "sentence"),
     [

@@ -1,6 +1,7 @@
 """Alarms on their way to people, by apprise's own ways, to a server of the standard library."""
 
 import asyncio
+import contextlib
 import json
 import threading
 from datetime import UTC, datetime
@@ -14,6 +15,7 @@ from daemon.api.models import AlarmPart
 from daemon.base.addresses import parse_address
 from daemon.base.alarms.kinds import KINDS
 from daemon.base.state import StateFolder
+from daemon.base.timeloop import virtual_time
 from daemon.config.links import NotifySettings
 from daemon.notify.courier import Courier
 from daemon.notify.recipients import recipients_of
@@ -125,6 +127,27 @@ class Way:
         await self.free.wait()
         self.told.append(notice.title.rpartition(" ")[2])
         return True
+
+
+def test_it_looks_every_so_many_seconds_until_it_is_ended():
+    looked_s = []
+
+    async def scenario():
+        loop = asyncio.get_running_loop()
+
+        def note():
+            looked_s.append(loop.time())
+            # What does not wait would never let time pass.
+            assert len(looked_s) < 10
+
+        async with httpx.AsyncClient(trust_env=False) as client:
+            courier = Courier(NotifySettings(poll_every_s=10.0), [], [], HandClock(), client, note)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(courier.run(), 35.0)
+
+    with virtual_time() as runner:
+        runner.run(scenario())
+    assert looked_s == pytest.approx([0.0, 10.0, 20.0, 30.0], abs=0.001)
 
 
 @pytest.fixture
