@@ -1,7 +1,7 @@
 """What a simulation knows beyond the service's own records: where the plane faces, and what it received."""
 
-from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from operator import attrgetter
@@ -90,12 +90,15 @@ class Poses:
     """Where the trackers stood; a subscriber of the bus."""
 
     def __init__(self) -> None:
-        self._poses: dict[str, list[tuple[float, float, float]]] = {}
+        # UTC [s], A and B [deg], one after the other: a year of a hundred trackers has to fit.
+        self._poses: dict[str, array[float]] = {}
 
     def note(self, record: Record) -> None:
-        """Take in a pose."""
+        """Take in a pose; one that is like the last is known already."""
         if isinstance(record, Pose):
-            self._poses.setdefault(record.tracker, []).append((record.time_utc_s, record.a_deg, record.b_deg))
+            kept = self._poses.setdefault(record.tracker, array("d"))
+            if kept[-2:].tolist() != [record.a_deg, record.b_deg]:
+                kept.extend((record.time_utc_s, record.a_deg, record.b_deg))
 
     def insolation(
         self, settings: Settings, weather: WeatherOfSpan, begin_s: float, end_s: float
@@ -112,8 +115,7 @@ class Poses:
         conditions = weather.at(utc_s)
         light = sky(settings.simulation.sky, sun, conditions.dni_w_m2, conditions.dhi_w_m2, extraterrestrial_dni(utc_s))
         for name, own in settings.trackers:
-            stood = self._stood(self._poses.get(name, []), utc_s.tolist())
-            normals = normal_from_angles(*np.array(stood).reshape(-1, 2).T)
+            normals = normal_from_angles(*self._stood(name, utc_s))
             ideal = normal_from_angles(*angles_within(sun, own.limits.limits()))
             on_plane, on_ideal = (light.irradiance_on(each, settings.simulation.albedo) for each in (normals, ideal))
             known = np.isfinite(on_plane)
@@ -124,9 +126,8 @@ class Poses:
                 chronometric_kwh_m2=float(on_ideal[known].sum()) * _STEP_S / 3.6e6,
             )
 
-    @staticmethod
-    def _stood(poses: Sequence[tuple[float, float, float]], utc_s: Sequence[float]) -> list[tuple[float, float]]:
+    def _stood(self, tracker: str, utc_s: Array) -> tuple[Array, Array]:
         """Return A and B at each instant: those of the latest pose, NaN before the first."""
-        times = [pose[0] for pose in poses]
-        places = [bisect_right(times, instant) for instant in utc_s]
-        return [poses[place - 1][1:] if place else (np.nan, np.nan) for place in places]
+        poses = np.array([-np.inf, np.nan, np.nan, *self._poses.get(tracker, ())]).reshape(-1, 3)
+        latest = np.searchsorted(poses[:, 0], utc_s, side="right") - 1
+        return poses[latest, 1], poses[latest, 2]

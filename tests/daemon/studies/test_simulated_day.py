@@ -1,5 +1,6 @@
 """What the plane of a simulated tracker received, and where it faces in pvlib's terms."""
 
+import tracemalloc
 from datetime import UTC, datetime
 from typing import get_args
 
@@ -63,6 +64,17 @@ def received(poses, end=END, sky="haydavies"):
         stood.note(Pose(utc_s, 0.0, float(a_deg), float(b_deg), False, "tracker"))
     (found,) = stood.insolation(settings, weather, BEGIN, end)
     return found, weather
+
+
+def test_a_tracker_that_rests_for_months_takes_no_more_memory():
+    stood = Poses()
+    tracemalloc.start()
+    try:
+        for number in range(20_000):
+            stood.note(Pose(BEGIN + 5.0 * number, 0.0, 0.0, 90.0, False, "tracker"))
+        assert tracemalloc.get_traced_memory()[0] < 100_000
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_flat_plane_receives_what_is_global():
