@@ -137,3 +137,10 @@ def test_whoever_named_a_file_without_a_token_is_not_told_to_name_it(tmp_path):
     told = str(refused.value)
     assert told.startswith(f"'stop' needs the service's token, and {file} has no api.token_file: give the one that ")
     assert "--config" not in told
+
+
+def test_a_token_in_the_home_of_nobody_is_one_sentence(tmp_path):
+    file = tmp_path / "heliocube.toml"
+    file.write_text('[api]\ntoken_file = "~nobody-of-that-name/api.token"\n')
+    with pytest.raises(UserError, match=f"^api.token_file in {file}: .*home"):
+        find(file, None, None, {})

@@ -183,6 +183,9 @@ def test_numbers_are_taken_with_their_units(file):
         ("limits.a_min_deg", "−4.5°", -4.5),
         ("instruments.positioner.slowest_deg_per_s", "0.5 °/s", 0.5),
         ("cube.minimum_w_m2", "-20 W/m²", -20.0),
+        ("safety.stow_at_least_s", "2 h", 7200.0),
+        ("safety.stow_at_least_s", "15 min", 900.0),
+        ("instruments.multiplexer.settle_s", "300 ms", 0.3),
     ],
 )
 def test_units_are_taken_as_people_write_them(name, said, meant):

@@ -1,0 +1,19 @@
+"""What was told of is kept on disk, which is often a card that wears."""
+
+from daemon.base.state import StateFolder
+from daemon.notify.told import FILE_NAME, ToldFile, ToldService
+
+
+def test_what_has_not_changed_is_not_written_again(tmp_path):
+    file, kept = ToldFile(StateFolder(tmp_path)), tmp_path / FILE_NAME
+    services = {"127.0.0.1:20572": ToldService()}
+    file.save(services)
+    file.close()
+    before = kept.stat()
+    file.save(dict(services))
+    file.close()
+    assert kept.stat().st_ino == before.st_ino
+    file.save({"127.0.0.1:20572": ToldService(silent=True)})
+    file.close()
+    assert kept.stat().st_ino != before.st_ino
+    assert ToldFile(StateFolder(tmp_path)).load()["127.0.0.1:20572"].silent
