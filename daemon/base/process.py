@@ -1,5 +1,6 @@
 """What a process owes its keeper: log lines of a sentence and its fields, signals, word to the service manager."""
 
+import asyncio
 import contextlib
 import gc
 import logging
@@ -303,6 +304,20 @@ def as_ctrl_c() -> Iterator[None]:
 
 
 def _ctrl_c(_number: int, frame: FrameType | None) -> None:
-    # An event loop that runs has taken it over, to end its tasks in order; where nobody has, it may be ignored.
     handler = signal.getsignal(signal.SIGINT)
-    (handler if callable(handler) else signal.default_int_handler)(signal.SIGINT, frame)
+    if callable(handler):
+        # An event loop that runs has taken it over, to end its tasks in order.
+        handler(signal.SIGINT, frame)
+        return
+    # Where it was ignored at the start, as in the background of a script, none has.
+    with contextlib.suppress(RuntimeError):
+        asyncio.get_running_loop().call_soon_threadsafe(_end_all, frame)
+        return
+    signal.default_int_handler(signal.SIGINT, frame)
+
+
+def _end_all(frame: FrameType | None) -> None:
+    """Leave the loop that runs this: raised inside of a task, an interruption would be raised again at its end."""
+    for task in asyncio.all_tasks():
+        task.cancel()
+    signal.default_int_handler(signal.SIGINT, frame)

@@ -305,6 +305,27 @@ def test_after_an_interruption_there_is_no_page_and_no_folder_for_it(
     assert not list(tmp_path.rglob("*.part"))
 
 
+@pytest.mark.parametrize("command", ["simulate", "replay"])
+def test_in_the_background_of_a_script_where_ctrl_c_is_ignored_an_end_keeps_what_is_done_as_well(
+    heliocube, tmp_path, signal_at_once, command
+):
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal_at_once(signal.SIGTERM)
+    faces, out = tmp_path / "faces.csv", tmp_path / "p.csv"
+    faces.write_text(
+        "time,east,south,west,zenith\n2022-10-12T11:00Z,220,300,210,510\n2022-10-12T11:01Z,220,300,210,510"
+    )
+    asked = {
+        "simulate": ("--start", "2022-06-21T11:00Z", "--days", "0.02", "--out", out),
+        "replay": (faces, "--site", "48.7176,2.2090,156", "--out", out),
+    }
+    code, _, said = heliocube(command, *asked[command])
+    assert (code, out.exists()) == (130, True)
+    assert said.splitlines()[-1].startswith("heliocube: interrupted: ")
+    assert "Traceback" not in said
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
 def test_the_page_of_a_replay_knows_what_the_service_did_not_believe(heliocube, tmp_path):
     minutes = [f"2022-10-12T{11 + minute // 60}:{minute % 60:02d}Z" for minute in range(70)]
     faces = tmp_path / "faces.csv"
