@@ -152,6 +152,13 @@ def test_records_in_the_log_beside_it_are_salvaged(keep, tmp_path):
         assert connection.execute("SELECT sequence FROM scans").fetchall() == [(77,)]
 
 
+def test_a_row_with_a_single_value_of_another_kind_is_left_out(keep, tmp_path):
+    path = keep(scan(0), scan(1)) / FILE_NAME
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        connection.execute("UPDATE scans SET south_w_m2 = 'rubbish' WHERE number = (SELECT min(number) FROM scans)")
+    assert salvage(path, tmp_path / "new").added["scans"] == 1
+
+
 def test_a_folder_in_the_place_of_its_log_keeps_no_records_back(keep, tmp_path):
     path = keep(scan(0)) / FILE_NAME
     path.with_name(f"{FILE_NAME}-wal").mkdir()
