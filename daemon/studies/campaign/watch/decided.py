@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from daemon.base.records import Mode
+from daemon.base.records import Decision, Mode
 from daemon.rigs.campaign.plant import PlantTracker
 from daemon.studies.campaign.watch.clock_steps import ClockSteps
 from daemon.studies.campaign.watch.storms import FREE
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 _LATE_S = 1.0
 # So much nearer to its place than a move's tolerance, a goto may have arrived.
 _NEARER_DEG = 0.7
+_SAME_DEG = 0.01
 _DECIDES = (Mode.TRACKING, Mode.FALLBACK)
 
 
@@ -76,7 +77,8 @@ class Decided:
         if mode is Mode.HOLD and self._goto is not None and mount.control.wishes.hold is self._goto:
             self._fails("slept", f"{target} is sent {awake}, by a goto of before it that had not arrived")
         decision = mount.control.state.decision
-        if mode not in _DECIDES or decision is None:
+        # What another mode has ordered goes on, and may be tried again, until the law has decided.
+        if mode not in _DECIDES or decision is None or not _is_of(decision, target):
             return
         since_s = decision.time_monotonic_s - woke_s
         if since_s < 0.0:
@@ -86,6 +88,11 @@ class Decided:
             covers_s = decision.irradiances.coverage * mount.settings.windows.mean_s
             if covers_s > since_s + _stale_s(mount):
                 self._fails("slept", f"{target} is sent {awake} by {covers_s:.0f} s of readings")
+
+
+def _is_of(decision: Decision, target: tuple[float, float]) -> bool:
+    decided = (decision.target.a_deg, decision.target.b_deg)
+    return all(abs(one - other) < _SAME_DEG for one, other in zip(decided, target, strict=True))
 
 
 def _stale_s(mount: PlantTracker) -> float:

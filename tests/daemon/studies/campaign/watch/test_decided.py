@@ -15,11 +15,21 @@ WOKE_S = 1000.0
 
 
 def sent(
-    at_s, *, seen_s, decided_s, coverage=0.1, silent_s=math.inf, mode=Mode.TRACKING, slept_s=3600.0, goto_deg=None
+    at_s,
+    *,
+    seen_s,
+    decided_s,
+    coverage=0.1,
+    silent_s=math.inf,
+    mode=Mode.TRACKING,
+    slept_s=3600.0,
+    goto_deg=None,
+    aim_deg=(0.0, 60.0),
 ):
     """Send a target after a sleep; return what is found wrong with it."""
     found = []
-    decision = SimpleNamespace(time_monotonic_s=decided_s, irradiances=SimpleNamespace(coverage=coverage))
+    irradiances = SimpleNamespace(coverage=coverage)
+    decision = SimpleNamespace(time_monotonic_s=decided_s, irradiances=irradiances, target=Angles(*aim_deg))
     hold = None if goto_deg is None else Wish(why="test", by="ana", since_utc_s=900.0, goto_deg=goto_deg)
     wishes = Wishes(hold=hold)
     control = SimpleNamespace(mode=mode, wishes=wishes, state=SimpleNamespace(scan_age_s=1.0, decision=decision))
@@ -46,6 +56,8 @@ def sent(
             {"seen_s": 1040.0, "decided_s": 990.0},
             "slept: (0.0, 60.0) is sent in mode tracking 40.0 s after a sleep, an",
         ),
+        # The second try of a move that the night had ordered.
+        ({"seen_s": 1040.0, "decided_s": 990.0, "aim_deg": (10.0, 50.0)}, ""),
         ({"seen_s": 1040.0, "decided_s": 1030.0, "coverage": 0.9}, "slept: (0.0, 60.0) is sent 40.0 s after a sleep b"),
         (
             {"seen_s": 1040.0, "decided_s": 1040.0, "silent_s": 990.0},
