@@ -138,11 +138,13 @@ def test_motor_currents_are_shown_while_there_is_telemetry_and_nothing_of_a_lost
         assert 'heliocube_motor_amperes{axis="a",tracker="tracker"} 0.75' in metrics
         assert 'heliocube_motor_amperes{axis="b"' not in metrics
         assert "heliocube_angle_degrees{" in metrics
+        assert 'heliocube_positioner_up{tracker="tracker"} 1.0' in metrics
         rig.cables.positioner.link_up = False
         await rig.until(lambda: not rig.motion.connected, 15, "the loss")
         await asyncio.sleep(0.2)
         metrics = (await call.get("/metrics")).body.decode()
         assert "heliocube_angle_degrees{" not in metrics
+        assert 'heliocube_positioner_up{tracker="tracker"} 0.0' in metrics
         assert "heliocube_motor_amperes{" not in metrics
         assert (await call.get("/api/state")).json["tracker"]["motor_current_a"] == {"a": None, "b": None}
 
