@@ -49,6 +49,8 @@ class SensorLine:
         self._turn = 0
         self._failures = 0
         self._open_again_s = 0.0
+        for _, sensor in sensors:
+            sensor.twins = tuple(other for _, other in sensors if other is not sensor and other.unit == sensor.unit)
 
     async def open(self, within_s: float = 15.0) -> None:
         """Connect; what does not work is in `why_not`."""

@@ -44,6 +44,8 @@ class BusSensor:
         Whether it has answered when it was last asked.
     identity
         Who it is; empty while that is not known.
+    twins
+        Others at the same address, as a logger has them: on RTU a late reply to this one looks like one to them.
     """
 
     def __init__(
@@ -58,7 +60,7 @@ class BusSensor:
         monotonic_s: Callable[[], float],
     ) -> None:
         self._face = face
-        self._unit = unit
+        self.unit = unit
         self._make = make
         self._pinned = pinned
         self._bus = bus
@@ -66,13 +68,20 @@ class BusSensor:
         self._utc_s = utc_s
         self._now = monotonic_s
         self._flaw: FaceFlaw = "late"
+        self.twins: tuple[BusSensor, ...] = ()
         self.begin()
 
     def begin(self) -> None:
         """Forget what an earlier connection has taught."""
-        self._proven, self._doubtful = False, False
+        self.doubt()
         self._misses, self._ask_again_s = 0, -math.inf
         self.note, self.identity, self.answers = "", "", False
+
+    def doubt(self) -> None:
+        """Believe nothing before a reply that cannot be a late one."""
+        proof = self._make.proof
+        self._proven = False
+        self._doubtful = proof is None or proof.length == self._make.data.length
 
     async def read(self, *, check: bool) -> FaceSample:
         """Return what it tells; with `check` its serial number is compared anew. Raises `LinkLostError` alone."""
@@ -140,13 +149,13 @@ class BusSensor:
             )
 
     async def _read(self, block: Block) -> Words:
-        return await self._bus.read(self._unit, *block, self._within_s)
+        return await self._bus.read(self.unit, *block, self._within_s)
 
     def _missed(self, flaw: FaceFlaw, why: str, *, at_once: bool = False) -> FaceSample:
         if not at_once:
             self.answers = False
-            proof = self._make.proof
-            self._doubtful = proof is None or proof.length == self._make.data.length
+            for each in (self, *self.twins):
+                each.doubt()
         self._proven = False
         self._misses += 1
         self._flaw = flaw
@@ -162,4 +171,4 @@ class BusSensor:
         return FaceSample(math.nan, self._utc_s(), self._now(), flaw, note=self.note)
 
     def _sentence(self, text: str) -> str:
-        return f"the {self._face} sensor (address {self._unit}) {text}"
+        return f"the {self._face} sensor (address {self.unit}) {text}"

@@ -6,13 +6,14 @@ import pytest
 
 from daemon.base.clock import LoopClock
 from daemon.base.timeloop import VirtualTimeLoop
+from daemon.rigs.simulated_modbus import build_pyranometers
 from drivers.cube.pyranometers.driver import build
 from drivers.cube.pyranometers.settings import FACE_NAMES, PyranometersSettings
 from drivers.settings import CubeSurroundings
 from sim_drivers.modbus.line import DeviceLineCore
-from sim_drivers.modbus.pyranometers import simulated_pyranometer
 from sim_drivers.transports import InMemoryModbus
 
+VOLT_PER_W_M2 = 1e-4
 LIGHT = (300.0, 410.0, 60.0, 470.0)
 
 
@@ -23,16 +24,7 @@ class Rig:
         self.clock = clock
         self.settings = PyranometersSettings.model_validate(keys)
         self.light = list(LIGHT)
-        self.sensors = [
-            simulated_pyranometer(
-                self.settings.make_of(name),
-                self.settings.face(name).address,
-                self.settings.face(name).serial or 101 + face,
-                lambda _now, face=face: self.light[face],
-                self.settings.map_of(name),
-            )
-            for face, name in enumerate(FACE_NAMES)
-        ]
+        self.sensors = build_pyranometers(self.settings, lambda face, _now: self.light[face] * VOLT_PER_W_M2)
         self.cores, self.lines = {}, {}
         surroundings = CubeSurroundings(clock.utc, clock.monotonic, 2.0, lambda: None)
         self.cube = build(self.settings, surroundings, self._path)

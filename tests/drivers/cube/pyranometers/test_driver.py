@@ -1,6 +1,7 @@
 """The cube on simulated sensors: what a bad one costs the others, and that nobody is taken for somebody else."""
 
 import asyncio
+import contextlib
 import math
 
 import pytest
@@ -291,7 +292,7 @@ def test_a_cube_of_which_nobody_answers_is_lost_and_comes_back(on_rig):
             sensor.silent = False
         return await rig.cube.open()
 
-    assert on_rig(dark).startswith("SMP3 no. 101 of 2023, software 108, SMP3 no. 102")
+    assert on_rig(dark).startswith("SMP3 no. 24101 of 2023, software 108, SMP3 no. 24102")
 
 
 def test_another_kind_of_sensor_is_named(on_rig):
@@ -336,3 +337,36 @@ def test_a_reading_cube_writes_nothing(on_rig):
         return {frame[1] for frame in asked}
 
     assert on_rig(watched, make="hukseflux") <= {3, 4}
+
+
+@pytest.mark.parametrize(("number_type", "longest_s"), [("int16", 0.6), ("float32", 5.05)])
+def test_a_late_reply_of_a_logger_is_never_taken_for_another_face(on_rig, number_type, longest_s):
+    """A logger has all four faces at one address, and a reply of RTU does not say of which registers it is."""
+    registers = {
+        face: {"address": 1, "register_number": 2 * number} for number, face in enumerate(("east", "south", "west"))
+    }
+    keys = {"zenith": {"address": 1, "register_number": 6}, "map": {"number_type": number_type}} | registers
+
+    async def late(rig):
+        wrong, right = [], 0
+        for number in range(60):
+            rig.sensors[0].delay_s = (0.31, 0.5, longest_s)[number // 20] if 5 <= number % 20 < 8 else 0.0
+            rig.light[:] = [100.0 + number, 300.0 + number, 500.0 + number, 700.0 + number]
+            try:
+                reading, _ = await rig.scans(every_s=0.0)
+            except LinkLostError:
+                with contextlib.suppress(ConnectError):
+                    await rig.cube.open()
+                continue
+            wrong += [
+                (number, face, value)
+                for face, value in enumerate(values(reading))
+                if not math.isnan(value) and abs(value - rig.light[face]) > 0.6
+            ]
+            right += flaws(reading) == (None, None, None, None)
+            await asyncio.sleep(5.0 - rig.clock.monotonic() % 5.0)
+        return wrong, right
+
+    wrong, right = on_rig(late, make="map", **keys)
+    assert wrong == []
+    assert right > 30

@@ -163,6 +163,14 @@ def test_the_first_reply_after_a_miss_is_believed_where_a_late_one_would_be_told
     assert bus.reads(sensor).flaw is None
 
 
+def test_on_a_line_that_was_opened_anew_a_late_reply_to_an_earlier_connection_is_not_believed():
+    bus = Bus()
+    sensor = bus.sensor(None)
+    sensor.begin()
+    assert bus.reads(sensor).flaw == "late"
+    assert bus.reads(sensor).value == 500.0
+
+
 @pytest.mark.parametrize(("check", "pinned", "asked"), [
     (True, 7, [PROOF.register, DATA.register]), (True, None, [DATA.register]), (False, 7, [DATA.register]),
 ])  # fmt: skip
