@@ -48,6 +48,9 @@ class ScpiLine(Protocol):
     async def drain(self, quiet_s: float) -> None:
         """Throw away what comes until nothing has come for a time [s]."""
 
+    async def has_unasked(self) -> bool:
+        """Throw away what has come and nobody has read, and return whether it was more than the end of a line."""
+
 
 class ScpiSession:
     """One connection to an instrument.

@@ -61,6 +61,13 @@ class MeterSession(ScpiSession):
         if why := await self._differs(*self._proofs[self._looks % len(self._proofs)]):
             raise LinkLostError(self._device, why)
 
+    async def make_sure(self) -> None:
+        """Return when the next answer belongs to the next question: a meter may say more than it was asked for."""
+        if self.in_doubt or await self._line.has_unasked():
+            self.in_doubt = True
+            await self.resynchronise()
+            self.in_doubt = False
+
     async def resynchronise(self) -> None:
         """End a doubt: prove that answers belong to their questions, and that the meter is still set as it was."""
         try:

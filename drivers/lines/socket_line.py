@@ -119,5 +119,22 @@ class SocketLine:
             raise self._gone() from None
         raise keeps_sending(self._device)
 
+    async def has_unasked(self) -> bool:
+        """Throw away what has come and was not read; return whether it was more than the end of a line."""
+        reader = self._reader
+        if reader is None:
+            raise LinkLostError(self._device, "has to be opened first")
+        try:
+            async with asyncio.timeout(0):
+                data = await reader.read(_LONGEST_LINE)
+        except TimeoutError:
+            return False
+        except OSError:
+            raise self._gone() from None
+        if not data:
+            raise self._gone()
+        self._tap("<", data)
+        return bool(data.strip())
+
     def _gone(self) -> LinkLostError:
         return LinkLostError(self._device, f"{self._host}:{self._port} has closed the connection")

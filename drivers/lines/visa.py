@@ -122,6 +122,21 @@ class VisaLine:
                 self._read(quiet_s + self.transfer_s / 10)
             raise keeps_sending(self._settings.device)
 
+    def has_unasked(self) -> bool:
+        """Throw away what has come and was not read; return whether it was more than the end of a line.
+
+        Over GPIB nothing comes that is not asked for.
+        """
+        if not self._serial:
+            return False
+        with self._translated():
+            waiting = self._resource.bytes_in_buffer
+            if not waiting:
+                return False
+            data: bytes = self._resource.read_bytes(waiting)
+        self._tap("<", data)
+        return bool(data.strip())
+
     def close(self) -> None:
         """Release the session. PyVISA has one manager for all instruments, and closing it would end their sessions."""
         for part in (self._resource, self._adapter):

@@ -107,8 +107,7 @@ class _Session(MeterSession):
 
     async def read(self) -> float:
         """Return a fresh conversion [V]."""
-        if self.in_doubt:
-            await self.resynchronise()
+        await self.make_sure()
         # As `doubting` does, at a tenth of its cost: a simulated day has 70,000 readings.
         self.in_doubt = True
         reply = await self.ask(":READ?")

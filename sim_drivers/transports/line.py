@@ -91,6 +91,15 @@ class InMemoryLine(Cabled):
         await asyncio.sleep(last_s + quiet_s - begun_s)
         self._require_open()
 
+    async def has_unasked(self) -> bool:
+        """Throw away what has come and was not read."""
+        self._require_open()
+        self._forget_aborted()
+        found = False
+        while self._arriving and self._arriving[0][0] <= self._now():
+            found |= bool(self._arriving.popleft()[1].strip())
+        return found
+
     async def _miss(self, wait_s: float) -> NoReturn:
         await asyncio.sleep(wait_s)
         self._require_open()

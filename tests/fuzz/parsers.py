@@ -172,6 +172,9 @@ class _Replies:
     async def drain(self, quiet_s: float) -> None:
         pass
 
+    async def has_unasked(self) -> bool:
+        return False
+
 
 def _rotctld() -> Take:
     """Replies of Hamlib's server, in pieces."""

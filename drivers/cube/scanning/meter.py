@@ -132,8 +132,7 @@ class _ScanSession(MeterSession):
 
     async def scan(self) -> list[tuple[int, str]]:
         """Return channel and reading, as text, in the order of the scan."""
-        if self.in_doubt:
-            await self.resynchronise()
+        await self.make_sure()
         with self.doubting():
             reply = await self.ask(self._dialect.scan)
             parts = reply.split(",")

@@ -75,10 +75,41 @@ def test_who_resets_the_connection_while_it_is_drained_is_a_lost_link():
     asyncio.run(act())
 
 
+@pytest.mark.live
+def test_what_nobody_has_asked_for_is_thrown_away_and_told():
+    async def act():
+        said = asyncio.Queue()
+
+        async def say(reader, writer):
+            while (words := await said.get()) is not None:
+                writer.write(words)
+            writer.close()
+
+        async with await asyncio.start_server(say, "127.0.0.1", 0) as server:
+            line = SocketLine("cube", *server.sockets[0].getsockname())
+            await line.open()
+            assert not await line.has_unasked()
+            said.put_nowait(b"+1.0E-01\n+2.0E-01\n")
+            assert await line.receive(PATIENCE_S) == "+1.0E-01"
+            assert await line.has_unasked()
+            assert not await line.has_unasked()
+            said.put_nowait(b"+3.0E-01\n\r")
+            assert await line.receive(PATIENCE_S) == "+3.0E-01"
+            assert not await line.has_unasked(), "the end of a line says nothing"
+            said.put_nowait(None)
+            with pytest.raises(LinkLostError, match="has closed the connection"):
+                await line.receive(PATIENCE_S)
+            with pytest.raises(LinkLostError, match="has closed the connection"):
+                await line.has_unasked()
+            await line.close()
+
+    asyncio.run(act())
+
+
 def test_a_line_that_is_not_open_is_a_lost_link_whatever_is_asked_of_it():
     async def act():
         line = SocketLine("cube", "127.0.0.1", 9)
-        for call in (line.send("*IDN?"), line.receive(1.0), line.drain(0.1)):
+        for call in (line.send("*IDN?"), line.receive(1.0), line.drain(0.1), line.has_unasked()):
             with pytest.raises(LinkLostError, match="has to be opened first"):
                 await call
 

@@ -37,6 +37,9 @@ class EchoingLine:
     def drain(self, quiet_s):
         self._log.append(f"drained {quiet_s:g}")
 
+    def has_unasked(self):
+        return bool(self._said)
+
     def close(self):
         self._log.append("close")
 
@@ -58,7 +61,9 @@ def test_exchanges_pass_in_order_and_the_lines_own_errors_come_back(gate):
             await line.send("too early")
         await line.open()
         assert await asyncio.gather(*(line.ask(text, 1.0) for text in ("one", "two"))) == ["ONE", "TWO"]
+        assert not await line.has_unasked()
         await line.send("three")
+        assert await line.has_unasked()
         await line.interrupt()
         await line.drain(0.1)
         with pytest.raises(DeadlineError, match=r"nothing in 0\.5 s"):

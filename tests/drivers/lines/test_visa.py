@@ -51,6 +51,19 @@ def modes(path):
         os.close(descriptor)
 
 
+def test_what_nobody_has_asked_for_is_thrown_away_and_told(ends):
+    instrument, path = ends
+    with opened(path) as line:
+        assert not line.has_unasked()
+        os.write(instrument, b"+1.0E-01\n+2.0E-01\n")
+        assert line.receive(PATIENCE_S) == "+1.0E-01"
+        assert line.has_unasked()
+        assert not line.has_unasked()
+        os.write(instrument, b"+3.0E-01\n\r")
+        assert line.receive(PATIENCE_S) == "+3.0E-01"
+        assert not line.has_unasked(), "the end of a line says nothing"
+
+
 @pytest.mark.parametrize(("terminator", "end"), [("LF", b"\n"), ("CR", b"\r"), ("LFCR", b"\n\r")])
 def test_lines_go_out_and_come_in_with_the_end_of_the_settings(ends, terminator, end):
     instrument, path = ends

@@ -147,6 +147,32 @@ def test_a_conversion_beyond_a_hundred_and_twenty_percent_of_the_range_is_not_be
         runner.run(scene())
 
 
+class Twice(VoltmeterCore):
+    """A meter that says a reading twice where a test wants it so."""
+
+    twice = False
+
+    def feed(self, data, now):
+        replies = super().feed(data, now)
+        return replies * 2 if self.twice and b":READ?" in data else replies
+
+
+@pytest.mark.computes
+def test_a_reading_that_is_said_twice_is_not_taken_for_that_of_the_next_face():
+    async def scene():
+        volts = [0.010]
+        core = Twice(lambda _now: volts[0], np.random.default_rng(3))
+        meter = Keithley2000(InMemoryLine("voltmeter", core, asyncio.get_running_loop().time))
+        await meter.open()
+        for number in range(8):
+            core.twice = number % 3 < 2
+            volts[0] = 0.010 * (1 + number % 4)
+            assert await meter.read_voltage() == pytest.approx(volts[0], abs=1e-5)
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scene())
+
+
 class Saying(InMemoryLine):
     """The line of a meter that answers some questions in words of a test's own."""
 

@@ -31,6 +31,9 @@ class Published:
     async def drain(self, quiet_s):
         pass
 
+    async def has_unasked(self):
+        return False
+
     async def send(self, text):
         self.sent.append(text)
         if text.startswith("*ESE "):
