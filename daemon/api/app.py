@@ -102,6 +102,8 @@ class Api:
             ],
             exception_handlers={HTTPException: _refused, WrongServiceError: _elsewhere, Exception: _broken},
         )
+        # A redirection has no body: who stops the tracker at /api/stop/ with curl would read nothing, and it goes on.
+        routes.router.redirect_slashes = False
         self.routes = routes.routes
         self.token = Token(token)
         self.app = Gate(routes, self.token, AllowedHosts(hosts), self._turns, self._bodies, self.refusals)

@@ -51,6 +51,8 @@ def test_unknown_places_and_wrong_methods_are_one_sentence(serve):
     async def scenario(rig, call):
         reply = await call.get("/api/nothing")
         assert (reply.status, reply.json) == (404, {"error": "there is no /api/nothing here; see docs/api.md"})
+        reply = await call.post("stop/")
+        assert (reply.status, reply.json) == (404, {"error": "there is no /api/stop/ here; see docs/api.md"})
         reply = await call.get("/api/stow")
         assert (reply.status, reply.json) == (405, {"error": "/api/stow does not take GET, but POST"})
 
