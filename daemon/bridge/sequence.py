@@ -11,6 +11,8 @@ HELD_S = 60.0
 DELAY_WINDOW_S = 300.0
 SEQUENCE_WINDOW = 64
 SESSIONS_REMEMBERED = 64
+# What is no older by this machine's clock was not kept back while a cube started again, which takes seconds.
+_JUST_MADE_S = 0.25
 
 
 class SequenceGuard:
@@ -18,8 +20,8 @@ class SequenceGuard:
 
     A session that nobody knows is taken for the restart of the one that is followed. Should that one send again, it
     was none but a second cube under the same name: then the elder is followed, and the other one only when the elder
-    has been silent for `HELD_S`. What comes back must be new: a higher number than its session's last, and a stamp
-    later than that of every scan accepted before.
+    has been silent for `HELD_S`. What comes back must be new: a higher number than its session's last, and a stamp that
+    is of now, or later than that of the last scan accepted.
 
     Parameters
     ----------
@@ -126,7 +128,9 @@ class SequenceGuard:
     def _check_stamp(self, head: "ScanHead", arrival_utc_s: float, does: str) -> None:
         # A stamp beyond any that could be accepted now is from before this machine's clock was set back.
         comparable = self._accepted_utc_s <= arrival_utc_s + self._clock_skew_s
-        if comparable and not (head.time_utc_s > self._accepted_utc_s):
+        # One beyond now is of a clock that is ahead, and whose clock is right need not wait for it to be caught up with.
+        just_made = arrival_utc_s - head.time_utc_s <= _JUST_MADE_S
+        if comparable and not just_made and not (head.time_utc_s > self._accepted_utc_s):
             raise ScanRefusedError(
                 Refusal.REPLAYED, f"{does} the session {head.session} with a scan older than one accepted before"
             )

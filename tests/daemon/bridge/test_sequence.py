@@ -55,6 +55,35 @@ def test_the_second_cube_is_followed_when_the_first_has_been_silent_for_a_minute
     assert sessions(desk)[-2:] == ["first", "first"]
 
 
+@pytest.mark.parametrize("ahead_s", [3.5, 29.0])
+def test_a_second_cube_whose_clock_is_ahead_does_not_take_the_place_of_the_first_one(ahead_s):
+    desk = Desk()
+    for number in range(12):
+        desk.take(signed(scan(number)), time_s=5.0 * number)
+        if 4 <= number < 8:
+            second = scan(number, time_s=5.0 * number + 2.0 + ahead_s, session="second")
+            desk.take(signed(second), time_s=5.0 * number + 2.0)
+    assert [got.sequence for got in desk.scans if got.session == "first"] == list(range(12))
+    assert desk.counts == {"accepted": 13, "second_cube": 3}
+
+
+def test_a_cube_whose_clock_is_set_back_and_that_is_started_again_is_followed_at_once():
+    desk = Desk()
+    for number in range(3):
+        desk.take(signed(scan(number, time_s=5.0 * number + 20.0)), time_s=5.0 * number)
+    desk.follow(scan(0, time_s=15.0, session="anew"))
+    assert sessions(desk) == ["first"] * 3 + ["anew"]
+
+
+@pytest.mark.parametrize(("old_s", "counts"), [(0.2, {"accepted": 3}), (0.3, {"accepted": 2, "replayed": 1})])
+def test_what_is_of_this_very_moment_by_this_machine_is_no_replay(old_s, counts):
+    desk = Desk()
+    desk.follow(scan(0))
+    desk.take(signed(scan(0, time_s=25.0, session="second")), time_s=5.0)
+    desk.take(signed(scan(1, time_s=10.0 - old_s)), time_s=10.0)
+    assert desk.counts == counts
+
+
 def test_a_restart_of_the_first_cube_is_followed_beside_a_second_one():
     desk = Desk()
     follow_both(desk, 0, 15)
