@@ -128,7 +128,7 @@ class SequenceGuard:
     def _check_stamp(self, head: "ScanHead", arrival_utc_s: float, does: str) -> None:
         # A stamp beyond any that could be accepted now is from before this machine's clock was set back.
         comparable = self._accepted_utc_s <= arrival_utc_s + self._clock_skew_s
-        # One beyond now is of a clock that is ahead, and whose clock is right need not wait for it to be caught up with.
+        # A stamp beyond now is of a clock that is ahead: whoever keeps the right time need not wait until it is past.
         just_made = arrival_utc_s - head.time_utc_s <= _JUST_MADE_S
         if comparable and not just_made and not (head.time_utc_s > self._accepted_utc_s):
             raise ScanRefusedError(

@@ -14,7 +14,8 @@ from drivers.scpi import ScpiLine
 from drivers.scpi_meter import MeterSession, Proof, ScpiMeter
 
 _DEVICE = "voltmeter"
-_READING = re.compile(r"([+-]?\d+(?:\.\d+)?(?:E[+-]?\d+)?)(?:VDC)?", re.ASCII)
+# Always with its exponent: settings and registers are answered by numbers too.
+_READING = re.compile(r"([+-]?\d+(?:\.\d+)?E[+-]?\d{2,})(?:VDC)?", re.ASCII)
 # The meter measures to 120 % of its range, and answers 9.9E37 beyond.
 _BEYOND_RANGE = 1.21
 _READINGS_BETWEEN_LOOKS = 10

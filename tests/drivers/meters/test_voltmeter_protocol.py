@@ -147,6 +147,29 @@ def test_a_conversion_beyond_a_hundred_and_twenty_percent_of_the_range_is_not_be
         runner.run(scene())
 
 
+@pytest.mark.computes
+@pytest.mark.parametrize("told", [
+    "+1", "1", "+0.0123", "+1.0", "+1.0E-0", "+1.0E-02OHM", "+1,0E-02", "1_0E-02", "NAN", "INF", "",
+    "+1.0E-02,+1.0E-02",
+])  # fmt: skip
+def test_what_is_not_written_like_a_conversion_is_none(told):
+    """A line that noise has broken in two, or the late answer to another question, may be a number as well."""
+
+    async def scene():
+        core = VoltmeterCore(lambda _now: 0.0123, np.random.default_rng(3))
+        line = Telling("voltmeter", core, asyncio.get_running_loop().time)
+        meter = Keithley2000(line, range_v=1.0)
+        line.told = "+1.0E-02VDC"
+        await meter.open()
+        assert await meter.read_voltage() == 0.01
+        line.told = told
+        with pytest.raises(ProtocolError, match="where a reading was expected"):
+            await meter.read_voltage()
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scene())
+
+
 class Twice(VoltmeterCore):
     """A meter that says a reading twice where a test wants it so."""
 
