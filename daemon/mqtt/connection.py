@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from typing import Any, Self, TypeVar
 
 import aiomqtt
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from daemon.config.links import MqttSettings
@@ -31,6 +33,8 @@ _FAILURES = 128
 _OTHER_VERSION = 132
 # Of a library that drops what is more. A record of TLS, which is read at one go, holds some hundreds of the shortest.
 _MOST_INCOMING = 4096
+# Of a packet. Commands and sensors say far less, and pages of records less; one of 256 MiB holds all up for seconds.
+_LONGEST_INCOMING_BYTES = 1 << 20
 # The topic and what else is in a packet.
 _AROUND_BYTES = 512
 
@@ -101,6 +105,7 @@ class Connection:
             protocol=aiomqtt.ProtocolVersion.V5 if modern else aiomqtt.ProtocolVersion.V311,
             # MQTT 5 begins anew at the first connection of a client, and this one has no second.
             clean_session=None if modern else True,
+            properties=_announced() if modern else None,
             max_queued_incoming_messages=_MOST_INCOMING,
             logger=_library_log,
         )
@@ -188,6 +193,13 @@ class Connection:
         return f"{self._place} {_REFUSALS.get(_code(getattr(cause, 'rc', None)), ended)}"
 
 
+def _announced() -> Properties:
+    """Return what a broker of MQTT 5 is told: what is longer it leaves out by itself."""
+    told = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+    told.MaximumPacketSize = _LONGEST_INCOMING_BYTES
+    return told
+
+
 # OpenSSL's numbers of why a certificate is refused (x509_vfy.h).
 _OUT_OF_DATE, _OTHER_NAME = (9, 10), (62, 64)
 # What a broker says to a connection that it does not want.
@@ -236,6 +248,20 @@ class _Client(aiomqtt.Client):
     refusal: str | None = None
     dialled = False
     most_bytes: float = math.inf
+
+    def __init__(self, *args: Any, **keys: Any) -> None:
+        super().__init__(*args, **keys)
+        self._receive = self._client._sock_recv  # noqa: SLF001 - the library asks here for what is left of a packet
+        self._client._sock_recv = self._receive_short  # type: ignore[assignment,method-assign]  # noqa: SLF001
+
+    def _receive_short(self, left_bytes: int) -> bytes:
+        """Return what has come of a packet; `OSError`, at which the library gives the connection up, for a long one."""
+        if left_bytes > _LONGEST_INCOMING_BYTES:
+            place = f"{self.settings.host}:{self.settings.port}"
+            longer = f"none of more than {_LONGEST_INCOMING_BYTES} is read: who publishes it?"
+            self.refusal = f"{place} sends a message of {left_bytes} bytes, and {longer}"
+            raise OSError(self.refusal)
+        return self._receive(left_bytes)
 
     def _on_connect(self, client: Any, userdata: Any, flags: Any, reason_code: Any, properties: Any = None) -> None:
         # Of a broker of MQTT 3.1.1 there are no properties, and of most others none of this name.

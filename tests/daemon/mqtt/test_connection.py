@@ -8,7 +8,8 @@ import pytest
 
 from daemon.config.links import MqttSettings
 from daemon.mqtt import connection
-from daemon.mqtt.connection import Connection
+from daemon.mqtt.connection import Connection, ConnectionLostError
+from tests.support import PATIENCE_S
 
 
 def test_a_name_server_that_does_not_answer_holds_up_no_end(monkeypatch):
@@ -36,3 +37,35 @@ def test_a_name_server_that_does_not_answer_holds_up_no_end(monkeypatch):
     monkeypatch.setattr(socket, "getaddrinfo", hangs)
     monkeypatch.setattr(connection, "_DIAL_ENDS_WITHIN_S", 0.1)
     asyncio.run(scenario())
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("modern", [True, False])
+def test_a_broker_is_told_how_long_a_message_may_be_and_a_longer_one_is_not_read(modern):
+    said = []
+
+    async def broker(reader, writer):
+        said.append(await reader.read(4096))
+        writer.write(b"\x20\x03\0\0\0" if modern else b"\x20\x02\0\0")
+        await reader.read(4096)
+        # A message of 256 MiB, and the first 8 MiB of it.
+        writer.write(b"\x30\xff\xff\xff\x7f\0\x01t" + (b"\0" if modern else b""))
+        try:
+            for _ in range(8):
+                writer.write(bytes(1 << 20))
+                await writer.drain()
+        except ConnectionError:
+            pass
+        writer.close()
+
+    async def scenario():
+        async with asyncio.timeout(PATIENCE_S), await asyncio.start_server(broker, "127.0.0.1", 0) as server:
+            settings = MqttSettings(enabled=True, host="127.0.0.1", port=server.sockets[0].getsockname()[1])
+            opened = Connection(settings, "tracker", None, 1.0, modern=modern)
+            await opened.open()
+            with pytest.raises(ConnectionLostError, match="sends a message of 268435455 bytes, and none of more than"):
+                await opened.subscribe("t")
+            await opened.close()
+
+    asyncio.run(scenario())
+    assert (b"\x27" + (1 << 20).to_bytes(4, "big") in said[0]) == modern
