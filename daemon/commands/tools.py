@@ -73,7 +73,7 @@ def send_csv(
             " closed lab only, by --insecure"
         )
     secret = load_key(bridge.key_file) if bridge.key_file is not None else None
-    with progress_bar(Console(stderr=True)) as progress:
+    with progress_bar(Console(stderr=True), "sending") as progress:
         sent = asyncio.run(
             send(
                 file,

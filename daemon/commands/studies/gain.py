@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import track
 
 from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ForceOption
+from daemon.commands.studies.simulate import progress_bar
 from daemon.store.outputs import check_outputs
 from daemon.studies.gain.choices import AnswerFormat, Device, PlotKind, check_plot
 from daemon.studies.inputs import check_weather_file
@@ -88,7 +88,7 @@ def gain(
         check_weather_file(Path(weather), built_in=("clear",))
     from daemon.studies.gain import request
 
-    errors, console = Console(stderr=True), Console()
+    console = Console()
     if as_json and (table_format is not None or out is not None):
         raise UserError("--json goes to standard output; leave out --format and --out, or --json")
     if points is not None:
@@ -126,10 +126,8 @@ def gain(
     sky = _sky(weather, asked, lon, altitude)
     if sky is not None and sky.warning:
         warn(sky.warning)
-    along = asked.latitudes_deg.tolist()
-    if sky is not None and len(along) > 1:
-        along = track(along, "latitudes", console=errors, transient=True, disable=not errors.is_terminal)
-    columns = evaluate(asked, sky, along)
+    with progress_bar(Console(stderr=True), "computing") as progress:
+        columns = evaluate(asked, sky, progress)
     if plot is not None:
         from daemon.studies.gain import plots
 

@@ -1,6 +1,6 @@
 """From a request to columns of numbers; one latitude at a time, so that memory does not grow with the grid."""
 
-from collections.abc import Iterable
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,15 +18,19 @@ if TYPE_CHECKING:
 Columns = dict[str, Array]
 
 
-def evaluate(request: Request, sky: "SkySource | None" = None, latitudes: Iterable[float] | None = None) -> Columns:
+def evaluate(
+    request: Request, sky: "SkySource | None" = None, progress: Callable[[float], None] = lambda _share: None
+) -> Columns:
     """Return one row for each latitude, tilt, azimuth deviation and day of the request, in this order.
 
     Ratios are those of :mod:`solar.gain`; ``..._sky`` are the same under `sky`, which is ``simulated`` or not. With
     `request.printed` days have the paper's own ratios, and years the smallest eta over the days, as the paper's scripts
-    print it. `latitudes` may be the request's own, wrapped in something that watches the progress.
+    print it. `progress` takes the share done, 0..1.
     """
-    along = request.latitudes_deg.tolist() if latitudes is None else latitudes
-    blocks = [_one_latitude(request, latitude, sky) for latitude in along]
+    latitudes, blocks = request.latitudes_deg.tolist(), list[Columns]()
+    for latitude in latitudes:
+        blocks.append(_one_latitude(request, latitude, sky))
+        progress(len(blocks) / len(latitudes))
     return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
 
