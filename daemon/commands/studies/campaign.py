@@ -7,6 +7,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
+from daemon.base.process import as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, teller
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, checked_seed, chosen_workers
 
@@ -14,6 +15,7 @@ _DRAWN = ("--seeds", "--from", "--hours", "--trackers", "--positioner", "--only"
 """The options of schedules that are drawn."""
 
 
+@as_ctrl_c()
 def campaign(
     context: typer.Context,
     seeds: Annotated[int, typer.Option(min=1, metavar="N", help="How many seeds.")] = 10,

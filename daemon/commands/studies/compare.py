@@ -263,6 +263,7 @@ def report(
 
 
 @app.command()
+@as_ctrl_c()
 def paper(
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder for paper.html, paper.txt, paper.csv and the figures.")
@@ -310,7 +311,8 @@ def paper(
         correction = find_correction(settings, progress)
     with progress_bar(Console(stderr=True), "repeating") as progress:
         runs, ended = run_paper(settings, chosen, seeds, weather, cube_law, correction.found, workers, progress)
-    found, paragraphs = spreads(runs, cube_law), notes(settings, weather, cube_law, seeds)
+    asked = len(chosen) * seeds
+    found, paragraphs = spreads(runs, cube_law), notes(settings, weather, cube_law, seeds, done=len(runs), asked=asked)
     write_paper(runs, correction, found, paragraphs, settings.site.place(), out)
     if as_json:
         page = {"simulated": True, "periods": [as_page(one) for one in found], "notes": paragraphs}
@@ -320,7 +322,7 @@ def paper(
         say("\n\n".join(paragraphs))
         say(f"\nfigures and page: {out / 'paper.html'}")
     if ended is not None:
-        raise type(ended)(f"{ended}; {out} has {len(runs)} of {len(chosen) * seeds} runs")
+        raise type(ended)(f"{ended}; {out} has {len(runs)} of {asked} runs")
 
 
 def _paper_files(out: Path) -> "Iterator[Path]":

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from daemon.base.errors import InterruptedEarlyError, UserError
 from daemon.base.files import replace_file
+from daemon.base.process import as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, checked_seed, chosen_workers
 from daemon.commands.studies.simulate import progress_bar
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 _ENDINGS = ("txt", "csv", "png")
 
 
+@as_ctrl_c()
 def energy(
     out: Annotated[
         Path,

@@ -7,6 +7,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
+from daemon.base.process import as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ForceOption
 from daemon.commands.studies.simulate import progress_bar
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 _VALUES = "A number, a list A,B,C or a range FROM:TO:STEP"
 
 
+@as_ctrl_c()
 def gain(
     lat: Annotated[float | None, typer.Option(help="Latitude in degrees, north positive.")] = None,
     lat_range: Annotated[str | None, typer.Option(metavar="FROM:TO:STEP", help="Several latitudes in degrees.")] = None,

@@ -247,17 +247,19 @@ def spreads(runs: Sequence[Run], cube_law: str) -> list[Spread]:
     ]
 
 
-def notes(settings: Settings, afternoon: WeatherName, cube_law: str, seeds: int) -> list[str]:
-    """Return what the experiment assumes and what it cannot show, a paragraph each."""
+def notes(settings: Settings, afternoon: WeatherName, cube_law: str, seeds: int, *, done: int, asked: int) -> list[str]:
+    """Return what the experiment assumes and what it cannot show, a paragraph each, for `done` of `asked` runs."""
     limits = settings.limits.limits()
     cube, simulated = settings.cube, settings.simulation
     closed = ceilings(settings.site.place(), limits)
     texts = ", ".join(f"{period} {sky} {gain:+z.1f} %" for period, sky, gain in closed)
+    early = "" if done == asked else f" ({done} of these {asked} runs: it was ended before the others)"
     assumed = (
         f"SIMULATED. T-Cube runs {cube_law}, T-Chrono chronometric, as two services fed by one cube:"
         f" a scan every {cube.scan_every_s:g} s, noise of {simulated.sensor_noise_mv:g} mV, gain errors of"
         f" {100.0 * simulated.sensor_gain_error:g} %. Built-in weather, {counted(seeds, 'seed')} from 1 on for each"
-        f" sky: on 12 October clear until 10:20, overcast until 12:10, then '{afternoon}'; on 14 October overcast."
+        f" sky{early}: on 12 October clear until 10:20, overcast until 12:10, then '{afternoon}'; on 14 October"
+        " overcast."
         " The gain is equation (16) on Pmpp after the second-order correction, which is fitted on a simulated clear day"
         " in August with both trackers flat. Ours are the median of the seeds, the quartiles between which half of them"
         " lie, the lowest and the highest, and how many lie within what is asked for. T-Cube's travel has no limit of"

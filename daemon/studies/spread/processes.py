@@ -71,8 +71,11 @@ class ProcessPool:
 
 
 def _begin() -> None:
-    # Ctrl-C is for the process that hands out the work: it knows what is done, and ends the others.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Ctrl-C, and what counts as one, is for the process that hands out the work: it knows what is done, and ends the
+    # others by a SIGTERM, whatever its own handler that they have inherited would make of it.
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    for number in (signal.SIGINT, getattr(signal, "SIGHUP", signal.SIGINT)):
+        signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
 
 

@@ -7,8 +7,9 @@ from datetime import UTC, datetime
 import pytest
 
 from daemon.commands.main import main
+from daemon.config.settings import Settings
 from daemon.studies.compare import paper
-from daemon.studies.compare.paper import PRINTED, Spread, as_text, ceilings
+from daemon.studies.compare.paper import PRINTED, Spread, as_text, ceilings, notes
 from solar.ephemeris import Site
 from solar.frames import Limits
 
@@ -72,6 +73,12 @@ def test_the_ceiling_of_an_overcast_noon_by_hand():
     # A darker ground: (1 + 0.556)/2 + 0.1 (1 - 0.556)/2 = 0.8002, that is 25.0 %, and again lower sun before and after.
     dark = ceilings(SIRTA, Limits(), albedo=0.1)
     assert dark[0] == ("overcast", "isotropic", pytest.approx(25.5, abs=0.5))
+
+
+def test_one_that_was_ended_early_does_not_pass_for_all_its_seeds():
+    whole, part = (notes(Settings(), "broken", "mu-prime", 30, done=done, asked=60)[0] for done in (60, 8))
+    assert "30 seeds from 1 on for each sky: on 12 October" in whole
+    assert "30 seeds from 1 on for each sky (8 of these 60 runs: it was ended before the others): on 12" in part
 
 
 def test_weathers_are_told_by_their_spread_and_judged_by_none():

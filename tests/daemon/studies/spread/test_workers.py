@@ -5,11 +5,13 @@ import signal
 import subprocess
 import sys
 import textwrap
+import time
 from pathlib import Path
 
 import pytest
 
 from daemon.base.errors import ExitCode, InterruptedEarlyError, UserError
+from daemon.base.process import as_ctrl_c
 from daemon.studies.spread.errors import WorkersError
 from daemon.studies.spread.workers import HERE, Workers, gather, spread
 from tests.system.processes import wait_until
@@ -45,6 +47,21 @@ def interrupt(number):
     if number == 2:
         raise KeyboardInterrupt
     return number
+
+
+def sleep_unless_interrupted(folder):
+    (folder / "sleeps").touch()
+    try:
+        time.sleep(600)
+    except KeyboardInterrupt:
+        (folder / "interrupted").touch()
+
+
+def sleep_or_wait_for_who_sleeps(task):
+    folder, sleeps = task
+    if sleeps:
+        sleep_unless_interrupted(folder)
+    wait_until((folder / "sleeps").exists, "a worker that sleeps")
 
 
 def test_the_places_tell_which_result_is_whose_in_whichever_order_they_end():
@@ -83,6 +100,22 @@ def test_ctrl_c_keeps_what_is_done_and_says_so():
     assert isinstance(ended, InterruptedEarlyError)
     with pytest.raises(KeyboardInterrupt):
         gather(interrupt, [2], HERE, lambda _share: None)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such signals")
+@pytest.mark.parametrize("number", ["SIGTERM", "SIGHUP"])
+def test_a_signal_that_counts_as_ctrl_c_keeps_what_is_done_and_ends_the_workers_whatever_they_are_at(tmp_path, number):
+    tasks = [(tmp_path, False), (tmp_path, True)]
+    with as_ctrl_c():
+        results, ended = gather(
+            sleep_or_wait_for_who_sleeps,
+            tasks,
+            Workers(2),
+            lambda _share: signal.raise_signal(getattr(signal, number)),
+        )
+    assert results == [None]
+    assert isinstance(ended, InterruptedEarlyError)
+    assert [path.name for path in tmp_path.iterdir()] == ["sleeps"]
 
 
 @pytest.mark.system

@@ -1,0 +1,44 @@
+"""Studies that a batch system or `timeout` ends by SIGTERM."""
+
+import signal
+import sys
+
+import pytest
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no such signal")
+
+NOTHING = "interrupted before its end; no result was written"
+
+
+@pytest.fixture(autouse=True)
+def _two_sites(tmp_path, monkeypatch):
+    """Have half an hour of weather, and two sites with it, in the folder that the study is called in."""
+    monkeypatch.chdir(tmp_path)
+    minutes = [f"2016-06-05T10:{minute:02d}:00Z,{400 + 5 * minute},300,150\n" for minute in range(30)]
+    (tmp_path / "weather.csv").write_text("time,ghi,dni,dhi\n" + "".join(minutes))
+    sites = [f"{name},48.7,2.2,156,weather.csv\n" for name in ("here", "there")]
+    (tmp_path / "sites.csv").write_text("name,latitude,longitude,altitude,weather\n" + "".join(sites))
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("energy --sites sites.csv --laws flat --out out", "interrupted: out has 1 of the table's 2 lines"),
+        ("energy weather.csv --site 48.7,2.2,156 --laws flat,bound --out out", NOTHING),
+        ("energy weather.csv --site 48.7,2.2,156 --losses --out out", NOTHING),
+        ("gain --lat-range 0:60:30 --weather clear --out gain.csv --format csv", NOTHING),
+        ("compare paper --out out", NOTHING),
+    ],
+)
+def test_one_that_is_ended_keeps_what_is_done_and_says_so(heliocube, signal_at_once, words, told):
+    signal_at_once(signal.SIGTERM)
+    code, _, said = heliocube(*words.split())
+    assert (code, said.splitlines()[-1]) == (130, f"heliocube: {told}")
+
+
+def test_a_campaign_that_is_ended_reports_what_is_done(heliocube, signal_at_once):
+    signal_at_once(signal.SIGTERM)
+    code, told, _ = heliocube("campaign", "--seeds", "2", "--hours", "0.1")
+    assert code == 130
+    assert told.startswith("1 schedule, 0.1 h of virtual time")
+    assert told.endswith("ended before 1 more\n")
