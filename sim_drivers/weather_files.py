@@ -217,7 +217,9 @@ def _read(path: Path, typical_year: int | None) -> MeasuredWeather:
         raise WeatherFileError(f"{path} is no ordinary file: write its records into one and name that")
     first, second, third = _head(path)
     if not (first + second + third).strip():
-        raise WeatherFileError(f"weather file {path} is empty")
+        raise WeatherFileError(
+            f"weather file {path} is empty: name one with records, such as CSV with the columns time, ghi, dni and dhi"
+        )
     network = network_of(first, second, third, typical_year)
     if network is not None:
         return _of_network(path, network)
@@ -259,7 +261,7 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
     # A file may end in blank lines; the index keeps the line numbers of the others.
     cells = cells[(cells != "").any(axis=1)]
     if cells.empty:
-        raise WeatherFileError(f"weather file {path} has a header and no data")
+        raise WeatherFileError(f"weather file {path} has a header and no data: name one with records below it")
     line = cells.index.to_numpy() + 2
     times = utc_times(cells["time"])
     bad = _first(times.isna())

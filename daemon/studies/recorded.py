@@ -150,7 +150,7 @@ def read_csv(path: Path) -> Recording:
     except CellError as error:
         raise UserError(f"{path}, {error}") from None
     if not cells:
-        raise UserError(f"{path} has no readings below its header")
+        raise UserError(f"{path} has no readings below its header: name a file that has some")
     table = np.frombuffer(cells).reshape(-1, 1 + len(FACES))
     rows = RecordedScans(table[:, 0], table[:, 1:])
     return Recording(

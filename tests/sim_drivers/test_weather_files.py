@@ -79,9 +79,9 @@ def test_columns_may_come_in_any_order_with_a_byte_order_mark_and_blank_lines_at
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "{path} is empty"),
-        ("\n \n", "{path} is empty"),
-        ("time,ghi,dni,dhi\n", "{path} has a header and no data"),
+        ("", "{path} is empty: name one with records, such as CSV with the columns time, ghi, dni and dhi"),
+        ("\n \n", "{path} is empty: name one with records, such as CSV with the columns time, ghi, dni and dhi"),
+        ("time,ghi,dni,dhi\n", "{path} has a header and no data: name one with records below it"),
         ("time,ghi,dni,dhi\n2016-06-05T12:00:00Z,,,\n", "{path} has no record with ghi, dni and dhi all present"),
         (CSV.replace("dhi", "x"), "{path} has no column dhi; found: time, ghi, dni, x, wind_speed, temp_air"),
         (CSV.replace("time,", "when,"), "{path} has no column time; found: when, ghi, dni, dhi, wind_speed, temp_air"),

@@ -107,6 +107,8 @@ def compare(
     if not whole.any():
         raise UserError(f"{readings.source} has no instant at which all four faces were read")
     utc_s, voltage = readings.utc_s[whole], voltage[whole]
+    if utc_s[-1] - utc_s[0] < MEAN_S:
+        raise UserError(f"{readings.source} has readings of less than a minute: measure on cloudless days")
     known = lag
     if known is None:
         found = lag_s(reference.utc_s, reference.ghi_w_m2, utc_s, voltage.mean(axis=-1))

@@ -8,6 +8,7 @@ import numpy as np
 
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
+from daemon.base.words import counted
 from daemon.studies.calibrate.beside import MEAN_S, values_at, zero_of
 from daemon.studies.calibrate.readings import FaceReadings, ReferenceReadings, span_text
 from daemon.studies.calibrate.request import CubeSetup
@@ -110,10 +111,10 @@ def calibrate_field(
     gains, offsets = np.array([face.gain_w_m2_per_mv for face in old]), np.array([face.offset_mv for face in old])
     faces = (readings.faces - offsets) * gains if readings.in_mv else readings.faces
     whole = np.isfinite(faces).all(axis=-1)
-    if np.count_nonzero(whole) < _LEAST_READINGS:
+    if whole.sum() < _LEAST_READINGS:
         raise UserError(
-            f"{readings.source} has {np.count_nonzero(whole)} instants at which all four faces were read; "
-            "calibration in place needs several clear days"
+            f"{readings.source} has {counted(int(whole.sum()), 'instant')} at which all four faces were read;"
+            " calibration in place needs several clear days"
         )
     utc_s, faces = readings.utc_s[whole], faces[whole]
     zero, zero_error, nights = night_offset(utc_s, faces, made_on.site)

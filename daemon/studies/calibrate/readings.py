@@ -80,7 +80,7 @@ class ReferenceReadings:
 
 def read_reference(path: Path) -> ReferenceReadings:
     """Read a CSV with the columns time and ghi; raises `UserError` that names the file, the line and the cell."""
-    frame, utc_s, told = _table(path)
+    frame, utc_s, told = _table(path, "time and ghi")
     name = next((name for name in _REFERENCE_NAMES if name in frame), None)
     if name is None:
         raise UserError(f"{path} has no column ghi; found: {', '.join(map(str, frame.columns))}")
@@ -101,13 +101,13 @@ def read_csv(path: Path) -> FaceReadings:
     reading.
     Raises `UserError` that names the file, the line and the cell.
     """
-    frame, utc_s, told = _table(path)
+    wanted = ", ".join(face + _MV for face in FACES)
+    frame, utc_s, told = _table(path, f"time, {wanted}")
     for ending in (_MV, _W_M2):
         names = [face + ending for face in FACES]
         if set(names) <= set(frame.columns):
             break
     else:
-        wanted = ", ".join(face + _MV for face in FACES)
         raise UserError(
             f"{path} needs the columns {wanted}, or the same ending in {_W_M2}; found: "
             f"{', '.join(map(str, frame.columns))}"
@@ -159,8 +159,11 @@ def span_text(utc_s: Array) -> str:
     return f"{iso_utc(float(utc_s[0]))[:16]}Z to {iso_utc(float(utc_s[-1]))[:16]}Z"
 
 
-def _table(path: Path) -> tuple[pd.DataFrame, Array, str]:
-    """Return a table's rows, their instants [s UTC], and what a person should know of these, or nothing."""
+def _table(path: Path, columns: str) -> tuple[pd.DataFrame, Array, str]:
+    """Return a table's rows, their instants [s UTC], and what a person should know of these, or nothing.
+
+    Of one that is empty `columns` are told as those to have.
+    """
     separator = check_table(path)
     try:
         frame = pd.read_csv(
@@ -170,7 +173,7 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array, str]:
     except FileNotFoundError:
         raise UserError(f"there is no file at {path}") from None
     except pd.errors.EmptyDataError:
-        raise UserError(f"{path} is empty") from None
+        raise UserError(f"{path} is empty: name a CSV file with the columns {columns}") from None
     except UnicodeDecodeError:
         raise not_utf8(path) from None
     except pd.errors.ParserError as error:
@@ -186,7 +189,7 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array, str]:
     if separator == ";":
         frame = frame.replace(",", ".", regex=True)
     if frame.empty:
-        raise UserError(f"{path} has a header and no data")
+        raise UserError(f"{path} has a header and no data: name a file with readings below it")
     times = utc_times(frame["time"])
     bad = np.flatnonzero(times.isna())
     if bad.size:

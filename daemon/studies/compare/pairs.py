@@ -176,7 +176,7 @@ def _read(path: Path) -> tuple[pd.DataFrame, tuple[str, str]]:
             f"{path} {what}; the columns are {', '.join(REQUIRED)}, and where known {', '.join(_COLUMNS[3:])}"
         )
     if table.empty:
-        raise UserError(f"{path} holds no measurements: there is nothing below its header")
+        raise UserError(f"{path} holds no measurements: there is nothing below its header; name one that has some")
     found = pd.DataFrame({"time": _times(table["time"], path), "tracker": _trackers(table["tracker"], path)})
     for name in _NUMBERS:
         found[name] = _numbers(table[name], path) if name in table else np.nan

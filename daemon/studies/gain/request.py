@@ -119,7 +119,9 @@ def read_points(path: Path) -> dict[str, Array]:
             lines = numbered_rows(file, separator)
             header = [name.strip().lower() for name in next(lines, (1, []))[1]]
             if not header:
-                raise UserError(f"points file {path} is empty")
+                raise UserError(
+                    f"points file {path} is empty: name a CSV file with the columns {','.join(POINT_COLUMNS)}"
+                )
             missing = [name for name in POINT_COLUMNS if name not in header]
             if missing:
                 raise UserError(f"points file {path} has no column {missing[0]}; found: {', '.join(header)}")
@@ -134,7 +136,7 @@ def read_points(path: Path) -> dict[str, Array]:
     except (OSError, EOFError, zlib.error) as error:
         raise UserError(f"points file {path} cannot be read: {why_unread(error)}") from None
     if not rows:
-        raise UserError(f"points file {path} has a header and no data")
+        raise UserError(f"points file {path} has a header and no data: write a row for each case below it")
     columns = np.array(rows).T
     return dict(zip(POINT_COLUMNS, columns, strict=True))
 

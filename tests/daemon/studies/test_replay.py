@@ -239,7 +239,7 @@ GOOD = readings(NOON + np.arange(0, 60, 5.0))
 @pytest.mark.parametrize(
     ("lines", "options", "sentence"),
     [
-        ([], {}, "has no readings below its header"),
+        ([], {}, "has no readings below its header: name a file that has some"),
         (GOOD[:1], {}, "two rows at least"),
         ([GOOD[1], GOOD[0]], {}, "not later than that of the line before"),
         ([["yesterday", "1", "1", "1", "1"]], {}, "'yesterday' is not ISO 8601"),

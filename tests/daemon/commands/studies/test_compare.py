@@ -204,7 +204,7 @@ ROW = "2022-10-12T10:00:00Z,{},50"
     [
         ("time,tracker,power", [ROW.format("T-Cube")], "lacks the column pmpp_w"),
         ("time,tracker,pmpp_w,colour", [ROW.format("T-Cube") + ",red"], "unknown column colour"),
-        ("time,tracker,pmpp_w", [], "holds no measurements"),
+        ("time,tracker,pmpp_w", [], "there is nothing below its header; name one that has some"),
         ("", [], "is empty: name a table with the columns time and pmpp_w"),
         ("time,tracker,pmpp_w", [ROW.format("T-Cube")], "no powers of 'T-Chrono', only of 'T-Cube'"),
         ("time,tracker,pmpp_w", ["2022-10-12T10:00:00Z,T-Cube,fifty"], "row 1: pmpp_w is 'fifty'"),

@@ -316,9 +316,9 @@ def test_a_mistake_is_one_sentence_and_exit_code_two(heliocube, tmp_path, monkey
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("", "is empty"),
+        ("", "is empty: name a CSV file with the columns phi_deg,beta_deg,n,lambda_deg"),
         ("phi_deg,beta_deg,n\n", "has no column lambda_deg; found: phi_deg, beta_deg, n"),
-        ("phi_deg,beta_deg,n,lambda_deg\n", "has a header and no data"),
+        ("phi_deg,beta_deg,n,lambda_deg\n", "has a header and no data: write a row for each case below it"),
         (POINTS + "\n91,0,1,0\n", "line 7: phi_deg is '91', not a number in -90..90"),
         (POINTS.replace("172,5", "172,nan"), "line 2: lambda_deg is 'nan', not a number in -180..180"),
         (POINTS.replace(",10,15", ",1.5,15"), "line 3: n is '1.5', not a whole number in 1..365"),
