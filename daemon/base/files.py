@@ -1,7 +1,6 @@
 """Small files: TOML within bounds, replacing as a whole so that a crash leaves no part, and secrets."""
 
 import contextlib
-import errno
 import itertools
 import os
 import stat
@@ -22,11 +21,21 @@ _MOST_POINTS = 200
 _LONGEST_TOML_TEXT = 4096
 
 
-def drop_cut(path: Path, error: OSError) -> None:
-    """Remove a file that a full disk has cut; one that could not be opened is left as it is."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+@contextlib.contextmanager
+def part_of(path: Path) -> Iterator[Path]:
+    """Give a path beside `path` for a file that takes its place once it is written; an error leaves what was there.
+
+    Links are followed; whatever else is there is replaced.
+    """
+    # Not Path.resolve, which raises at a link to itself.
+    path = Path(os.path.realpath(path))
+    part = path.with_name(f".{path.name}.part")
+    try:
+        yield part
+        part.replace(path)
+    finally:
         with contextlib.suppress(OSError):
-            path.unlink()
+            part.unlink()
 
 
 @contextlib.contextmanager
@@ -35,14 +44,8 @@ def whole_file(path: Path, errors: str = "strict") -> Iterator[TextIO]:
 
     `errors` is what becomes of letters that UTF-8 does not have, as for `open`.
     """
-    part = path.with_name(f".{path.name}.part")
-    try:
-        with part.open("w", encoding="utf-8", errors=errors, newline="") as file:
-            yield file
-        part.replace(path)
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink()
+    with part_of(path) as part, part.open("w", encoding="utf-8", errors=errors, newline="") as file:
+        yield file
 
 
 def replace_file(path: Path, text: str) -> None:
@@ -50,7 +53,7 @@ def replace_file(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as file:
         _fill(file, text)
-    sync_names(path.parent)
+    sync_names(path.resolve().parent)
 
 
 def rewrite_file(path: Path, text: str) -> None:
@@ -61,10 +64,9 @@ def rewrite_file(path: Path, text: str) -> None:
     OSError
         It cannot be written, on a full disk for one. The file is what it was.
     """
-    path = path.resolve()
     with whole_file(path) as file:
         _fill(file, text, path.stat())
-    sync_names(path.parent)
+    sync_names(path.resolve().parent)
 
 
 def write_new(path: Path, text: str, like: os.stat_result | None = None) -> None:

@@ -2,12 +2,11 @@
 
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from daemon.base.clock import SystemClock, iso_utc
 from daemon.base.errors import UserError
-from daemon.base.files import drop_cut
 from drivers.transcript import Direction, Piece, Tap, line_of, no_tap
 
 
@@ -55,7 +54,8 @@ def recorded(path: Path | None) -> Iterator[Tap]:
         except OSError as error:
             failed.append(error)
         if failed:
-            drop_cut(path, failed[0])
+            with suppress(OSError):
+                path.unlink()
     if failed:
         raise UserError(
             f"{path} cannot be written: {failed[0].strerror}; all else was done: record it again where there is room"

@@ -27,6 +27,9 @@ def check_outputs(paths: Iterable[Path], option: str, *, force: bool) -> None:
     for path in wanted:
         if path.is_dir():
             raise UserError(f"{option}: {path} is a folder: name a file in it")
+        if path.exists() and not path.is_file():
+            # A file would take its place.
+            raise UserError(f"{option}: {path} is no ordinary file, but a device or a pipe: name another")
         if path.exists() and not force:
             raise UserError(f"{path} is there already: --force overwrites it, or name another {option}")
 

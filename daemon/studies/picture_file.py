@@ -8,7 +8,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from daemon.base.errors import UserError
-from daemon.base.files import drop_cut
+from daemon.base.files import part_of
 
 # Instants that an SVG or a PDF would have in it.
 _UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
@@ -20,7 +20,7 @@ def save_picture(figure: Figure, path: Path, dpi: float = 120.0) -> None:
     Raises
     ------
     UserError
-        The file cannot be written. What a full disk has cut is not left there: a part shows a part of a day.
+        The file cannot be written. What was there stays.
     """
     kind = path.suffix.removeprefix(".").lower()
     # In memory: what a full disk does to the library while it draws is not one error, but several.
@@ -30,7 +30,7 @@ def save_picture(figure: Figure, path: Path, dpi: float = 120.0) -> None:
         figure.savefig(content, format=kind, dpi=dpi, metadata=_UNDATED.get(kind, {}))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content.getvalue())
+        with part_of(path) as part:
+            part.write_bytes(content.getvalue())
     except OSError as error:
-        drop_cut(path, error)
         raise UserError(f"{path} cannot be written: {error.strerror}") from None

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from daemon.base.clock import LoopClock, iso_utc
 from daemon.base.errors import UserError
+from daemon.base.files import part_of
 from daemon.base.process import Notifier, simulated_time_in_log
 from daemon.base.records import FACES, Bus, Decision, Event, FaceReading, Mode, ModeChange, Quality, Record, Scan
 from daemon.base.timeloop import VirtualTimeLoop, virtual_time
@@ -92,19 +93,15 @@ def replay(settings: Settings, rows: RecordedScans, out: Path, progress: Callabl
     """
     settings = _fitted(settings_of_one(settings, None), rows)
     # A folder that cannot be written to is told before the work and not after it.
-    part = out.with_name(f".{out.name}.part")
     try:
-        part.parent.mkdir(parents=True, exist_ok=True)
-        with _opened(part, out.suffix.lower()) as file:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with part_of(out) as part, _opened(part, out.suffix.lower()) as file:
             log = _run(settings, rows, progress)
             done = len(log.modes)
             qualities = np.frombuffer(log.qualities, dtype=np.uint8).reshape(-1, len(FACES))[:done]
             _write(file, settings, rows, log, qualities == _QUALITIES.index(Quality.OK))
-        part.replace(out)
     except OSError as error:
         raise UserError(f"--out: {out} cannot be written: {error.strerror}") from None
-    finally:
-        part.unlink(missing_ok=True)
     return Replayed(qualities, log.events, failed_laws(log.trackers))
 
 

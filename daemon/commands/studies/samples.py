@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from daemon.base.errors import UserError
-from daemon.base.files import drop_cut
+from daemon.base.files import part_of
 from daemon.commands.answers import say
 from daemon.commands.options import ForceOption
 from daemon.store.outputs import check_outputs
@@ -29,10 +29,10 @@ def samples(
         raise UserError(f"--out: {out} cannot be a folder: {error.strerror}") from None
     for source in sources:
         try:
-            shutil.copyfile(source, out / source.name)
-        except OSError as error:
             # Half a day would pass for a recording with a gap.
-            drop_cut(out / source.name, error)
+            with part_of(out / source.name) as part:
+                shutil.copyfile(source, part)
+        except OSError as error:
             raise UserError(f"--out: {out} cannot take {source.name}: {error.strerror}") from None
     say(f"written to {out}: {', '.join(source.name for source in sources)}")
     say(f"SIMULATED; site {SITE.latitude_deg:g},{SITE.longitude_deg:g},{SITE.altitude_m:g}; free to use (CC0-1.0)")

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from daemon.base.errors import UserError
+from daemon.base.files import replace_file
 from daemon.studies.campaign.many import CampaignSummary, run_many
 from daemon.studies.campaign.reduce import reduce
 from daemon.studies.campaign.run import CampaignOutcome
@@ -106,8 +107,7 @@ class Attack:
     def _write(self, schedule: Schedule) -> Path:
         path = self._keep / f"seed-{schedule.seed}.json"
         try:
-            self._keep.mkdir(parents=True, exist_ok=True)
-            path.write_text(schedule.json() + "\n", encoding="utf-8")
+            replace_file(path, schedule.json() + "\n")
         except OSError as error:
             raise UserError(f"--keep: {path} cannot be written: {error}") from error
         return path

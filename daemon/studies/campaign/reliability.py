@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from daemon.base.errors import UserError
+from daemon.base.files import replace_file
 from daemon.studies.campaign.declared import UNSEEN, declared
 from daemon.studies.campaign.drills import Drill, WorstSeen, not_kept
 from daemon.studies.campaign.many import run_all
@@ -71,8 +72,7 @@ def write_reliability(path: Path, workers: Workers, progress: Callable[[float], 
     results = measure_drills(drills, workers, lambda done: progress(done * share))
     seen = measure_pairs(pairs, workers, lambda done: progress(share + done * (1 - share)))
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(page(drills, results, pairs, seen), encoding="utf-8")
+        replace_file(path, page(drills, results, pairs, seen))
     except OSError as error:
         raise UserError(f"--reliability: {path} cannot be written: {error}") from error
     return [*_beyond_all(drills, results), *_pairs_beyond(pairs, seen)]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from daemon.base.errors import UserError
-from daemon.base.files import drop_cut
+from daemon.base.files import part_of
 from daemon.base.words import counted
 from daemon.studies.gain.choices import AnswerFormat, Device
 from daemon.studies.gain.evaluate import Columns
@@ -55,10 +55,9 @@ def write(
         return
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with out.open("wb") as file:
+        with part_of(out) as part, part.open("wb") as file:
             encode(columns, file)
     except OSError as error:
-        drop_cut(out, error)
         raise UserError(f"--out: {out} cannot be written: {error.strerror}") from error
 
 

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import pytest
 
 from daemon.base.errors import UserError
-from daemon.base.files import read_secret, replace_file, rewrite_file, write_secret
+from daemon.base.files import read_secret, replace_file, rewrite_file, whole_file, write_secret
 from daemon.base.state import replace_kept
 from tests.daemon.store.test_full_disk import fill, small_disk
 
@@ -46,6 +46,16 @@ def test_the_new_name_is_on_the_disk_when_it_returns(tmp_path, monkeypatch, writ
     write(file, "after")
     # A power cut after a rename that only memory knows brings the file from before it back.
     assert synced == ["after"]
+
+
+def test_a_link_is_followed_but_for_one_to_itself(tmp_path):
+    file, link, loop = tmp_path / "real.csv", tmp_path / "link.csv", tmp_path / "loop.csv"
+    link.symlink_to(file)
+    loop.symlink_to(loop)
+    for path in (link, loop):
+        with whole_file(path) as written:
+            written.write("a\n")
+    assert (file.read_text(), link.is_symlink(), loop.read_text(), loop.is_symlink()) == ("a\n", True, "a\n", False)
 
 
 def test_on_a_full_disk_it_is_what_it_was(small_disk):

@@ -1,5 +1,7 @@
 """One rule for all commands: results are looked at before the work, and nothing is overwritten unasked."""
 
+import os
+
 import pytest
 
 from daemon.base.errors import UserError
@@ -21,12 +23,14 @@ def test_what_is_there_is_kept_without_force(tmp_path):
         ("file/a.csv", "--plot: {folder}/file cannot be a folder: {folder}/file is a file"),
         ("file/b/c/a.csv", "--plot: {folder}/file/b/c cannot be a folder: {folder}/file is a file"),
         ("folder", "--plot: {folder}/folder is a folder: name a file in it"),
+        ("null", "--plot: {folder}/null is no ordinary file, but a device or a pipe: name another"),
     ],
 )
 @pytest.mark.parametrize("force", [True, False])
 def test_a_place_that_cannot_take_a_file_is_told_before_the_work(tmp_path, path, told, force):
     (tmp_path / "file").write_text("")
     (tmp_path / "folder").mkdir()
+    (tmp_path / "null").symlink_to(os.devnull)
     with pytest.raises(UserError) as refused:
         check_outputs([tmp_path / path], "--plot", force=force)
     assert str(refused.value) == told.format(folder=tmp_path)

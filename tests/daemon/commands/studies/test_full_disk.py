@@ -24,6 +24,8 @@ def inputs(tmp_path):
         lines["flat.csv"] += [f"{at}.0Z,T-Cube,{48 + second / 30},0,90", f"{at}.5Z,T-Chrono,{50 + second / 30},0,90"]
     for name, each in lines.items():
         (tmp_path / name).write_text("\n".join(each) + "\n")
+    faces = [f"{at},220,300,210,{510 + place}" for place, at in enumerate(clock)]
+    (tmp_path / "faces.csv").write_text("\n".join(["time,east,south,west,zenith", *faces, ""]))
     beside(tmp_path, days=1)
 
 
@@ -41,44 +43,34 @@ def study(heliocube, inputs, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("words", "picture"),
+    ("words", "file"),
     [
-        ("gain --lat 48 --plot PICTURE", "gain.png"),
-        ("gain --lat 48 --plot PICTURE", "gain.svg"),
-        ("gain --lat 48 --plot PICTURE", "gain.pdf"),
-        ("gain --lat 48 --format csv --out PICTURE", "gain.csv"),
+        ("gain --lat 48 --plot FILE", "gain.png"),
+        ("gain --lat 48 --plot FILE", "gain.svg"),
+        ("gain --lat 48 --plot FILE", "gain.pdf"),
+        ("gain --lat 48 --format csv --out FILE", "gain.csv"),
+        ("gain --lat 48 --format parquet --out FILE", "gain.parquet"),
+        ("energy weather.csv --laws flat --out .", "energy.csv"),
         ("energy weather.csv --laws flat --out .", "energy.png"),
         ("energy weather.csv --laws optimal --losses --out .", "energy-losses.png"),
+        ("energy --sites sites.csv --laws flat --out .", "energy-sites.csv"),
         ("energy --sites sites.csv --laws flat --out .", "energy-sites.png"),
-        ("calibrate cube reference.csv sensors.csv --lag 0 --plot PICTURE", "beside.png"),
+        ("calibrate cube reference.csv sensors.csv --lag 0 --plot FILE", "beside.png"),
+        ("compare fit flat.csv --out bias.json", "bias.json"),
         ("compare fit flat.csv --out bias.json", "bias.png"),
         ("compare fit flat.csv --out bias.json", "bias.svg"),
-        ("compare report flat.csv --out .", "power-2022-10-12.png"),
-    ],
-)
-def test_a_picture_that_a_full_disk_does_not_take_whole_is_not_left_there(study, tmp_path, words, picture):
-    (tmp_path / picture).symlink_to("/dev/full")
-    code, told = study(words.replace("PICTURE", picture))
-    assert code == 2
-    assert told.endswith(f"{picture} cannot be written: No space left on device\n")
-    assert not (tmp_path / picture).is_symlink()
-
-
-@pytest.mark.parametrize(
-    ("words", "table"),
-    [
-        ("energy weather.csv --laws flat --out .", "energy.csv"),
-        ("energy --sites sites.csv --laws flat --out .", "energy-sites.csv"),
         ("compare report flat.csv --out .", "gains.csv"),
-        ("compare fit flat.csv --out bias.json", "bias.json"),
+        ("compare report flat.csv --out .", "power-2022-10-12.png"),
+        ("replay faces.csv --out FILE", "replay.csv"),
+        ("replay faces.csv --out FILE", "replay.csv.gz"),
     ],
 )
-def test_a_table_that_a_full_disk_does_not_take_whole_is_as_it_was(study, tmp_path, words, table):
-    (tmp_path / table).write_text("of yesterday")
-    part = tmp_path / f".{table}.part"
+def test_a_file_that_a_full_disk_does_not_take_whole_is_as_it_was(study, tmp_path, words, file):
+    (tmp_path / file).write_text("of yesterday")
+    part = tmp_path / f".{file}.part"
     part.symlink_to("/dev/full")
-    code, told = study(words)
+    code, told = study(words.replace("FILE", file))
     assert code == 2
     assert told.endswith(": No space left on device\n")
-    assert (tmp_path / table).read_text() == "of yesterday"
+    assert (tmp_path / file).read_text() == "of yesterday"
     assert not part.is_symlink()

@@ -67,11 +67,13 @@ def test_copies_are_written_once_and_an_unknown_day_lists_the_known(tmp_path):
         heliocube.sample("foggy")
 
 
-def test_a_day_that_a_full_disk_does_not_take_whole_is_not_left_there(tmp_path):
-    (tmp_path / "mixed.csv").symlink_to("/dev/full")
+def test_a_day_that_a_full_disk_does_not_take_whole_is_as_it_was(tmp_path):
+    (tmp_path / "mixed.csv").write_text("of yesterday")
+    (tmp_path / ".mixed.csv.part").symlink_to("/dev/full")
     done = CliRunner().invoke(app, ["samples", "--out", str(tmp_path), "--force"])
     assert str(done.exception) == f"--out: {tmp_path} cannot take mixed.csv: No space left on device"
-    assert [path.name for path in tmp_path.iterdir()] == ["clear.csv"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["clear.csv", "mixed.csv"]
+    assert (tmp_path / "mixed.csv").read_text() == "of yesterday"
 
 
 def test_what_may_not_be_overwritten_stays_as_it_was(tmp_path):
