@@ -204,7 +204,7 @@ def csv_cells(row: EnergyRow) -> list[str]:
     """Return a row's numbers as CSV has them, in the order of CSV_NUMBERS; empty for what is not known."""
     numbers = (row.energy_kwh_m2, row.gain_pct, *row.gain_by_type_pct, row.share_pct, row.worst_clear_day_pct)
     travel = (row.travel_deg_per_day, row.return_deg_per_day, row.moves_per_day)
-    return ["" if np.isnan(value) else f"{value:.4f}" for value in (*numbers, *travel)]
+    return ["" if np.isnan(value) else f"{value:z.4f}" for value in (*numbers, *travel)]
 
 
 def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *, simulated: bool) -> str:

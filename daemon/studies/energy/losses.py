@@ -139,7 +139,7 @@ def write_csv(found: Sequence[Losses], path: Path, *, simulated: bool) -> None:
         for each in found:
             for cause, lost in zip((*CAUSES, KEPT), (*each.lost_kwh_m2, each.kept_kwh_m2), strict=True):
                 for kind, energy, points in zip(DAY_TYPES, lost, each.points(lost), strict=True):
-                    numbers = (f"{energy:.4f}", "" if np.isnan(points) else f"{points:.4f}")
+                    numbers = (f"{energy:z.4f}", "" if np.isnan(points) else f"{points:z.4f}")
                     writer.writerow((each.sky, each.law, cause, kind, *numbers, "true" if simulated else "false"))
 
 

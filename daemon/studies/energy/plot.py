@@ -47,21 +47,26 @@ def plot(rows: Sequence[EnergyRow], path: Path, *, simulated: bool = False) -> N
 
 
 def picture(rows: Sequence[EnergyRow], *, simulated: bool = False) -> Figure:
-    """Return both panels; what loses 5 % or more is named without a bar, and a plane that never moves has no mark."""
+    """Return both panels.
+
+    What loses 5 % or more is named without a bar, and a law that was tried with a parameter alone; a plane that never
+    moves has no mark.
+    """
     figure = Figure(figsize=(12.0, 5.6), dpi=120, layout="constrained")
     stamped(figure, simulated, "SIMULATED WEATHER")
     FigureCanvasAgg(figure)
     bars, wear = figure.subplots(1, 2)
     skies = list(dict.fromkeys(row.sky for row in rows))
-    compared = [row for row in rows if row.sky == skies[0] and _is_compared(row)]
-    with_bar = [row for row in compared if row.gain_pct > _WORST_BAR_PCT]
+    of_first = [row for row in rows if row.sky == skies[0]]
+    with_bar = [row for row in of_first if _is_compared(row) and row.gain_pct > _WORST_BAR_PCT]
     with_mark = [row for row in rows if _has_mark(row)]
     drawn = {_law_of(row) for row in (*with_bar, *with_mark)}
     laws = [law for law in dict.fromkeys(map(_law_of, rows)) if law in drawn and law != BOUND]
     colours = {law: _COLOURS[index % len(_COLOURS)] for index, law in enumerate(laws)} | {BOUND: _GREY}
     hatches = {law: _HATCHES[index % len(_HATCHES)] for index, law in enumerate(laws)} | {BOUND: ""}
     _draw_bars(bars, skies[0], with_bar, colours, hatches)
-    _name_without_bar(bars, [row for row in compared if row.gain_pct <= _WORST_BAR_PCT])
+    named_by_bar = {_law_of(row) for row in with_bar}
+    _name_without_bar(bars, [row for row in of_first if _law_of(row) not in named_by_bar and np.isfinite(row.gain_pct)])
     for index, name in enumerate(skies):
         _draw_marks(wear, [row for row in with_mark if row.sky == name], colours, index)
     _finish_wear(wear, with_mark, rows)
@@ -132,10 +137,10 @@ def _draw_bars(
 
 
 def _name_without_bar(axes: Axes, rows: Sequence[EnergyRow]) -> None:
-    """Say under the bars which laws have none, for theirs would make all others small."""
+    """Say under the bars which laws have none, for theirs would make all others small or be too many."""
     if rows:
-        losses = ", ".join(f"{row.law} {row.gain_pct:+.1f} %" for row in rows)
-        axes.set_xlabel(fill(f"without a bar, on all days: {losses}", _NOTE_LETTERS), fontsize="small", color="0.3")
+        gains = ", ".join(f"{row.law} {row.gain_pct:+z.1f} %" for row in rows)
+        axes.set_xlabel(fill(f"without a bar, on all days: {gains}", _NOTE_LETTERS), fontsize="small", color="0.3")
 
 
 def _draw_marks(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str], sky: int) -> None:

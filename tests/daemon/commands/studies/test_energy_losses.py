@@ -75,6 +75,7 @@ def test_what_is_lost_and_what_is_kept_are_all_that_the_bound_has(folder, points
     assert all(len(line) <= 80 for line in text.splitlines())
     assert "sky cie, optimal:8: the bound gains" in text
     assert (folder / "energy-losses.png").read_bytes().startswith(b"\x89PNG")
+    assert "-0.0000" not in (folder / "energy-losses.csv").read_text()
     for sky in ("perez1990", "cie"):
         assert sum(of(points, cause, sky) for cause in (*CAUSES, "kept")) == pytest.approx(100.0, abs=0.01)
         assert of(points, "delay", sky) > 10.0

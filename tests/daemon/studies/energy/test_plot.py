@@ -60,6 +60,13 @@ def test_what_loses_too_much_for_a_bar_is_named_with_its_loss(pictures):
     assert pictures["overcast"].axes[0].get_xlabel() == ""
 
 
+def test_a_law_that_was_tried_with_a_parameter_alone_is_named_for_it_has_no_bar():
+    tried = (row("optimal:0.5", 33.0, 99.5, 9.0), row("optimal:16", 2.0, 70.0, 3.0))
+    alone, beside = picture((BOUND, *tried)), picture((*OVERCAST, *tried))
+    assert alone.axes[0].get_xlabel() == "without a bar, on all days: optimal:0.5 +33.0 %, optimal:16 +2.0 %"
+    assert beside.axes[0].get_xlabel() == ""
+
+
 def test_each_name_of_the_legend_has_a_bar_of_its_colour(pictures):
     figure = pictures["overcast"]
     names = [row.law for row in OVERCAST]
