@@ -38,6 +38,8 @@ _DEAD_ZENITH_SHARE = 0.2
 _ZENITH_SHARE = 0.03
 _NOISE_W_M2 = 1.0
 _ALIKE = 1e-6
+# Of the beam, up to which a face does not tell it: the sine of 3 deg.
+_TOLD_SHARE = 0.05
 
 
 class Light(NamedTuple):
@@ -88,6 +90,26 @@ def zenith_usable(faces: ArrayLike) -> NDArray[np.bool_]:
     readings = np.asarray(faces, dtype=np.float64)
     possible = _are_possible(readings)
     result: NDArray[np.bool_] = possible[..., 3] & _zenith_believed(readings, possible)
+    return result
+
+
+def tell_beam(usable: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
+    """Tell whether the faces that count show what there is of the beam, shape (...).
+
+    A low sun puts next to nothing of it on the zenith face, and none on the vertical faces that look away. Without the
+    one that looks to the sun a clear dawn reads like a dull one. Four faces leave nothing open.
+
+    Parameters
+    ----------
+    usable
+        Which faces count, shape (..., 4).
+    sun
+        Unit vector(s) to the apparent sun, shape (..., 3).
+    """
+    counts, sun = np.asarray(usable, dtype=np.bool_), np.asarray(sun, dtype=np.float64)
+    shares = np.stack([*beam_shares(sun), sun[..., 2]], axis=-1)
+    shown = (counts & (shares > _TOLD_SHARE)).any(axis=-1)
+    result: NDArray[np.bool_] = np.logical_or(counts.all(axis=-1), shown)
     return result
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from solar.frames import Array
-from solar.laws.light import FACES_NEEDED, Light, light_from_faces, usable_faces
+from solar.laws.light import FACES_NEEDED, Light, light_from_faces, tell_beam, usable_faces
 from solar.laws.site import Learned, SiteLearning
 
 Flags = NDArray[np.bool_]
@@ -141,10 +141,13 @@ class LightMemory:
         elapsed = np.broadcast_to(elapsed, faces.shape[:-1])
         faces = self.site.corrected(faces)
         usable = usable_faces(faces, sun)
-        good = (usable.sum(axis=-1) >= FACES_NEEDED) & (sun[..., 2] > 0.0)
+        enough = (usable.sum(axis=-1) >= FACES_NEEDED) & (sun[..., 2] > 0.0)
+        good = enough & tell_beam(usable, sun)
         lights = np.stack(light_from_faces(faces, sun, self.site.learned.albedo, usable), axis=1)
-        for light, is_good, seconds in zip(lights, good, elapsed, strict=True):
+        for light, is_good, is_blind, seconds in zip(lights, good, enough & ~good, elapsed, strict=True):
             self._remember(light, is_good, seconds)
+            # What a dead face made of the minutes before it was told from a dull dawn is no better.
+            self._since_good_s = np.where(is_blind, np.inf, self._since_good_s)
         self.light = Light(*np.where(good[-1], lights[-1], np.nan))
         self.site.observe(faces, sun, usable, lights[:, 0], elapsed)
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from solar.frames import Limits, angles_within, direction_from_azimuth, normal_from_angles
-from solar.laws.light import Light, aim_vector, light_from_faces, product, usable_faces, zenith_usable
+from solar.laws.light import Light, aim_vector, light_from_faces, product, tell_beam, usable_faces, zenith_usable
 
 LIMITS = Limits()
 LATITUDE = 50.0
@@ -163,6 +163,24 @@ def test_a_face_that_the_sun_reaches_must_not_be_darker_than_one_in_the_shade(az
     assert not usable_faces(faces, direction_from_azimuth(azimuth, 40.0, 50.0))[lit]
     faces[shaded], faces[lit] = 75.0, 400.0
     assert usable_faces(faces, direction_from_azimuth(azimuth, 40.0, 50.0))[shaded]
+
+
+@pytest.mark.parametrize(("azimuth", "elevation", "missing", "told"), [
+    (80.0, 1.5, [], True),
+    (0.0, 1.5, [], True),
+    (80.0, 1.5, [0], False),
+    (80.0, 2.8, [0], False),
+    (80.0, 2.9, [0], True),
+    (80.0, 1.5, [2], True),
+    (95.0, 1.5, [0], True),
+    (280.0, 1.5, [2], False),
+    (280.0, 1.5, [0, 3], True),
+    (80.0, 30.0, [0, 3], False),
+    (80.0, -1.0, [0], False),
+])  # fmt: skip
+def test_a_low_sun_is_told_by_the_face_that_looks_to_it_alone(azimuth, elevation, missing, told):
+    usable = ~np.isin(np.arange(4), missing)
+    assert tell_beam(usable, direction_from_azimuth(azimuth, elevation, LATITUDE)) == told
 
 
 def test_the_product_is_that_with_the_normal_of_the_pose():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from solar.ephemeris import sun_direction
-from solar.frames import Limits, angles_within, normal_from_angles, separation_deg
+from solar.frames import Limits, angles_within, direction_from_azimuth, normal_from_angles, separation_deg
 from solar.laws.light import as_far_as_it_pays, product
 from solar.laws.optimal import OptimalLaw, OptimalSettings
 from solar.skies.sky import sky
@@ -108,6 +108,20 @@ def test_the_budget_is_never_exceeded(travel, moves):
 def test_with_one_face_missing_the_sun_is_still_followed(fault):
     poses, _ = day(lambda _minute: 800.0, dhi=80.0, fault=fault)
     assert off_sun_deg(poses[-1], NOON + 7200) < 6.0
+
+
+@pytest.mark.parametrize(("azimuth_deg", "face", "a_deg"), [(80.0, 0, -50.0), (280.0, 2, 50.0)])
+def test_beside_a_low_sun_that_the_dead_face_alone_would_show_the_sun_is_followed(azimuth_deg, face, a_deg):
+    # A clear dawn of April by the minute: of its beam the east face would read 80 to 150 W/m2.
+    law = OptimalLaw(SETTINGS, LIMITS)
+    for elevation_deg, side, zenith in ((0.2, 2.5, 4.4), (0.5, 4.0, 6.7), (1.3, 7.4, 11.2), (1.5, 8.4, 12.6)):
+        faces = np.array([side, side, side, zenith])
+        faces[face] = 0.2
+        sun = direction_from_azimuth(azimuth_deg, elevation_deg, SITE[0])
+        law.observe(faces, sun, 60.0)
+    choice = law.choose(0.0, 90.0, sun, 1.0)
+    assert choice.move
+    assert choice.a_deg == pytest.approx(a_deg, abs=1.0)
 
 
 def test_with_two_faces_missing_the_law_is_chronometric():
