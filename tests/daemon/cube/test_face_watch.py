@@ -256,6 +256,19 @@ def test_jumps_that_do_not_tell_their_face_accuse_no_other(hours, share):
     assert day.doubted() == []
 
 
+def test_jumps_of_a_face_that_outnumber_what_it_reads_between_them_make_no_other_look_frozen():
+    day = WatchedDay(MORNING_UTC_S + 8.0 * 3600.0)
+    day.in_cloud_w_m2 = 750.0
+    day.share = [0.1] * 4
+    day.minutes(30)
+    for jumping in (2, 1):
+        day.minutes(jumping, frozen=2, at_w_m2=1350.0)
+        day.minutes(1)
+        assert set(day.doubted()) <= {2}
+    day.minutes(20)
+    assert set(day.doubted()) <= {2}
+
+
 def test_a_face_in_a_shade_of_its_own_is_named_and_used_again_when_it_follows_the_light():
     day = WatchedDay(MORNING_UTC_S - 3600.0)
     day.minutes(40)
