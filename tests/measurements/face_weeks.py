@@ -7,8 +7,9 @@ FOLDER holds the months of a year at Lyngby. Of each month seven days, from the 
 through the service's own code under Perez' sky, with a real sensor's noise. A fault is there from the first midnight;
 what stands still does so from noon (UTC) of the first day on, or from the hour of --still. `held` stands still but for
 its noise, `stuck` does so at 300 W/m2; `shaded` has no beam while the sun is within 30 deg of where the face looks;
-`soiled` keeps 80 % of its light, or the share of --soiled. By default June and December of `optimal`;
---month 4 6 10 12 --law optimal mu-prime is the whole, 20 minutes.
+`soiled` keeps 80 % of its light, or the share of --soiled; `loose` reads 0 or 1350 W/m2 for a minute in ten, at random,
+as a loose contact does. By default June and December of `optimal`; --month 4 6 10 12 --law optimal mu-prime is the
+whole, 20 minutes.
 """
 
 import argparse
@@ -37,7 +38,8 @@ NOISE_SHARE, NOISE_W_M2 = 0.002, 0.3
 NIGHT_SCAN_S = 60.0
 DAYS = 7
 STUCK_W_M2, SOILED, SHADE_DEG = 300.0, 0.8, 30.0
-KINDS = ("dead", "frozen", "held", "stuck", "shaded", "soiled")
+LOOSE_SHARE, LOOSE_W_M2 = 0.1, (0.0, 1350.0)
+KINDS = ("dead", "frozen", "held", "stuck", "shaded", "soiled", "loose")
 PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 
 
@@ -97,6 +99,11 @@ class Week:
             faces[:, face] = STUCK_W_M2 + noise
         elif kind == "soiled":
             faces[:, face] *= self.soiled
+        elif kind == "loose":
+            minute = ((self.utc_s - self.utc_s[0]) // 60.0).astype(int)
+            random = np.random.default_rng(face)
+            jumps, reads = random.random(minute[-1] + 1) < LOOSE_SHARE, random.choice(LOOSE_W_M2, minute[-1] + 1)
+            faces[:, face] = np.where(jumps[minute], reads[minute], faces[:, face])
         elif kind == "shaded":
             azimuth_deg = np.degrees(np.arctan2(self.sun[:, 1], -self.sun[:, 0])) % 360.0
             # North is 0; the frame's first axis looks to the equator, its second to the east.
