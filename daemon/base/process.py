@@ -291,7 +291,7 @@ def on_signals(stop: Callable[[], object]) -> Iterator[Callable[[], None]]:
 def as_ctrl_c() -> Iterator[None]:
     """Take SIGTERM, and the SIGHUP of a lost connection, for Ctrl-C, after which what was begun is put in order.
 
-    A signal that is ignored at the start, as under nohup, stays ignored.
+    A signal that is ignored at the start, as under nohup, stays ignored. The same signal counts once.
     """
     numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     heard = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
@@ -303,7 +303,9 @@ def as_ctrl_c() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _ctrl_c(_number: int, frame: FrameType | None) -> None:
+def _ctrl_c(number: int, frame: FrameType | None) -> None:
+    # Once: `timeout` sends it to the process and to its group, and the second would end what the first has begun.
+    signal.signal(number, signal.SIG_IGN)
     handler = signal.getsignal(signal.SIGINT)
     if callable(handler):
         # An event loop that runs has taken it over, to end its tasks in order.
