@@ -17,7 +17,7 @@ from daemon.cube.contradictions import MINUTES, Contradictions
 from daemon.cube.told_faces import in_a_row, kept_since, reads, since_each
 from solar.ephemeris import SunDirection
 from solar.faces.contradiction import misfits
-from solar.faces.jumps import Jumps, jumps
+from solar.faces.jumps import jumps
 from solar.faces.plausible import LOWEST_SINE, Doubt, Response, doubts, lit, lit_at_night, responses
 from solar.frames import FACE_NORMALS, Array
 from solar.skies.sky import normal_from_tilt
@@ -182,8 +182,12 @@ class FaceWatch:
         self._add_minute()
         by_minute, suns = (np.array(column) for column in zip(*self._minutes, strict=True))
         jumped = jumps(by_minute)
-        followed = self._responses(jumped, suns)
+        # Of jumps close together some are left when they have been settled: who jumps is no witness against others.
+        jumping = np.logical_or.reduce(jumped.sure, axis=0)
+        followed = self._responses(jumped.settled, suns, jumping)
         against = self._contradicted(jumped.settled, suns)
+        if jumping.any():
+            against = np.where(jumping, against, Doubt.NONE)
         found[against != Doubt.NONE] = against[against != Doubt.NONE]
         # To stand still is the plainer word for the same face; of two that are swapped one may seem to.
         found[(followed == Response.STAYS) & (found != Doubt.SWAPPED)] = Doubt.FROZEN
@@ -229,13 +233,11 @@ class FaceWatch:
         # What repeats itself to the last digit lies, and beside it sound faces may seem to be swapped.
         return np.where(still, against, Doubt.NONE)
 
-    def _responses(self, jumped: Jumps, suns: Array) -> NDArray[np.int64]:
+    def _responses(self, faces: Array, suns: Array, jumping: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Tell of each face whether it has followed the light of the last half hour."""
-        faces = jumped.settled
         if not self._is_upright or len(faces) < MINUTES:
             return np.full(len(FACES), Response.UNKNOWN, dtype=np.int64)
-        # Among faces that nobody can tell apart, one that stands still tells; of one that jumps some jumps may be left.
-        jumping = np.logical_or.reduce(jumped.sure, axis=0)
+        # Among faces that nobody can tell apart, one that stands still tells.
         believed = [why in (Doubt.NONE, Doubt.TORN) and not jumping[face] for face, why in enumerate(self._whys)]
         found = responses(faces, suns, believed)
         stays = np.flatnonzero(found == Response.STAYS)
