@@ -3,9 +3,11 @@
 Usage: python tests/measurements/wrong_readings.py LAT,LON,ALT WEATHER... [--law LAW] [--every DAYS] [--from DAY]
        [--days N] [--scan SECONDS] [--sky SKY] [--seed SEED] [--case CASE ...]
 
-A case is `healthy`, `gaps` (1 % of the readings in bursts of up to 75 s), `dead:FACE`, `frozen:FACE` or
-`shaded:FACE:SHARE`; FACE is east, south, west or zenith. The faces are those of the sky, with the readings of a real
-sensor's noise (0.2 % and 0.3 W/m2), interpolated between the minutes of the weather.
+A case is `healthy`, `gaps` (1 % of the readings in bursts of up to 75 s), `pause:SECONDS`, `dead:FACE`, `frozen:FACE`
+or `shaded:FACE:SHARE`; FACE is east, south, west or zenith. A pause is five minutes without readings, so long after the
+fiftieth minute of each day: a law decides when they come again, and at its interval from then on. The faces are those
+of the sky, with the readings of a real sensor's noise (0.2 % and 0.3 W/m2), interpolated between the minutes of the
+weather.
 """
 
 import argparse
@@ -28,6 +30,7 @@ LIMITS = Limits()
 ALBEDO = 0.2
 NOISE_SHARE, NOISE_W_M2 = 0.002, 0.3
 BURST_S, MISSING_SHARE = 75.0, 0.01
+PAUSE_AFTER_S, PAUSE_S = 3000.0, 300.0
 
 
 def daylight_of(arguments):
@@ -62,6 +65,10 @@ def spoilt(faces, case, light, rng):
             begin = rng.integers(len(faces))
             faces[begin : begin + max(round(length_s / light.step_s), 1)] = np.nan
             left_s -= length_s
+    elif kind == "pause":
+        for day in np.unique(light.day):
+            begin_s = light.utc_s[light.day == day][0] + PAUSE_AFTER_S + float(rest[0])
+            faces[(light.utc_s >= begin_s) & (light.utc_s < begin_s + PAUSE_S)] = np.nan
     elif kind == "dead":
         faces[:, FACES.index(rest[0])] = rng.normal(0.0, 0.3, len(faces))
     elif kind == "frozen":
