@@ -128,6 +128,6 @@ class Poses:
 
     def _stood(self, tracker: str, utc_s: Array) -> tuple[Array, Array]:
         """Return A and B at each instant: those of the latest pose, NaN before the first."""
-        poses = np.array([-np.inf, np.nan, np.nan, *self._poses.get(tracker, ())]).reshape(-1, 3)
+        poses = np.append([-np.inf, np.nan, np.nan], self._poses.get(tracker, ())).reshape(-1, 3)
         latest = np.searchsorted(poses[:, 0], utc_s, side="right") - 1
         return poses[latest, 1], poses[latest, 2]
