@@ -40,6 +40,7 @@ from daemon.commands.options import (
     refuse_underscores,
     show_values_in_words,
 )
+from daemon.commands.progress import progress_bar
 from daemon.commands.setup import command as setup_command
 from daemon.commands.status import command as status_command
 from daemon.commands.studies import calibrate, campaign, compare, energy, gain, samples
@@ -50,7 +51,6 @@ from daemon.commands.studies.simulate import (
     checked_report,
     draw_pictures,
     page_of,
-    progress_bar,
     replay,
     report,
     tell_pages,

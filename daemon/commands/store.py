@@ -32,7 +32,7 @@ def salvage(
     from rich.console import Console
 
     from daemon.base.process import as_ctrl_c
-    from daemon.commands.studies.simulate import progress_bar
+    from daemon.commands.progress import progress_bar
     from daemon.store.salvage import salvage as write_records
 
     # Its copy, as large as the store, would stay.

@@ -55,7 +55,7 @@ def send_csv(
     from daemon.base.clock import SystemClock
     from daemon.base.errors import UserError
     from daemon.bridge.signing import load_key
-    from daemon.commands.studies.simulate import progress_bar
+    from daemon.commands.progress import progress_bar
     from daemon.config.file import load_settings, override
     from daemon.config.settings import Settings
     from daemon.studies.send_csv import send_csv as send

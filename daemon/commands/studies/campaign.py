@@ -73,7 +73,7 @@ def campaign(
 
     # Only what they name is looked at here: a mistake is told before the simulator is loaded.
     schedules = chosen_schedules(seeds, first, hours, _words(only), _words(without), schedule, trackers, positioner)
-    from daemon.commands.studies.simulate import progress_bar
+    from daemon.commands.progress import progress_bar
     from daemon.studies.campaign.attack import Attack
     from daemon.studies.campaign.reliability import write_reliability
 

@@ -78,7 +78,7 @@ def simulate(
     as_json: JsonOption = False,
 ) -> None:
     """Run both trackers on one simulated cube, and measure both modules every 5 s."""
-    from daemon.commands.studies.simulate import progress_bar
+    from daemon.commands.progress import progress_bar
     from daemon.config.file import load_settings, override
     from daemon.config.settings import Settings
 
@@ -296,7 +296,7 @@ def paper(
         raise UserError(f"--skies: name one of {', '.join(SKY_MODELS)} at least")
     names: tuple[WeatherName, ...] = get_args(WeatherName)
     weather, cube_law = _one_of(afternoon, names, "--afternoon"), _one_of(law, law_names(), "--law")
-    from daemon.commands.studies.simulate import progress_bar
+    from daemon.commands.progress import progress_bar
     from daemon.config.file import load_settings
     from daemon.config.settings import Settings
     from daemon.studies.compare.paper import as_page, as_text, find_correction, notes, run_paper, spreads, write_paper

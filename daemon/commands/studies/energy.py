@@ -13,7 +13,7 @@ from daemon.base.files import replace_file
 from daemon.base.process import as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, checked_seed, chosen_workers
-from daemon.commands.studies.simulate import progress_bar
+from daemon.commands.progress import progress_bar
 from daemon.store.outputs import check_outputs
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from daemon.base.errors import UserError
 from daemon.base.process import as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ForceOption
-from daemon.commands.studies.simulate import progress_bar
+from daemon.commands.progress import progress_bar
 from daemon.store.outputs import check_outputs
 from daemon.studies.gain.choices import AnswerFormat, Device, PlotKind, check_plot
 from daemon.studies.inputs import check_weather_file

@@ -13,7 +13,8 @@ from daemon.commands.answers import JsonOption, print_json, warn
 from daemon.commands.archive.readable import check_readable
 from daemon.commands.export import store_directory
 from daemon.commands.options import FILES, ForceOption, TrackerOption, ZoneOption
-from daemon.commands.studies.simulate import progress_bar, tell_pages
+from daemon.commands.progress import progress_bar
+from daemon.commands.studies.simulate import tell_pages
 from daemon.studies.report.asked import check_pictures, format_of_tables, picture_paths, zone_of
 
 if TYPE_CHECKING:

@@ -2,29 +2,20 @@
 
 import contextlib
 import math
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    Task,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from daemon.base.errors import InterruptedEarlyError, UserError
 from daemon.base.process import as_ctrl_c
 from daemon.base.words import counted
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ForceOption, LawOption, ReportOption, TrackerOption, ZoneOption
+from daemon.commands.progress import progress_bar
 from daemon.store.outputs import check_outputs
 from daemon.studies.text_table import signed
 
@@ -36,61 +27,6 @@ if TYPE_CHECKING:
     from daemon.config.settings import Settings
     from daemon.studies.simulate import Summary
     from daemon.studies.simulated_day import PlaneInsolation
-
-
-@contextlib.contextmanager
-def progress_bar(
-    console: Console, what: str = "simulating", *, line_every_s: float = 60.0
-) -> Iterator[Callable[[float], None]]:
-    """Show a progress bar on a terminal, elsewhere a line a minute; yields what takes the share done, 0..1."""
-    columns = (TextColumn(what), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    # Of its own it would know no speed where a step takes longer than half a minute.
-    with Progress(
-        *columns, console=console, disable=not console.is_terminal, transient=True, speed_estimate_period=math.inf
-    ) as progress:
-        number = progress.add_task(what, total=1.0)
-        # A speed is known between two steps, of which this is the first: others may end at nearly the same time.
-        progress.advance(number, 0.0)
-
-        def advance(share: float) -> None:
-            progress.update(number, completed=share)
-
-        if console.is_terminal:
-            yield advance
-        else:
-            with _lines(progress.tasks[0], line_every_s):
-                yield advance
-
-
-@contextlib.contextmanager
-def _lines(task: Task, every_s: float) -> Iterator[None]:
-    """Tell on standard error now and then how far a task is, in the middle of a step too."""
-    over = threading.Event()
-
-    def tell() -> None:
-        while not over.wait(every_s):
-            # The work goes on where nobody reads any more.
-            with contextlib.suppress(OSError):
-                say(_line(task), err=True)
-
-    teller = threading.Thread(target=tell, name="progress", daemon=True)
-    teller.start()
-    try:
-        yield
-    finally:
-        over.set()
-        teller.join()
-
-
-def _line(task: Task) -> str:
-    left_s = task.time_remaining
-    left = f", about {_minutes(left_s)} left" if left_s else ""
-    return f"{task.description}: {math.floor(task.percentage)} % done after {_minutes(task.elapsed or 0.0)}{left}"
-
-
-def _minutes(duration_s: float) -> str:
-    hours, minutes = divmod(max(round(duration_s / 60.0), 1), 60)
-    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min"
 
 
 def page_of(summary: "Summary", settings: "Settings", out: Path, pages: "Sequence[Path]") -> dict[str, Any]:
@@ -244,8 +180,6 @@ def replay(
     as_json: JsonOption = False,
 ) -> None:
     """Let recorded cube data drive a simulated tracker, through the code that runs live."""
-    from rich.console import Console
-
     from daemon.config.settings import settings_of_one
     from daemon.store.outputs import check_outputs
     from daemon.studies.inputs import check_ordinary, settings_for, site_values
