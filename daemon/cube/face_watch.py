@@ -63,6 +63,8 @@ _CHECK = {
 # A face that stood still is no better for reading, for a while, what could be true.
 _MUST_FOLLOW = (Doubt.FROZEN, Doubt.NIGHT, Doubt.ODD)
 _HARD_TO_FORGIVE = (*_MUST_FOLLOW, Doubt.SWAPPED)
+# Between its jumps a loose face shows the light, and of four that are torn no one is known to be wrong.
+_SHOW_CLOUDS = (Doubt.NONE, Doubt.LOOSE, Doubt.TORN)
 
 
 def face_normals(cube: CubeSettings, latitude_deg: float) -> Array:
@@ -192,7 +194,7 @@ class FaceWatch:
         # To stand still is the plainer word for the same face; of two that are swapped one may seem to.
         found[(followed == Response.STAYS) & (found != Doubt.SWAPPED)] = Doubt.FROZEN
         if self._is_upright and len(suns) == MINUTES:
-            found[jumped.repeated(suns)] = Doubt.LOOSE
+            found[jumped.repeated(suns, [why in _SHOW_CLOUDS for why in self._whys])] = Doubt.LOOSE
         for face, doubt in enumerate(found.tolist()):
             agrees = light and self._agrees(face, followed[face]) and not np.isnan(faces[face])
             self._count(face, Doubt(doubt), sound=agrees)

@@ -4,6 +4,7 @@ A cloud that passes before the sun changes every face that the sun reaches, and 
 see. What shows for a minute on one face alone is no light.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,13 +37,13 @@ class Jumps(NamedTuple):
     sure: NDArray[np.bool_]
     settled: Array
 
-    def repeated(self, sun: Array) -> NDArray[np.bool_]:
+    def repeated(self, sun: Array, believed: Sequence[bool]) -> NDArray[np.bool_]:
         """Tell which face has jumped, and come back, more than once, shape (4,).
 
-        `sun` are the unit vectors to the sun, shape (n, 3). It has to reach two other faces, of which one may be dead
-        or stand still: the third would show a cloud.
+        `sun` are the unit vectors to the sun, shape (n, 3). It has to reach two other faces that are `believed`: what
+        passes before the sun now and then leaves one of them at its own median.
         """
-        reached = sun @ FACE_NORMALS.T > _REACHED_COSINE
+        reached = (sun @ FACE_NORMALS.T > _REACHED_COSINE) & np.asarray(believed)
         others = reached.sum(axis=-1, keepdims=True) - reached
         back = (self.sure & (others >= _REACHED_OTHERS))[:-_BESIDE]
         begun = back[1:] & ~back[:-1]

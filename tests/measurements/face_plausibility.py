@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from daemon.base.records import FACES
 from daemon.config.settings import Settings
 from daemon.cube.face_watch import BAD_LOOKS, BLOCKS, face_normals
 from daemon.studies.energy.benchmark import measured_minutes
@@ -16,6 +17,7 @@ from solar.energy import SKIES, Shining, build_sky, faces_under, lay_out
 from solar.ephemeris import Site, sun_direction
 from solar.faces.changes import changes
 from solar.faces.contradiction import misfits
+from solar.faces.jumps import jumps
 from solar.faces.plausible import Doubt, Response, doubts, responses
 from solar.frames import Array
 
@@ -96,6 +98,22 @@ def unchanging(utc_s: Array, faces: Array, sun: Array) -> tuple[int, int, int, f
     return sum(bool(look.accused) for look in known), len(known), len(against), float(min(shares, default=np.inf))
 
 
+def jumping(utc_s: Array, faces: Array, sun: Array) -> list[int]:
+    """Return in how many half hours, one every five minutes, a sound face is said to jump.
+
+    First of four sound faces, then beside each of them dead.
+    """
+    named = [0] * (1 + len(FACES))
+    for begin in range(0, utc_s.size - HALF_HOUR, 5):
+        half_hour = slice(begin, begin + HALF_HOUR)
+        if utc_s[half_hour][-1] - utc_s[begin] <= 60.0 * HALF_HOUR:
+            for place, dead in enumerate((None, *range(len(FACES)))):
+                sound = np.arange(len(FACES)) != dead
+                found = jumps(np.where(sound, faces[half_hour], 0.0))
+                named[place] += int(found.repeated(sun[half_hour], sound.tolist()).any())
+    return named
+
+
 def main() -> None:
     """Print alarms and minutes in doubt for each sky and albedo."""
     files = sorted(path for folder in sys.argv[1:] for path in Path(folder).glob("*.csv.gz"))
@@ -129,6 +147,9 @@ def main() -> None:
             accused, changing, odd, least = unchanging(utc_s, faces, sun)
             told.append(f"{accused} of {changing} half hours with changes accuse, {odd} contradict ({least:.2f})")
             told.append(f"{frozen} half hours with a face that stays")
+            alone, *beside = jumping(utc_s, faces, sun)
+            each = ", ".join(f"{count} {name}" for count, name in zip(beside, FACES, strict=True))
+            told.append(f"{alone} with one that jumps, beside a dead face {each}")
             print(f"{model:10} albedo {albedo:4.2f}: {raised:4d} alarms for {SEEDS} cubes; minutes: {', '.join(told)}")
 
 

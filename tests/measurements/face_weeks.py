@@ -1,19 +1,20 @@
 """What a face that lies costs: weeks of measured weather with each fault, energy against chronometric and the bound.
 
 Usage: python tests/measurements/face_weeks.py FOLDER [--law LAW ...] [--month M ...] [--kind KIND ...] [--scan SECONDS]
-[--day DAY] [--still HOUR] [--soiled SHARE]
+[--day DAY] [--still HOUR] [--soiled SHARE] [--sky SKY ...]
 
 FOLDER holds the months of a year at Lyngby. Of each month seven days, from the 8th on or from --day, are replayed
-through the service's own code under Perez' sky, with a real sensor's noise. A fault is there from the first midnight;
-what stands still does so from noon (UTC) of the first day on, or from the hour of --still. `held` stands still but for
-its noise, `stuck` does so at 300 W/m2; `shaded` has no beam while the sun is within 30 deg of where the face looks;
-`soiled` keeps 80 % of its light, or the share of --soiled; `loose` reads 0 or 1350 W/m2 for a minute in ten, at random,
-as a loose contact does. By default June and December of `optimal`; --month 4 6 10 12 --law optimal mu-prime is the
-whole, 20 minutes.
+through the service's own code under Perez' sky, or those of --sky, with a real sensor's noise. A fault is there from
+the first midnight; what stands still does so from noon (UTC) of the first day on, or from the hour of --still. `held`
+stands still but for its noise, `stuck` does so at 300 W/m2; `shaded` has no beam while the sun is within 30 deg of
+where the face looks; `soiled` keeps 80 % of its light, or the share of --soiled; `loose` reads 0 or 1350 W/m2 for a
+minute in ten, at random, as a loose contact does. By default June and December of `optimal`; --month 4 6 10 12 --law
+optimal mu-prime is the whole, 20 minutes.
 """
 
 import argparse
 import csv
+import itertools
 import logging
 import tempfile
 from collections.abc import Iterator
@@ -27,7 +28,7 @@ from daemon.rigs.measured import measured_weather
 from daemon.studies.inputs import settings_for
 from daemon.studies.recorded import RecordedScans
 from daemon.studies.replay import replay
-from solar.energy import best_possible, build_sky, faces_under, lay_out
+from solar.energy import SKIES, best_possible, build_sky, faces_under, lay_out
 from solar.ephemeris import DAY_S, Site, sun_direction
 from solar.frames import Limits, angles_within, normal_from_angles
 
@@ -47,7 +48,14 @@ class Week:
     """A week's light, what the faces read in it, and what chronometric and the bound collect a day [Wh/m2]."""
 
     def __init__(
-        self, folder: Path, month: int, first_day: int, scan_s: float, still_hour: float, soiled: float = SOILED
+        self,
+        folder: Path,
+        month: int,
+        first_day: int,
+        scan_s: float,
+        still_hour: float,
+        soiled: float = SOILED,
+        sky: str = "perez1990",
     ) -> None:
         (path,) = folder.glob(f"*-{month:02d}.csv*")
         weather = measured_weather(path)
@@ -64,15 +72,15 @@ class Week:
         self.utc_s = np.concatenate([self.light.utc_s, utc_s[resting]])
         self.order = np.argsort(self.utc_s)
         self.utc_s = self.utc_s[self.order]
-        self.sky = build_sky(self.light, "perez1990")
-        dull = build_sky(lay_out(utc_s, 0.0 * now.dni_w_m2, now.dhi_w_m2, LYNGBY, scan_s), "perez1990")
+        self.sky = build_sky(self.light, sky)
+        dull = build_sky(lay_out(utc_s, 0.0 * now.dni_w_m2, now.dhi_w_m2, LYNGBY, scan_s), sky)
         self.still_s, self.soiled = begin + 3600.0 * still_hour, soiled
         ideal = normal_from_angles(*angles_within(self.light.sun, LIMITS))
         self.chronometric = self.light.by_day(self.sky.irradiance_on(ideal, ALBEDO))
         self.bound = self.light.by_day(best_possible(self.light, self.sky, LIMITS, ALBEDO))
         random = np.random.default_rng(month)
         self.noise = random.standard_normal((2, len(self.utc_s), 4))
-        self.faces, self.dull = (self.read(faces_under(sky, ALBEDO)) for sky in (self.sky, dull))
+        self.faces, self.dull = (self.read(faces_under(light, ALBEDO)) for light in (self.sky, dull))
         self.sun = sun_direction(self.utc_s, *LYNGBY)
 
     def read(self, faces):
@@ -154,13 +162,15 @@ def main() -> None:
     parser.add_argument("--day", type=int, default=8)
     parser.add_argument("--still", type=float, default=12.0)
     parser.add_argument("--soiled", type=float, default=SOILED)
+    parser.add_argument("--sky", nargs="+", choices=SKIES, default=["perez1990"])
     arguments = parser.parse_args()
-    for month in arguments.month:
-        week = Week(arguments.folder, month, arguments.day, arguments.scan, arguments.still, arguments.soiled)
+    for month, sky in itertools.product(arguments.month, arguments.sky):
+        week = Week(arguments.folder, month, arguments.day, arguments.scan, arguments.still, arguments.soiled, sky)
         for law in arguments.law:
             share, days, travel, tracking = week.driven(law, week.faces)
-            print(f"\nmonth {month}, {law}: share of the bound [%], of the healthy week's [%], worst day over")
-            print("chronometric [%], most that a day lost against the healthy one [%], deg/day, tracking [%]\n")
+            print(f"\nmonth {month} from the {arguments.day}th, {sky}, {law}: share of the bound [%], of the healthy")
+            print("week's [%], worst day over chronometric [%], most that a day lost against the healthy one [%],")
+            print("deg/day, tracking [%]\n")
             print(f"{'healthy':24}{share:8.1f}{100:8.0f}{days.min():8.2f}{0:8.2f}{travel:7.0f}{tracking:5.0f}")
             for name, kind, face in cases(arguments.kind):
                 found, gains, travel, tracking = week.driven(law, week.spoilt(kind, face))

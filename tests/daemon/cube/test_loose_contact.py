@@ -7,11 +7,13 @@ import pytest
 from daemon.base.alarms.alarms import Alarms
 from daemon.config.settings import Settings
 from daemon.cube.face_watch import FaceWatch
+from tests.measurements import face_weeks
 from tests.measurements.face_weeks import LYNGBY, Week
 from tests.support.watched_day import Hand
 
-ZENITH = 3
+WEST, ZENITH = 2, 3
 DAWN = datetime(2016, 6, 9, 4, 45, tzinfo=UTC).timestamp()
+NOON = datetime(2016, 11, 17, 11, 15, tzinfo=UTC).timestamp()
 
 
 @pytest.fixture(scope="module")
@@ -19,15 +21,26 @@ def week(measured):
     return Week(measured / "dtu_lyngby_2016", 6, 8, 60.0, 12.0)
 
 
-@pytest.mark.parametrize("late_min", range(5))
-def test_jumps_of_the_zenith_face_accuse_no_other_whenever_the_faces_are_compared(week, late_min):
-    clock, doubted = Hand(DAWN), set()
+def doubted(week, faces, from_utc_s, until_utc_s):
+    """Return the faces that a watch doubts at any time."""
+    clock, found = Hand(from_utc_s), set()
     site = Settings().site.model_copy(update=LYNGBY._asdict())
     watch = FaceWatch(site, Settings().cube, clock, Alarms(clock, lambda _record: None))
-    faces = week.spoilt("loose", ZENITH)
     for utc_s, row in zip(week.utc_s.tolist(), faces.tolist(), strict=True):
-        if DAWN + 60.0 * late_min <= utc_s < DAWN + 9000.0:
+        if from_utc_s <= utc_s < until_utc_s:
             clock.utc_s = utc_s
             watch.note(row, [value / 10.0 for value in row])
-            doubted |= {face for face in range(4) if watch.implausible(face)}
-    assert doubted == {ZENITH}
+            found |= {face for face in range(4) if watch.implausible(face)}
+    return found
+
+
+@pytest.mark.parametrize("late_min", range(5))
+def test_jumps_of_the_zenith_face_accuse_no_other_whenever_the_faces_are_compared(week, late_min):
+    faces = week.spoilt("loose", ZENITH)
+    assert doubted(week, faces, DAWN + 60.0 * late_min, DAWN + 9000.0) == {ZENITH}
+
+
+def test_beside_a_dead_face_that_shows_no_cloud_nobody_is_accused_by_the_one_that_is_left(measured, monkeypatch):
+    monkeypatch.setattr(face_weeks, "DAYS", 1)
+    week = Week(measured / "dtu_lyngby_2016", 11, 17, 60.0, 12.0, sky="haydavies")
+    assert doubted(week, week.spoilt("dead", WEST), NOON, NOON + 5400.0) == {WEST}
