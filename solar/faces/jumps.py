@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from solar.frames import FACE_NORMALS, Array
@@ -21,6 +20,7 @@ _REACHED_OTHERS = 2
 _JUMPS = 2
 # Minutes together that tell what a face reads without a jump; a jump of one or two of them is over within these.
 _MINUTES, _BESIDE = 5, 2
+_ITSELF = np.eye(4, dtype=np.bool_)
 
 
 class Jumps(NamedTuple):
@@ -43,6 +43,8 @@ class Jumps(NamedTuple):
         `sun` are the unit vectors to the sun, shape (n, 3). It has to reach two other faces that are `believed`: what
         passes before the sun now and then leaves one of them at its own median.
         """
+        if not self.sure.any():
+            return np.zeros(4, dtype=np.bool_)
         reached = (sun @ FACE_NORMALS.T > _REACHED_COSINE) & np.asarray(believed)
         others = reached.sum(axis=-1, keepdims=True) - reached
         back = (self.sure & (others >= _REACHED_OTHERS))[:-_BESIDE]
@@ -62,11 +64,26 @@ def jumps(faces_w_m2: Array) -> Jumps:
     count = len(faces_w_m2)
     if count < _MINUTES:
         return Jumps(np.zeros(faces_w_m2.shape, dtype=np.bool_), faces_w_m2)
-    medians = np.sort(sliding_window_view(faces_w_m2, _MINUTES, axis=0), axis=-1)[..., _BESIDE]
+    medians = _medians(faces_w_m2)
     # The first five minutes have one median, and so have the last.
-    middle = medians[np.clip(np.arange(count) - _BESIDE, 0, count - _MINUTES)]
+    middle = np.concatenate([medians[:1]] * _BESIDE + [medians] + [medians[-1:]] * _BESIDE)
     apart = np.abs(faces_w_m2 - middle)
-    others = np.where(np.eye(4, dtype=np.bool_), 0.0, apart[:, None, :]).max(axis=-1)
+    unsure = apart > _UNSURE_W_M2
+    if not unsure.any():
+        # What is sure is unsure as well.
+        return Jumps(unsure, faces_w_m2)
+    others = np.where(_ITSELF, 0.0, apart[:, None, :]).max(axis=-1)
     sure = (apart > _SURE_W_M2) & (others < _SURE_SHARED * apart)
-    unsure = (apart > _UNSURE_W_M2) & (others < _UNSURE_SHARED * apart)
+    unsure &= others < _UNSURE_SHARED * apart
     return Jumps(sure, np.where(unsure, middle, faces_w_m2))
+
+
+def _medians(faces: Array) -> Array:
+    """Return the median of each five minutes that follow each other, shape (n - 4, 4), NaN being above everything."""
+    one, two, three, four, five = (faces[first : len(faces) - _MINUTES + 1 + first] for first in range(_MINUTES))
+    # The least and the greatest of four are not the median of five: it is that of the two between them and the fifth.
+    # `fmin` and `maximum` both take NaN for the greater one.
+    low = np.maximum(np.fmin(one, two), np.fmin(three, four))
+    high = np.fmin(np.maximum(one, two), np.maximum(three, four))
+    result: Array = np.fmin(np.maximum(np.fmin(low, high), five), np.maximum(low, high))
+    return result
