@@ -39,7 +39,7 @@ class Changes(NamedTuple):
     Attributes
     ----------
     as_they_are
-        By four sound faces.
+        By four sound faces. Where they explain the changes, no fault is sought: the others are infinite.
     single
         With one face that is dead, shaded or at half its gain, the least of the three, for each face, shape (4,).
     swapped
@@ -84,9 +84,14 @@ def changes(faces_w_m2: Array, sun: Array) -> Changes | None:
     if not _suffice(told & (np.abs(steps) > _LARGE_W_M2).any(axis=-1)):
         return None
     steps, up = steps[told], sun[1:][told]
-    shares = np.sqrt(_left_over(steps, _hypotheses(up)) / (steps**2).sum())
-    as_they_are, dead, half, shaded, swapped = np.split(shares, [1, 5, 9, 13])
-    return Changes(float(as_they_are[0]), np.min([dead, half, shaded], axis=0), swapped)
+    direct = np.stack([*beam_shares(up), up[:, 2]], axis=-1)
+    sound, total = _sound(direct), (steps**2).sum()
+    as_they_are = float(np.sqrt(_left_over(steps, sound[None]) / total)[0])
+    if not as_they_are > _CONTRADICT:
+        return Changes(as_they_are, np.full(4, np.inf), np.full(len(PAIRS), np.inf))
+    shares = np.sqrt(_left_over(steps, _at_fault(sound, direct)) / total)
+    dead, half, shaded, swapped = np.split(shares, [4, 8, 12])
+    return Changes(as_they_are, np.min([dead, half, shaded], axis=0), swapped)
 
 
 def _suffice(large: NDArray[np.bool_]) -> bool:
@@ -95,18 +100,24 @@ def _suffice(large: NDArray[np.bool_]) -> bool:
     return bool(large.sum() >= _LEAST_LARGE) and parts >= _PARTS_NEEDED
 
 
-def _hypotheses(sun: Array) -> Array:
-    """Return how faces change with beam, uniform sky and horizon, shape (k, n, 4, 3), sound and in each fault."""
-    height = sun[:, 2]
-    direct = np.stack([*beam_shares(sun), height], axis=-1)
-    sound = np.empty((len(sun), 4, 3))
-    sound[..., 0] = direct + 0.5 * _ALBEDO * height[:, None] * (np.arange(4) < 3)
+def _sound(direct: Array) -> Array:
+    """Return how sound faces change with beam, uniform sky and horizon, shape (n, 4, 3).
+
+    `direct` is what the beam alone gives, shape (n, 4), to the zenith face by the sun's height.
+    """
+    sound = np.empty((*direct.shape, 3))
+    sound[..., 0] = direct + 0.5 * _ALBEDO * direct[:, 3:] * (np.arange(4) < 3)
     sound[..., 1] = [0.5 * (1.0 + _ALBEDO)] * 3 + [1.0]
     sound[..., 2] = [1.0, 1.0, 1.0, 0.0]
+    return sound
+
+
+def _at_fault(sound: Array, direct: Array) -> Array:
+    """Return the same with each face dead, at half its gain and shaded, and each two swapped, shape (18, n, 4, 3)."""
     one = np.eye(4)[:, None, :, None]
     dead, half = sound * (1.0 - one), sound * (1.0 - (1.0 - _HALF) * one)
     shaded = sound - one * direct[..., None] * [1.0, 0.0, 0.0]
-    return np.concatenate([sound[None], dead, half, shaded, np.moveaxis(sound[:, SWAPS], 1, 0)])
+    return np.concatenate([dead, half, shaded, np.moveaxis(sound[:, SWAPS], 1, 0)])
 
 
 def _left_over(steps: Array, columns: Array) -> Array:

@@ -34,6 +34,7 @@ def test_sound_faces_change_together_under_every_sky_and_over_every_ground(model
     found = changes(faces, sun)
     assert found.as_they_are < 0.2
     assert not found.contradict
+    assert np.isinf([*found.single, *found.swapped]).all(), "no fault is sought"
     assert found.accused == ()
 
 
