@@ -8,7 +8,7 @@ that are swapped are found in the same way, by swapping them back.
 """
 
 from collections.abc import Collection
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,19 +28,25 @@ AGREEMENT = 0.08
 _SOLVED = 0.06
 _CLEARLY = 2.0
 _ALBEDOS = np.array([0.1, 0.3, 0.7])
+_WITHOUT_SNOW = _ALBEDOS[:2]
 _HORIZON_RANGE = (-0.2, 0.7)
 # Snow and the brightest horizon explain much: a face at half its gain agrees with three others once or twice a day.
-_WITHOUT_SNOW = 2
 _ORDINARY_HORIZON_RANGE = (-0.2, 0.4)
 _LIT_W_M2 = 30.0
 _PARTS = 3
 _LEAST_MINUTES = 24
-_HELD_BACK = np.array([[True] * 4, *(np.arange(4) != face for face in range(4))])
+_ALL_FOUR = np.ones((1, 1, 4), dtype=np.bool_)
+_HELD_BACK = ~np.eye(4, dtype=np.bool_)[:, None, :]
 _DOUBLED = (1.0 + np.eye(4))[:, None, :]
 
 
-class Misfits(NamedTuple):
-    """What is left over of the readings, as a share of them.
+class Misfits:
+    """What is left over of the readings, as a share of them; but for the first two worked out when asked for.
+
+    Parameters
+    ----------
+    faces_w_m2, sun
+        As for :func:`misfits`, of minutes in which all four faces are known.
 
     Attributes
     ----------
@@ -48,25 +54,38 @@ class Misfits(NamedTuple):
         By all four faces.
     least
         The same in the part of the time where they agree best.
-    without
-        By the three others, for each face, shape (4,).
-    least_without
-        The same in the part of the time where they agree best.
-    swapped
-        By all four with two swapped back, for each of `PAIRS`, shape (6,).
-    ordinary
-        By all four where the ground has no snow and the horizon is no brighter than it usually is.
-    doubled
-        By all four with one read twice, for each face, shape (4,): what a face at half its gain would hide.
     """
 
-    whole: float
-    least: float
-    without: Array
-    least_without: Array
-    swapped: Array
-    ordinary: float
-    doubled: Array
+    def __init__(self, faces_w_m2: Array, sun: Array) -> None:
+        self._faces, self._sun = faces_w_m2, sun
+        whole, least = self._left_over(faces_w_m2[None])
+        self.whole, self.least = float(whole[0]), float(least[0])
+
+    @cached_property
+    def without(self) -> Array:
+        """By the three others, for each face, shape (4,)."""
+        return self._held_back[0]
+
+    @cached_property
+    def least_without(self) -> Array:
+        """The same in the part of the time where they agree best."""
+        return self._held_back[1]
+
+    @cached_property
+    def swapped(self) -> Array:
+        """By all four with two swapped back, for each of `PAIRS`, shape (6,)."""
+        return self._left_over(np.moveaxis(self._faces[:, SWAPS], 0, 1))[0]
+
+    @cached_property
+    def ordinary(self) -> float:
+        """By all four where the ground has no snow and the horizon is no brighter than it usually is."""
+        over, _ = self._left_over(self._faces[None], albedos=_WITHOUT_SNOW, horizon_range=_ORDINARY_HORIZON_RANGE)
+        return float(over[0])
+
+    @cached_property
+    def doubled(self) -> Array:
+        """By all four with one read twice, for each face, shape (4,): what a face at half its gain would hide."""
+        return self._left_over(self._faces * _DOUBLED)[0]
 
     @property
     def contradict(self) -> bool:
@@ -107,6 +126,27 @@ class Misfits(NamedTuple):
         pairs = [place for place, pair in enumerate(PAIRS) if set(pair) <= set(places)]
         return self.whole < AGREEMENT and float(self.swapped[pairs].min(initial=np.inf)) > MISFIT
 
+    @cached_property
+    def _held_back(self) -> tuple[Array, Array]:
+        return self._left_over(self._faces[None], _HELD_BACK)
+
+    def _left_over(
+        self,
+        faces: Array,
+        used: NDArray[np.bool_] = _ALL_FOUR,
+        albedos: Array = _ALBEDOS,
+        horizon_range: tuple[float, float] = _HORIZON_RANGE,
+    ) -> tuple[Array, Array]:
+        """Return what is left over, shape (k,), of faces, shape (k or 1, n, 4): of all the time, and where it is least.
+
+        `used` tells which of them count, shape (k or 1, 1, 4).
+        """
+        left = _squares_left_over(faces, self._sun, used, albedos, horizon_range)
+        there = (used * faces**2).sum(axis=-1)
+        parts = zip(np.array_split(left, _PARTS, axis=-1), np.array_split(there, _PARTS, axis=-1), strict=True)
+        least = np.min([np.sqrt(over.sum(axis=-1) / all_of_it.sum(axis=-1)) for over, all_of_it in parts], axis=0)
+        return np.sqrt(left.sum(axis=-1) / there.sum(axis=-1)), least
+
 
 def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
     """Return how badly the faces of a cube fit together; None where the light or the readings do not suffice.
@@ -122,25 +162,7 @@ def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
     faces, up = faces_w_m2[good], sun[good]
     if len(faces) < _LEAST_MINUTES or not np.sort(faces)[:, -2].mean() > _LIT_W_M2:
         return None
-    held_back = np.repeat(faces[None], len(_HELD_BACK), axis=0)
-    tried = np.concatenate([held_back, np.moveaxis(faces[:, SWAPS], 0, 1), faces * _DOUBLED])
-    used = np.concatenate([_HELD_BACK, np.ones((len(PAIRS) + len(_DOUBLED), 4), dtype=np.bool_)])[:, None, :]
-    used = np.broadcast_to(used, tried.shape)
-    left = _left_over(tried, up, used, _ALBEDOS, _HORIZON_RANGE)
-    without_snow = _left_over(tried[:1], up, used[:1], _ALBEDOS[:_WITHOUT_SNOW], _ORDINARY_HORIZON_RANGE)
-    there = (used * tried**2).sum(axis=-1)
-    shares = np.sqrt(left.sum(axis=-1) / there.sum(axis=-1))
-    parts = zip(np.array_split(left, _PARTS, axis=-1), np.array_split(there, _PARTS, axis=-1), strict=True)
-    least = np.min([np.sqrt(over.sum(axis=-1) / all_of_it.sum(axis=-1)) for over, all_of_it in parts], axis=0)
-    return Misfits(
-        whole=float(shares[0]),
-        least=float(least[0]),
-        without=shares[1:5],
-        least_without=least[1:5],
-        swapped=shares[5 : 5 + len(PAIRS)],
-        ordinary=float(np.sqrt(without_snow[0].sum() / there[0].sum())),
-        doubled=shares[5 + len(PAIRS) :],
-    )
+    return Misfits(faces, up)
 
 
 def _clear(shares: Array) -> int | None:
@@ -149,12 +171,12 @@ def _clear(shares: Array) -> int | None:
     return int(np.argmin(shares)) if best < _SOLVED and second > max(_CLEARLY * best, AGREEMENT) else None
 
 
-def _left_over(
+def _squares_left_over(
     faces: Array, sun: Array, used: NDArray[np.bool_], albedos: Array, horizon_range: tuple[float, float]
 ) -> Array:
     """Return the squares left over, shape (k, n), over the ground that explains the faces best."""
     albedo = albedos[:, None, None]
-    light = light_from_faces(np.broadcast_to(faces, (len(albedos), *faces.shape)), sun, albedo, used[None])
+    light = light_from_faces(faces, sun, albedo, used)
     over = np.where(used, faces - faces_of(light, sun, albedo, horizon_range), 0.0)
     squares: Array = (over**2).sum(axis=-1).min(axis=0)
     return squares
