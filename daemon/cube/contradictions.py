@@ -2,9 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from daemon.base.records import FACES
 from solar.faces.changes import Changes, changes
 from solar.faces.contradiction import AGREEMENT, Misfits, misfits
@@ -37,10 +34,10 @@ class Contradictions:
         self._minutes = self._puzzled = 0
         self._fit: Misfits | None = None
         self.acquitted: int | None = None
-        self._found = np.full(len(FACES), Doubt.NONE, dtype=np.int64)
+        self._found = [Doubt.NONE] * len(FACES)
 
-    def look(self, faces_w_m2: Array, sun: Array, whys: Sequence[Doubt]) -> NDArray[np.int64]:
-        """Return what contradicts in each face, as values of `Doubt`, shape (4,).
+    def look(self, faces_w_m2: Array, sun: Array, whys: Sequence[Doubt]) -> list[Doubt]:
+        """Return what contradicts in each of the four faces.
 
         Parameters
         ----------
@@ -69,26 +66,27 @@ class Contradictions:
         # All four are needed again soon, whatever lies on the ground; one can be done without.
         return self._fit.whole < AGREEMENT if whys[face] is Doubt.TORN else self._fit.in_full(face)
 
-    def _judged_beside(self, frozen: Sequence[int]) -> NDArray[np.int64]:
+    def _judged_beside(self, frozen: Sequence[int]) -> list[Doubt]:
         """Accuse another face than the frozen one only where the others contradict each other without it as well."""
         self._puzzled = 0
-        found = np.full(len(FACES), Doubt.NONE, dtype=np.int64)
+        found = [Doubt.NONE] * len(FACES)
         other = self._fit.instead_of(frozen[0]) if self._fit is not None and len(frozen) == 1 else None
         self.acquitted = None if other is None else frozen[0]
         if other is not None:
             found[other] = Doubt.ODD
         return found
 
-    def _judged(self, whys: Sequence[Doubt], change: Changes | None) -> NDArray[np.int64]:
-        found = np.full(len(FACES), Doubt.NONE, dtype=np.int64)
+    def _judged(self, whys: Sequence[Doubt], change: Changes | None) -> list[Doubt]:
+        found = [Doubt.NONE] * len(FACES)
         self.acquitted = None
         contradict = self._fit is not None and self._fit.contradict
         accused = _agreed(() if self._fit is None else self._fit.accused, () if change is None else change.accused)
         self._puzzled = 0 if accused or not contradict else self._puzzled + 1
         if accused:
-            found[list(accused)] = Doubt.ODD if len(accused) == 1 else Doubt.SWAPPED
+            for face in accused:
+                found[face] = Doubt.ODD if len(accused) == 1 else Doubt.SWAPPED
         elif self._puzzled >= _PUZZLED_LOOKS and not any(why in (Doubt.ODD, Doubt.SWAPPED) for why in whys):
-            found[:] = Doubt.TORN
+            return [Doubt.TORN] * len(FACES)
         return found
 
 

@@ -1,11 +1,9 @@
 """Finding faces of the cube that cannot be true, without a self-test: against each other, the sun and a clear sky."""
 
 import math
-from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
@@ -27,6 +25,7 @@ _BLOCK_S = 60.0
 _LONGEST_BLOCK_S = 150.0
 BLOCKS = 5
 """Minutes whose mean is judged: a passing shadow and the edge of a cloud are no faults."""
+_NO_BLOCKS = np.empty((0, 3, len(FACES)))
 BAD_LOOKS = 3
 _GOOD_LOOKS = 10
 # A face that is found wrong again so soon after it was used again has to agree for twice as long each time.
@@ -77,6 +76,18 @@ def face_normals(cube: CubeSettings, latitude_deg: float) -> Array:
     return normal_from_tilt(np.array([face.tilt_deg for face in faces]), np.array(azimuths), latitude_deg)
 
 
+def _means(sums: Array) -> Array:
+    """Return means, shape (2, 4), of the sums and their counts, shape (3, 4); NaN of nothing."""
+    with np.errstate(invalid="ignore"):
+        means: Array = sums[:2] / sums[2]
+    return means
+
+
+def _followed_by(kept: Array, newest: Array, most: int) -> Array:
+    """Return what is kept with the newest behind it, the last so many of them."""
+    return np.concatenate([kept[1 - most :], newest[None]])
+
+
 class FaceWatch:
     """Judges the faces every minute of daylight, on the mean of the last five.
 
@@ -110,10 +121,10 @@ class FaceWatch:
         self._sleeps = SleepGauge(clock)
         self._alarms = alarms
         self._since: dict[str, str] = {}
-        self._blocks: deque[tuple[Array, Array]] = deque(maxlen=BLOCKS)
+        # Of each its sums [W/m2] and [mV] and their counts, shape (n, 3, 4).
+        self._blocks = _NO_BLOCKS
         # The light is known from the faces of an upright cube only.
         self._is_upright = bool(np.abs(self._normals - FACE_NORMALS).max() < _UPRIGHT)
-        self._minutes: deque[tuple[Array, Array]] = deque(maxlen=MINUTES)
         self._forget()
         self._begin()
 
@@ -133,16 +144,16 @@ class FaceWatch:
             return
         if elapsed_s + self._sleeps.take_s() > _LONGEST_BLOCK_S:
             # Nothing was read for a while: a mean over the gap would mix two suns.
-            self._blocks.clear()
-            self._minutes.clear()
+            self._blocks = _NO_BLOCKS
+            self._forget_minutes()
         else:
-            self._blocks.append((np.array([self._w_m2, self._mv]), np.array(self._counts)))
+            self._blocks = _followed_by(self._blocks, np.array([self._w_m2, self._mv, self._counts]), BLOCKS)
         self._begin()
         self._clock_watch.step_s()
         if self._clock_watch.corrections != self._corrections:
             self._forget()
         if not self._clock_watch.trusted:
-            self._minutes.clear()
+            self._forget_minutes()
         elif len(self._blocks) == BLOCKS:
             self._judge()
 
@@ -152,8 +163,12 @@ class FaceWatch:
         self._bad, self._good = [0] * len(FACES), [0] * len(FACES)
         self._good_needed, self._forgiven_s = [_GOOD_LOOKS] * len(FACES), [-math.inf] * len(FACES)
         self._whys: list[Doubt] = [Doubt.NONE] * len(FACES)
-        self._minutes.clear()
+        self._forget_minutes()
         self._contradictions = Contradictions()
+
+    def _forget_minutes(self) -> None:
+        """Begin the half hour anew: what the faces read in each of its minutes, and where the sun stood."""
+        self._faces, self._suns = np.empty((0, len(FACES))), np.empty((0, 3))
 
     def _begin(self) -> None:
         self._w_m2, self._mv, self._counts = [0.0] * 4, [0.0] * 4, [0] * 4
@@ -161,50 +176,49 @@ class FaceWatch:
 
     def _judge(self) -> None:
         sun = self._sun_direction(self._clock.utc() - BLOCKS * _BLOCK_S / 2)
-        sums, counts = (np.sum(part, axis=0) for part in zip(*self._blocks, strict=True))
-        with np.errstate(invalid="ignore"):
-            faces, voltages = sums / counts
+        faces, voltages = _means(self._blocks.sum(axis=0)).tolist()
         if sun[2] < LOWEST_SINE:
             self._judge_night(faces, sun)
         else:
             self._judge_day(faces, voltages, sun)
         self._report()
 
-    def _judge_night(self, faces: Array, sun: Array) -> None:
-        self._minutes.clear()
+    def _judge_night(self, faces: Sequence[float], sun: Array) -> None:
+        self._forget_minutes()
         for face in np.flatnonzero(lit_at_night(faces, sun)).tolist():
             self._count(face, Doubt.NIGHT, sound=False)
 
-    def _judge_day(self, faces: Array, voltages: Array, sun: Array) -> None:
-        found = doubts(faces, voltages, sun, self._normals)[0]
+    def _judge_day(self, faces: Sequence[float], voltages: Sequence[float], sun: Array) -> None:
+        found = doubts(faces, voltages, sun, self._normals)
         if self.implausible(_ZENITH):
             # What is too much for a vertical face is judged by the zenith face.
-            found[:_ZENITH][found[:_ZENITH] == Doubt.OVER] = Doubt.NONE
-        light = bool(lit(faces, sun)[0])
+            found[:_ZENITH] = [Doubt.NONE if doubt is Doubt.OVER else doubt for doubt in found[:_ZENITH]]
+        light = lit(faces, sun)
         self._add_minute()
-        by_minute, suns = (np.array(column) for column in zip(*self._minutes, strict=True))
-        jumped = jumps(by_minute)
+        jumped = jumps(self._faces)
         # Of jumps close together some are left when they have been settled: who jumps is no witness against others.
-        jumping = np.logical_or.reduce(jumped.sure, axis=0)
-        followed = self._responses(jumped.settled, suns, jumping)
-        against = self._contradicted(jumped.settled, suns)
-        if jumping.any():
-            against = np.where(jumping, against, Doubt.NONE)
-        found[against != Doubt.NONE] = against[against != Doubt.NONE]
-        # To stand still is the plainer word for the same face; of two that are swapped one may seem to.
-        found[(followed == Response.STAYS) & (found != Doubt.SWAPPED)] = Doubt.FROZEN
-        if self._is_upright and len(suns) == MINUTES:
-            found[jumped.repeated(suns, [why in _SHOW_CLOUDS for why in self._whys])] = Doubt.LOOSE
-        for face, doubt in enumerate(found.tolist()):
-            agrees = light and self._agrees(face, followed[face]) and not np.isnan(faces[face])
-            self._count(face, Doubt(doubt), sound=agrees)
+        jumping = np.logical_or.reduce(jumped.sure, axis=0).tolist()
+        followed = self._responses(jumped.settled, jumping)
+        against = self._contradicted(jumped.settled, jumping)
+        loose = [False] * len(FACES)
+        if self._is_upright and len(self._suns) == MINUTES:
+            loose = jumped.repeated(self._suns, [why in _SHOW_CLOUDS for why in self._whys]).tolist()
+        for face, (doubt, other) in enumerate(zip(found, against, strict=True)):
+            why = doubt if other is Doubt.NONE else other
+            # To stand still is the plainer word for the same face; of two that are swapped one may seem to.
+            if followed[face] is Response.STAYS and why is not Doubt.SWAPPED:
+                why = Doubt.FROZEN
+            if loose[face]:
+                why = Doubt.LOOSE
+            sound = why is Doubt.NONE and light and not math.isnan(faces[face]) and self._agrees(face, followed[face])
+            self._count(face, why, sound=sound)
         self._narrow()
         self._acquit()
 
-    def _agrees(self, face: int, response: int) -> bool:
+    def _agrees(self, face: int, response: Response) -> bool:
         """Tell whether a face has done what is asked of it after what was said against it."""
         why = self._whys[face]
-        followed = why not in _MUST_FOLLOW or response == Response.FOLLOWS
+        followed = why not in _MUST_FOLLOW or response is Response.FOLLOWS
         return followed and self._contradictions.agrees(face, self._whys)
 
     def _narrow(self) -> None:
@@ -220,33 +234,36 @@ class FaceWatch:
             self._bad[face] = 0
 
     def _add_minute(self) -> None:
-        (sums, _), counts = self._blocks[-1]
-        with np.errstate(invalid="ignore"):
-            self._minutes.append((sums / counts, self._sun_direction(self._clock.utc() - _BLOCK_S / 2)))
+        sun = self._sun_direction(self._clock.utc() - _BLOCK_S / 2)
+        self._faces = _followed_by(self._faces, _means(self._blocks[-1])[0], MINUTES)
+        self._suns = _followed_by(self._suns, sun, MINUTES)
 
-    def _contradicted(self, faces: Array, suns: Array) -> NDArray[np.int64]:
+    def _contradicted(self, faces: Array, jumping: Sequence[bool]) -> list[Doubt]:
         """Tell of each face whether it contradicts the others over the last half hour."""
         if not self._is_upright:
-            return np.full(len(FACES), Doubt.NONE, dtype=np.int64)
-        against = self._contradictions.look(faces, suns, self._whys)
-        still = np.ptp(faces, axis=0) == 0.0
-        if len(faces) < MINUTES or not still.any():
+            return [Doubt.NONE] * len(FACES)
+        against = self._contradictions.look(faces, self._suns, self._whys)
+        if not any(against):
             return against
-        # What repeats itself to the last digit lies, and beside it sound faces may seem to be swapped.
-        return np.where(still, against, Doubt.NONE)
+        accused = jumping if any(jumping) else [True] * len(FACES)
+        still = (np.ptp(faces, axis=0) == 0.0).tolist()
+        if len(faces) == MINUTES and any(still):
+            # What repeats itself to the last digit lies, and beside it sound faces may seem to be swapped.
+            accused = [one and other for one, other in zip(accused, still, strict=True)]
+        return [doubt if is_one else Doubt.NONE for doubt, is_one in zip(against, accused, strict=True)]
 
-    def _responses(self, faces: Array, suns: Array, jumping: NDArray[np.bool_]) -> NDArray[np.int64]:
+    def _responses(self, faces: Array, jumping: Sequence[bool]) -> list[Response]:
         """Tell of each face whether it has followed the light of the last half hour."""
         if not self._is_upright or len(faces) < MINUTES:
-            return np.full(len(FACES), Response.UNKNOWN, dtype=np.int64)
+            return [Response.UNKNOWN] * len(FACES)
         # Among faces that nobody can tell apart, one that stands still tells.
         believed = [why in (Doubt.NONE, Doubt.TORN) and not jumping[face] for face, why in enumerate(self._whys)]
-        found = responses(faces, suns, believed)
-        stays = np.flatnonzero(found == Response.STAYS)
-        fit = misfits(faces, suns) if stays.size else None
-        if fit is not None:
-            # Where the others contradict each other, what they predict accuses nobody.
-            found[[face for face in stays.tolist() if not fit.bears(face)]] = Response.UNKNOWN
+        found = responses(faces, self._suns, believed)
+        if Response.STAYS in found:
+            face, fit = found.index(Response.STAYS), misfits(faces, self._suns)
+            if fit is not None and not fit.bears(face):
+                # Where the others contradict each other, what they predict accuses nobody.
+                found[face] = Response.UNKNOWN
         return found
 
     def _count(self, face: int, doubt: Doubt, *, sound: bool) -> None:

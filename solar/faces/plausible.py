@@ -4,6 +4,7 @@ The limits are wide: they find what a broken wire, a dead supply or a stuck addr
 every weather pass. A gain that is some percent off is left to calibration.
 """
 
+import math
 from collections.abc import Sequence
 from enum import IntEnum
 
@@ -39,6 +40,8 @@ _ALBEDO = 0.2
 _NIGHT_SINE = float(np.sin(np.radians(-6.0)))
 _NIGHT_W_M2 = 20.0
 _NIGHT_OTHERS_W_M2 = 5.0
+# By which faces each is judged: all but itself, at every instant.
+_OTHERS = ~np.eye(4, dtype=np.bool_)[:, None, :]
 _PAIRINGS = (((3, 0), (1, 2)), ((3, 1), (0, 2)), ((3, 2), (0, 1)))
 
 
@@ -66,15 +69,15 @@ class Response(IntEnum):
     STAYS = 2
 
 
-def doubts(faces_w_m2: ArrayLike, voltages_mv: ArrayLike, sun: ArrayLike, normals: ArrayLike) -> NDArray[np.int64]:
-    """Return what is wrong with each face, as values of `Doubt`, shape (n, 4); nothing is known of NaN.
+def doubts(faces_w_m2: Sequence[float], voltages_mv: Sequence[float], sun: Array, normals: Array) -> list[Doubt]:
+    """Return what is wrong with each of the four faces; nothing is known of NaN.
 
     Parameters
     ----------
     faces_w_m2, voltages_mv
-        Means over some minutes of east, south, west and zenith, shape (n, 4): calibrated, and as measured.
+        Means over some minutes of east, south, west and zenith: calibrated, and as measured.
     sun
-        Unit vectors to the sun, shape (n, 3). Nothing is judged with the sun lower than 5 deg.
+        Unit vector to the sun, shape (3,). Nothing is judged with the sun lower than 5 deg.
     normals
         Of the faces, shape (4, 3).
 
@@ -91,22 +94,20 @@ def doubts(faces_w_m2: ArrayLike, voltages_mv: ArrayLike, sun: ArrayLike, normal
         a face reads more than the sun at its angle, clouds at their brightest and the ground can give; for a vertical
         face by the zenith face. Two such faces accuse the zenith face.
     """
-    faces, voltages = np.atleast_2d(np.asarray(faces_w_m2, float)), np.atleast_2d(np.asarray(voltages_mv, float))
-    up = np.atleast_2d(np.asarray(sun, float))
-    found = np.zeros(faces.shape, dtype=np.int64)
-    dead = _dead(faces)
-    over = _over(faces, np.maximum(up @ np.asarray(normals, float).T, 0.0))
-    # A dead zenith face is no measure for the others.
-    over[dead[:, 3]] = False
-    for doubt, seen in (
-        (Doubt.OVER, over),
-        (Doubt.SAME, _same(voltages)),
-        (Doubt.DARK, _dark(faces, up[:, 2])),
-        (Doubt.DEAD, dead),
-    ):
-        found[seen] = doubt
-    found[up[:, 2] < LOWEST_SINE] = Doubt.NONE
-    return found
+    height = float(sun[2])
+    if not height >= LOWEST_SINE:
+        return [Doubt.NONE] * 4
+    dead = _dead(faces_w_m2)
+    if _dark(faces_w_m2) and height >= _BRIGHT_DAY_SINE:
+        found = [Doubt.DARK] * 4
+    elif _same(voltages_mv):
+        found = [Doubt.SAME] * 4
+    elif dead[3]:
+        # A dead zenith face is no measure for the others.
+        found = [Doubt.NONE] * 4
+    else:
+        found = [Doubt.OVER if over else Doubt.NONE for over in _over(faces_w_m2, (normals @ sun).tolist())]
+    return [Doubt.DEAD if gone else doubt for gone, doubt in zip(dead, found, strict=True)]
 
 
 def lit_at_night(faces_w_m2: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
@@ -125,8 +126,8 @@ def lit_at_night(faces_w_m2: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
     return bright & bool(alone and height < _NIGHT_SINE)
 
 
-def responses(faces_w_m2: ArrayLike, sun: ArrayLike, believed: Sequence[bool]) -> NDArray[np.int64]:
-    """Return for each face of a cube whether it follows the light, as values of `Response`, shape (4,).
+def responses(faces_w_m2: ArrayLike, sun: ArrayLike, believed: Sequence[bool]) -> list[Response]:
+    """Return for each of the four faces of a cube whether it follows the light.
 
     Parameters
     ----------
@@ -147,16 +148,20 @@ def responses(faces_w_m2: ArrayLike, sun: ArrayLike, believed: Sequence[bool]) -
     predictions for the others, so that of several which stay only the stillest is named.
     """
     faces, up = np.asarray(faces_w_m2, float), np.asarray(sun, float)
-    found = np.full(4, Response.UNKNOWN, dtype=np.int64)
-    if not (up[:, 2] >= LOWEST_SINE).all():
-        return found
-    reached = np.stack([up[:, 1], up[:, 0], -up[:, 1], up[:, 2]]).min(axis=1) > _LIT_COSINE
-    reached[3] = True
-    stillest, least = None, _STAYS_SHARE
+    found = [Response.UNKNOWN] * 4
+    south, east, height = up.min(axis=0).tolist()
+    west = -float(up[:, 1].max())
+    reached = [*(cosine > _LIT_COSINE for cosine in (east, south, west)), True]
     judged = [face for face in range(4) if _can_be_judged(face, reached, believed)]
-    for face, by_the_others in zip(judged, _by_the_others(faces, up, judged), strict=True):
-        predicted, lasting = float(np.ptp(by_the_others)), _but_for_one_minute(by_the_others)
-        changed = float(np.ptp(faces[:, face]))
+    if not height >= LOWEST_SINE or not judged:
+        return found
+    stillest, least = None, _STAYS_SHARE
+    ordered = np.sort(_by_the_others(faces, up, judged))
+    changes = np.ptp(faces, axis=0).tolist()
+    for face, (lowest, second, last_but_one, highest) in zip(judged, ordered[:, [0, 1, -2, -1]].tolist(), strict=True):
+        predicted, changed = highest - lowest, changes[face]
+        # But for the one minute that widens it most.
+        lasting = min(last_but_one - lowest, highest - second)
         if not predicted > _PREDICTED_W_M2:
             continue
         if changed > _FOLLOWS_SHARE * predicted:
@@ -168,69 +173,50 @@ def responses(faces_w_m2: ArrayLike, sun: ArrayLike, believed: Sequence[bool]) -
     return found
 
 
-def _can_be_judged(face: int, reached: NDArray[np.bool_], believed: Sequence[bool]) -> bool:
+def _can_be_judged(face: int, reached: Sequence[bool], believed: Sequence[bool]) -> bool:
     others = [other for other in range(4) if other != face]
     lit_beside = any(reached[other] for other in others if other != 3)
-    return bool(reached[face]) and lit_beside and all(believed[other] for other in others)
-
-
-def _but_for_one_minute(w_m2: Array) -> float:
-    """Return the range of some minutes without the one that widens it most."""
-    ordered = np.sort(w_m2)
-    return float(min(ordered[-2] - ordered[0], ordered[-1] - ordered[1]))
+    return reached[face] and lit_beside and all(believed[other] for other in others)
 
 
 def _by_the_others(faces: Array, sun: Array, judged: Sequence[int]) -> Array:
     """Return what each of some faces should read by the other three, shape (faces, n): one fit for all of them."""
-    if not judged:
-        return np.empty((0, len(faces)))
-    usable = np.ones((len(judged), *faces.shape), dtype=np.bool_)
-    for place, face in enumerate(judged):
-        usable[place, :, face] = False
-    light = light_from_faces(np.broadcast_to(faces, usable.shape), sun, _ALBEDO, usable)
-    return irradiance_on(light, sun, _ALBEDO, FACE_NORMALS[list(judged), None, :])
+    light = light_from_faces(faces, sun, _ALBEDO, _OTHERS[judged])
+    return irradiance_on(light, sun, _ALBEDO, FACE_NORMALS[judged, None, :])
 
 
-def lit(faces_w_m2: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
-    """Tell where there is light enough for a face without doubts to count as sound, shape (n,)."""
-    faces, up = np.atleast_2d(np.asarray(faces_w_m2, float)), np.atleast_2d(np.asarray(sun, float))
-    return (_second(faces) > _LIT_W_M2) & (up[:, 2] >= LOWEST_SINE)
+def lit(faces_w_m2: Sequence[float], sun: Array) -> bool:
+    """Tell whether there is light enough for a face without doubts to count as sound, as for :func:`doubts`."""
+    return _second(faces_w_m2) > _LIT_W_M2 and bool(sun[2] >= LOWEST_SINE)
 
 
-def _second(faces: Array) -> Array:
-    brightest: Array = np.sort(np.where(np.isnan(faces), -np.inf, faces))[:, -2]
-    return brightest
+def _second(faces: Sequence[float]) -> float:
+    return sorted(-math.inf if math.isnan(face) else face for face in faces)[-2]
 
 
-def _dead(faces: Array) -> NDArray[np.bool_]:
-    second = _second(faces)[:, None]
-    result: NDArray[np.bool_] = (second > _LIT_W_M2) & (faces < _DEAD_SHARE * second)
-    return result
+def _dead(faces: Sequence[float]) -> list[bool]:
+    second = _second(faces)
+    return [second > _LIT_W_M2 and face < _DEAD_SHARE * second for face in faces]
 
 
-def _dark(faces: Array, sine: Array) -> NDArray[np.bool_]:
-    dark = (np.abs(faces) < _DARK_W_M2).all(axis=-1) & (sine >= _BRIGHT_DAY_SINE)
-    return np.repeat(dark[:, None], 4, axis=1)
+def _dark(faces: Sequence[float]) -> bool:
+    return all(abs(face) < _DARK_W_M2 for face in faces)
 
 
-def _same(voltages: Array) -> NDArray[np.bool_]:
-    found = np.zeros(voltages.shape[0], dtype=np.bool_)
-    for pairs in _PAIRINGS:
-        found |= np.logical_and.reduce([_alike(voltages[:, one], voltages[:, other]) for one, other in pairs])
-    seen = (np.abs(voltages) > _SEEN_MV).any(axis=-1)
-    return np.repeat((found & seen)[:, None], 4, axis=1)
+def _same(voltages: Sequence[float]) -> bool:
+    paired = any(all(_alike(voltages[one], voltages[other]) for one, other in pairs) for pairs in _PAIRINGS)
+    return paired and any(abs(voltage) > _SEEN_MV for voltage in voltages)
 
 
-def _alike(one: Array, other: Array) -> NDArray[np.bool_]:
-    result: NDArray[np.bool_] = np.abs(one - other) <= _SAME_MV + _SAME_SHARE * np.maximum(np.abs(one), np.abs(other))
-    return result
+def _alike(one: float, other: float) -> bool:
+    return abs(one - other) <= _SAME_MV + _SAME_SHARE * max(abs(one), abs(other))
 
 
-def _over(faces: Array, cosines: Array) -> NDArray[np.bool_]:
-    sun_w_m2 = _OVER_SHARE * _SOLAR_CONSTANT_W_M2 * cosines
-    found = faces > sun_w_m2 + _OVER_W_M2
+def _over(faces: Sequence[float], cosines: Sequence[float]) -> list[bool]:
+    sun_w_m2 = [_OVER_SHARE * _SOLAR_CONSTANT_W_M2 * max(cosine, 0.0) for cosine in cosines]
+    zenith = faces[3]
     # A vertical face sees half of the sky that the zenith face sees, and the ground that this sky lights.
-    found[:, :3] = faces[:, :3] > sun_w_m2[:, :3] + faces[:, 3:] + _SHADED_W_M2
-    accused = found[:, :3].sum(axis=-1) >= 2
-    found[accused] = [False, False, False, True]
-    return found
+    found = [face > sun + zenith + _SHADED_W_M2 for face, sun in zip(faces[:3], sun_w_m2[:3], strict=True)]
+    if sum(found) >= 2:
+        return [False, False, False, True]
+    return [*found, zenith > sun_w_m2[3] + _OVER_W_M2]

@@ -62,7 +62,7 @@ def stays(utc_s: Array, faces: Array, sun: Array) -> int:
     for begin in range(0, utc_s.size - HALF_HOUR, 5):
         half_hour = slice(begin, begin + HALF_HOUR)
         if utc_s[half_hour][-1] - utc_s[begin] <= 60.0 * HALF_HOUR:
-            named += int((responses(faces[half_hour], sun[half_hour], [True] * 4) == Response.STAYS).any())
+            named += int(Response.STAYS in responses(faces[half_hour], sun[half_hour], [True] * 4))
     return named
 
 
@@ -135,7 +135,8 @@ def main() -> None:
             )
             for seed in range(SEEDS):
                 faces, voltages = cube_of(light, albedo, seed)
-                found = doubts(five_minutes(utc_s, faces), five_minutes(utc_s, voltages), sun, normals)
+                means = five_minutes(utc_s, faces).tolist(), five_minutes(utc_s, voltages).tolist()
+                found = np.array([doubts(*each, normals) for each in zip(*means, sun, strict=True)])
                 raised += alarms(utc_s, (found != Doubt.NONE).any(axis=1))
                 for kind in minutes:
                     minutes[kind] += int((found == kind).any(axis=1).sum())

@@ -23,10 +23,14 @@ def half_hour(model="perez1990", beam_w_m2=700.0, at_utc_s=MORNING_UTC_S, cloud_
     return np.stack([light.irradiance_on(normal[None, :]) for normal in NORMALS], axis=-1) + noise, sun
 
 
+def those(response, found):
+    return [face for face, each in enumerate(found) if each is response]
+
+
 @pytest.mark.parametrize("model", ["isotropic", "haydavies", "perez1990"])
 def test_the_faces_that_the_sun_reaches_follow_the_light(model):
     faces, sun = half_hour(model)
-    assert responses(faces, sun, ALL).tolist() == [
+    assert responses(faces, sun, ALL) == [
         Response.FOLLOWS,
         Response.FOLLOWS,
         Response.UNKNOWN,
@@ -39,8 +43,7 @@ def test_the_faces_that_the_sun_reaches_follow_the_light(model):
 def test_a_face_that_stays_while_the_light_changes_is_named_and_no_other(face, stuck_w_m2):
     faces, sun = half_hour()
     faces[:, face] = stuck_w_m2 + np.random.default_rng(2).normal(0.0, 0.3, 30)
-    found = responses(faces, sun, ALL)
-    assert np.flatnonzero(found == Response.STAYS).tolist() == [face]
+    assert those(Response.STAYS, responses(faces, sun, ALL)) == [face]
 
 
 @pytest.mark.parametrize("face", range(4))
@@ -70,29 +73,28 @@ def test_nothing_is_known_of_a_face_in_its_own_shade_without_another_that_is_lit
     believed = [True, True, True, False]
     assert responses(faces, sun, believed)[1] == Response.UNKNOWN
     faces, sun = half_hour(beam_w_m2=0.0)
-    assert (responses(faces, sun, ALL) == Response.UNKNOWN).all()
+    assert responses(faces, sun, ALL) == [Response.UNKNOWN] * 4
 
 
 def test_a_face_that_is_the_only_vertical_one_in_the_sun_is_not_judged_and_is_no_company_for_itself():
     faces, sun = half_hour(at_utc_s=1655283600.0 + 2.5 * 3600)
     found = responses(faces, sun, ALL)
-    assert found.tolist() == [Response.UNKNOWN, Response.UNKNOWN, Response.UNKNOWN, Response.FOLLOWS]
+    assert found == [Response.UNKNOWN, Response.UNKNOWN, Response.UNKNOWN, Response.FOLLOWS]
 
 
 @pytest.mark.parametrize("face", [0, 1, 3])
 def test_a_face_is_judged_by_what_the_other_three_are_believed(face):
     faces, sun = half_hour()
     believed = [other != face for other in range(4)]
-    found = responses(faces, sun, believed)
-    assert np.flatnonzero(found == Response.FOLLOWS).tolist() == [face]
+    assert those(Response.FOLLOWS, responses(faces, sun, believed)) == [face]
 
 
 def test_a_gap_in_a_face_and_a_low_sun_tell_nothing():
     faces, sun = half_hour()
     faces[3, 1] = np.nan
-    assert (responses(faces, sun, ALL) == Response.UNKNOWN).all()
+    assert responses(faces, sun, ALL) == [Response.UNKNOWN] * 4
     faces, sun = half_hour(at_utc_s=1655265600.0)
-    assert (responses(faces, sun, ALL) == Response.UNKNOWN).all()
+    assert responses(faces, sun, ALL) == [Response.UNKNOWN] * 4
 
 
 def towards_south(elevation_deg):
@@ -139,7 +141,7 @@ DIFFERENT_MV = (1.0, 5.0, 2.0, 7.0)
     ],
 )
 def test_what_a_face_cannot_be(faces_w_m2, elevation_deg, expected):
-    assert tuple(doubts(faces_w_m2, DIFFERENT_MV, towards_south(elevation_deg), NORMALS)[0]) == expected
+    assert tuple(doubts(faces_w_m2, DIFFERENT_MV, towards_south(elevation_deg), NORMALS)) == expected
 
 
 @pytest.mark.parametrize(
@@ -169,14 +171,14 @@ def test_what_a_face_cannot_be(faces_w_m2, elevation_deg, expected):
 )
 def test_two_inputs_that_are_taken_for_one_show_in_pairs_of_voltages(voltages_mv, same):
     found = doubts((100.0, 300.0, 80.0, 400.0), voltages_mv, towards_south(40.0), NORMALS)
-    assert tuple(found[0]) == (SAME if same else OK,) * 4
+    assert tuple(found) == (SAME if same else OK,) * 4
 
 
 def test_of_two_reasons_the_graver_one_is_named():
     dark_and_same = doubts((0.5, 0.5, 0.5, 0.5), (0.2, 0.2, 0.2, 0.2), towards_south(40.0), NORMALS)
     over_same_and_dead = doubts((461.0, 300.0, 0.0, 400.0), (5.0, 2.0, 2.0, 5.0), towards_south(40.0), NORMALS)
-    assert tuple(dark_and_same[0]) == (DARK,) * 4
-    assert tuple(over_same_and_dead[0]) == (SAME, SAME, DEAD, SAME)
+    assert tuple(dark_and_same) == (DARK,) * 4
+    assert tuple(over_same_and_dead) == (SAME, SAME, DEAD, SAME)
 
 
 @pytest.mark.parametrize(
@@ -190,7 +192,7 @@ def test_of_two_reasons_the_graver_one_is_named():
     ],
 )
 def test_light_enough_is_30_w_m2_on_the_second_brightest_face(faces_w_m2, elevation_deg, expected):
-    assert lit(faces_w_m2, towards_south(elevation_deg)).tolist() == [expected]
+    assert lit(faces_w_m2, towards_south(elevation_deg)) is expected
 
 
 @pytest.mark.parametrize(
@@ -209,39 +211,9 @@ def test_light_on_one_face_alone_in_the_night_is_none(faces_w_m2, sine, named):
     assert np.flatnonzero(lit_at_night(faces_w_m2, (0.9, 0.1, sine))).tolist() == named
 
 
-def test_many_minutes_are_each_judged_by_themselves():
-    usual = (100.0, 300.0, 80.0, 400.0)
-    faces = [
-        usual,
-        (0.5, 0.5, 0.5, 0.5),
-        (2.0, 300.0, 80.0, 400.0),
-        (461.0, 300.0, 80.0, 400.0),
-        (80.0, 300.0, 461.0, 400.0),
-        usual,
-    ]
-    too_small_to_compare = (0.05, 0.05, 0.05, 0.05)
-    voltages = [
-        (5.0, 2.0, 2.0, 5.0),
-        too_small_to_compare,
-        DIFFERENT_MV,
-        DIFFERENT_MV,
-        DIFFERENT_MV,
-        too_small_to_compare,
-    ]
-    suns = np.repeat(towards_south(40.0)[None], 6, axis=0)
-    assert doubts(faces, voltages, suns, NORMALS).tolist() == [
-        [SAME] * 4,
-        [DARK] * 4,
-        [DEAD, OK, OK, OK],
-        [OVER, OK, OK, OK],
-        [OK, OK, OVER, OK],
-        [OK] * 4,
-    ]
-
-
 def test_in_the_afternoon_south_and_west_follow_the_light():
     faces, sun = half_hour(at_utc_s=MORNING_UTC_S + 5.5 * 3600.0)
-    assert responses(faces, sun, ALL).tolist() == [
+    assert responses(faces, sun, ALL) == [
         Response.UNKNOWN,
         Response.FOLLOWS,
         Response.FOLLOWS,
@@ -261,4 +233,4 @@ def test_all_of_the_half_hour_the_sun_is_five_degrees_up(minutes, judged):
     faces, sun = half_hour(beam_w_m2=1500.0, at_utc_s=1671062400.0 + 8.12 * 3600.0 + 60.0 * minutes)
     assert sun[-1, 2] > np.sin(np.radians(5.0))
     follows = [Response.FOLLOWS, Response.FOLLOWS, Response.UNKNOWN, Response.FOLLOWS]
-    assert responses(faces, sun, ALL).tolist() == (follows if judged else [Response.UNKNOWN] * 4)
+    assert responses(faces, sun, ALL) == (follows if judged else [Response.UNKNOWN] * 4)
