@@ -35,6 +35,8 @@ REMEMBERED_DAYS = 16
 REMEMBERED_WHOLE_DAYS = 1000
 
 _WORTH_A_DAY = 4
+# Instants an hour from which on all hours from the first to the last are looked up.
+_CLOSE = 4
 _STEPS = 2
 _PATH_EVERY_S = 60.0
 _YEAR_10000_S = 253402300800.0
@@ -239,10 +241,16 @@ def _topocentric(utc_s: Array, latitude_deg: float, longitude_deg: float, altitu
 def _geocentric(utc_s: Array) -> Array:
     """Sidereal time, right ascension, declination [deg] and distance [au] of instants (n,): shape (4, n)."""
     hours = np.floor(utc_s / HOUR_S).astype(np.int64)
-    # A law in the field asks for one instant, and asks often.
-    whole, position = (hours, np.zeros(1, np.int64)) if hours.size == 1 else np.unique(hours, return_inverse=True)
-    before = _at_hours(whole)
-    rise = _at_hours(whole + 1) - before
+    first, last = (int(hours.min()), int(hours.max())) if hours.size else (0, 0)
+    if (last - first) * _CLOSE <= hours.size:
+        # A law in the field asks for a few instants, and asks often: to sort them would take longer.
+        position = hours - first
+        known = _at_hours(np.arange(first, last + 2))
+        before, rise = known[:, :-1], known[:, 1:] - known[:, :-1]
+    else:
+        whole, position = np.unique(hours, return_inverse=True)
+        before = _at_hours(whole)
+        rise = _at_hours(whole + 1) - before
     # Right ascension wraps once a year; sidereal time advances by 15.04 deg in an hour and wraps once a day.
     rise[:2] = (rise[:2] + 180.0) % 360.0 - 180.0
     return before[:, position] + rise[:, position] * (utc_s / HOUR_S - hours)
