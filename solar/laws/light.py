@@ -16,12 +16,12 @@ and brought inside the tracker's limits by :func:`solar.frames.angles_within`, w
 linear in B, D and H, the best pose for an uncertain future is the best pose for their expected values.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from solar.frames import FACE_NORMALS, Array, Limits, angles_within
+from solar.frames import FACE_NORMALS, Array, Limits, angles_within, joined
 
 FACES_NEEDED = 3
 """How many faces the light can be told by, with the sun's position."""
@@ -69,20 +69,19 @@ def usable_faces(faces: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
     vertical one; each with 1 W/m2 for noise. At dawn a dead east face would draw the tracker away from the sun.
     """
     readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
+    shape = np.broadcast(readings[..., 0], sun[..., 0]).shape
+    readings, sun = _spread(readings, shape), _spread(sun, shape)
     possible = _are_possible(readings)
-    seen = np.where(possible, readings, 0.0)
-    shares = beam_shares(sun)
-    zenith = seen[..., 3]
-    believed = []
-    for face in range(3):
-        least = _ZENITH_SHARE * zenith
-        for other in range(3):
-            if other != face:
-                bound = np.where(shares[other] <= shares[face] + _ALIKE, _DEAD_SHARE * seen[..., other], 0.0)
-                least = np.maximum(least, bound)
-        believed.append(~(seen[..., face] < least - _NOISE_W_M2))
-    believed.append(_zenith_believed(readings, possible))
-    return possible & np.stack(believed, axis=-1)
+    seen, shares = _by_face(np.where(possible, readings, 0.0)), beam_shares(sun)
+    vertical, zenith = seen[:3], seen[3]
+    # Of each face by each other one; by itself only that is less which is too little beside the zenith face anyway.
+    bounds = np.where(shares <= (shares + _ALIKE)[:, None], _DEAD_SHARE * vertical, 0.0)
+    least = np.maximum(np.maximum(bounds[:, 0], bounds[:, 1]), np.maximum(bounds[:, 2], _ZENITH_SHARE * zenith))
+    believed = possible.copy()
+    by_face = _by_face(believed)
+    by_face[:3] &= vertical >= least - _NOISE_W_M2
+    by_face[3] &= _zenith_believed(readings, possible)
+    return believed
 
 
 def zenith_usable(faces: ArrayLike) -> NDArray[np.bool_]:
@@ -107,9 +106,10 @@ def tell_beam(usable: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
         Unit vector(s) to the apparent sun, shape (..., 3).
     """
     counts, sun = np.asarray(usable, dtype=np.bool_), np.asarray(sun, dtype=np.float64)
-    shares = np.stack([*beam_shares(sun), sun[..., 2]], axis=-1)
-    shown = (counts & (shares > _TOLD_SHARE)).any(axis=-1)
-    result: NDArray[np.bool_] = np.logical_or(counts.all(axis=-1), shown)
+    east, south, west, zenith = _by_face(counts)
+    east_told, south_told, west_told = beam_shares(sun) > _TOLD_SHARE
+    shown = east & east_told | south & south_told | west & west_told | zenith & (sun[..., 2] > _TOLD_SHARE)
+    result: NDArray[np.bool_] = east & south & west & zenith | shown
     return result
 
 
@@ -120,7 +120,8 @@ def _are_possible(readings: Array) -> NDArray[np.bool_]:
 
 
 def _zenith_believed(readings: Array, possible: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    least = _DEAD_ZENITH_SHARE * np.where(possible[..., :3], readings[..., :3], np.inf).min(axis=-1)
+    east, south, west = _by_face(np.where(possible, readings, np.inf))[:3]
+    least = _DEAD_ZENITH_SHARE * np.minimum(np.minimum(east, south), west)
     result: NDArray[np.bool_] = ~(np.isfinite(least) & (readings[..., 3] < least - _NOISE_W_M2))
     return result
 
@@ -145,14 +146,13 @@ def light_from_faces(
     """
     readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
     counts = usable_faces(readings, sun) if usable is None else np.asarray(usable, dtype=np.bool_)
-    weight = counts.astype(np.float64)
-    readings = np.where(counts, readings, 0.0)
     rho = np.asarray(albedo, dtype=np.float64)
-    height = np.maximum(sun[..., 2], 0.0)
-    towards = beam_shares(sun)
-    beam_share = [side + 0.5 * rho * height for side in towards]
-    diffuse_share = 0.5 * (1.0 + rho)
-    solution = _solve(weight, readings, beam_share, diffuse_share, height)
+    shape = np.broadcast(readings[..., 0], counts[..., 0], sun[..., 0], rho).shape
+    weight = _by_face(_spread(counts, shape).astype(np.float64))
+    readings = _by_face(_spread(np.where(counts, readings, 0.0), shape))
+    sun = _spread(sun, shape)
+    towards, height = beam_shares(sun), np.maximum(sun[..., 2], 0.0)
+    solution = _solve(weight, readings, towards + 0.5 * rho * height, 0.5 * (1.0 + rho), height)
     return _possible(solution, weight, towards, height)
 
 
@@ -171,7 +171,7 @@ def irradiance_on(light: Light, sun: ArrayLike, albedo: ArrayLike, normals: Arra
 
 def on_faces(light: Light, sun: ArrayLike, albedo: ArrayLike) -> Array:
     """Return what the faces of a cube read [W/m2] in the light under suns (..., 3), shape (..., 4)."""
-    return np.stack([irradiance_on(light, sun, albedo, normal) for normal in FACE_NORMALS], axis=-1)
+    return joined(*(irradiance_on(light, sun, albedo, normal) for normal in FACE_NORMALS))
 
 
 def aim_vector(light: Light, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Array:
@@ -186,7 +186,7 @@ def aim_vector(light: Light, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Array:
     # A dark horizon takes away from the tilt that the beam asks for, but never tilts away from the sun.
     outward = np.maximum(light.beam * across + light.horizon, 0.0) / np.maximum(across, _SMALLEST)
     up = np.maximum(light.beam * height + 0.5 * (light.uniform - np.asarray(albedo) * total), 1e-3 * total)
-    return np.stack([outward * sun[..., 0], outward * sun[..., 1], np.maximum(up, 1e-9)], axis=-1)
+    return joined(outward * sun[..., 0], outward * sun[..., 1], np.maximum(up, 1e-9))
 
 
 def within_reach(light: Light, sun: ArrayLike, limits: Limits) -> Light:
@@ -234,47 +234,52 @@ def as_far_as_it_pays(
     south, east, up = vector[..., 0], vector[..., 1], vector[..., 2]
     upright = np.hypot(south, up) * np.cos(np.radians(best_a_deg))
     b_deg = _near(np.degrees(np.arctan2(up, south)), upright, here[1], price_w_m2_per_deg)
-    b_deg = np.clip(b_deg, limits.b_min_deg, limits.b_max_deg)
+    b_deg = np.minimum(np.maximum(b_deg, limits.b_min_deg), limits.b_max_deg)
     upright = south * np.cos(np.radians(b_deg)) + up * np.sin(np.radians(b_deg))
     a_deg = _near(np.degrees(np.arctan2(-east, upright)), np.hypot(upright, east), here[0], price_w_m2_per_deg)
-    return np.clip(a_deg, limits.a_min_deg, limits.a_max_deg), b_deg
+    return np.minimum(np.maximum(a_deg, limits.a_min_deg), limits.a_max_deg), b_deg
 
 
 def _near(best_deg: Array, most_w_m2: Array, here_deg: ArrayLike, price_w_m2_per_deg: ArrayLike) -> Array:
     """Return the angle nearest to `here_deg` from which no degree towards the best one gains more than its price."""
     slope = np.asarray(price_w_m2_per_deg) / np.radians(np.maximum(most_w_m2, _SMALLEST))
     left_deg = np.degrees(np.arcsin(np.minimum(slope, 1.0)))
-    result: Array = np.clip(here_deg, best_deg - left_deg, best_deg + left_deg)
+    result: Array = np.minimum(np.maximum(here_deg, best_deg - left_deg), best_deg + left_deg)
     return result
 
 
-def beam_shares(sun: Array) -> list[Array]:
-    """Cosines of the beam's incidence on east, south and west; zero where they are shaded."""
-    lit = np.where(sun[..., 2] > 0.0, 1.0, 0.0)
-    return [np.maximum(side, 0.0) * lit for side in (sun[..., 1], sun[..., 0], -sun[..., 1])]
+def beam_shares(sun: Array) -> Array:
+    """Cosines of the beam's incidence on east, south and west, shape (3, ...); zero where they are shaded."""
+    east = sun[..., 1]
+    shares: Array = np.maximum((east, sun[..., 0], -east), 0.0) * (sun[..., 2] > 0.0)
+    return shares
+
+
+def _spread(values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return values (..., k) for instants of a shape."""
+    return values if values.shape[:-1] == shape else np.broadcast_to(values, (*shape, values.shape[-1]))
+
+
+def _by_face(values: NDArray[Any]) -> NDArray[Any]:
+    """Return a view of values (..., k) as (k, ...): one call of numpy is for all faces of all instants then."""
+    return values.transpose(-1, *range(values.ndim - 1))
 
 
 def _solve(
-    weight: Array, readings: Array, beam_share: list[Array], diffuse_share: Array, height: Array
+    weight: Array, readings: Array, beam_share: Array, diffuse_share: Array, height: Array
 ) -> tuple[Array, Array, Array]:
     """Weighted least squares for (B, D, H), by Cramer's rule on the symmetric 3 x 3 normal equations."""
-    bb = weight[..., 3] * height * height + _RIDGE
-    bd = weight[..., 3] * height
-    dd = weight[..., 3] + _RIDGE
-    bh = np.zeros_like(bb)
-    yb = weight[..., 3] * height * readings[..., 3]
-    yd = weight[..., 3] * readings[..., 3]
-    hh = np.full_like(bb, _HORIZON_PRIOR)
-    yh = np.zeros_like(bb)
-    for face, share in enumerate(beam_share):
-        w, y = weight[..., face], readings[..., face]
-        bb = bb + w * share * share
-        bd = bd + w * share * diffuse_share
-        bh = bh + w * share
-        dd = dd + w * diffuse_share * diffuse_share
-        hh = hh + w
-        yb, yd, yh = yb + w * share * y, yd + w * diffuse_share * y, yh + w * y
+    w, w_zenith, y, y_zenith = weight[:3], weight[3], readings[:3], readings[3]
+    w_beam, w_diffuse = w * beam_share, w * diffuse_share
+    bb = _sum(w_zenith * height * height + _RIDGE, w_beam * beam_share)
+    bd = _sum(w_zenith * height, w_beam * diffuse_share)
+    bh = _sum(0.0, w_beam)
+    dd = _sum(w_zenith + _RIDGE, w_diffuse * diffuse_share)
+    hh = _sum(_HORIZON_PRIOR, w)
     dh = (hh - _HORIZON_PRIOR) * diffuse_share
+    yb = _sum(w_zenith * height * y_zenith, w_beam * y)
+    yd = _sum(w_zenith * y_zenith, w_diffuse * y)
+    yh = _sum(0.0, w * y)
     c_bb, c_bd, c_bh = dd * hh - dh * dh, bh * dh - bd * hh, bd * dh - bh * dd
     c_dd, c_dh, c_hh = bb * hh - bh * bh, bd * bh - bb * dh, bb * dd - bd * bd
     determinant = bb * c_bb + bd * c_bd + bh * c_bh
@@ -284,17 +289,22 @@ def _solve(
     return beam, uniform, horizon
 
 
-def _possible(solution: tuple[Array, Array, Array], weight: Array, towards: list[Array], height: Array) -> Light:
+def _sum(first: Array | float, vertical: Array) -> Array:
+    """Return the sum with the terms of the three vertical faces, in one order whatever the shape."""
+    east, south, west = vertical
+    total: Array = first + east + south + west
+    return total
+
+
+def _possible(solution: tuple[Array, Array, Array], weight: Array, towards: Array, height: Array) -> Light:
     """Bring the beam above zero and below what the zenith face allows, and keep the fitted faces otherwise."""
     beam, uniform, horizon = solution
     zenith = np.maximum(beam * height + uniform, 0.0)
     vertical = 0.5 * uniform + horizon
-    kept = np.minimum(
-        np.maximum(beam, 0.0), np.divide(zenith, height, out=np.zeros_like(zenith), where=height > _SMALLEST)
-    )
-    verticals = np.maximum(weight[..., :3].sum(axis=-1), 1.0)
-    mean_share = sum((weight[..., face] * share for face, share in enumerate(towards)), np.zeros_like(beam)) / verticals
+    most = np.where(height > _SMALLEST, zenith / np.maximum(height, _SMALLEST), 0.0)
+    kept = np.minimum(np.maximum(beam, 0.0), most)
+    mean_share = _sum(0.0, weight[:3] * towards) / np.maximum(_sum(0.0, weight[:3]), 1.0)
     uniform = np.maximum(zenith - kept * height, 0.0)
     vertical = vertical + (beam - kept) * mean_share
     low, high = _HORIZON_RANGE
-    return Light(kept, uniform, np.clip(vertical - 0.5 * uniform, low * uniform, high * uniform))
+    return Light(kept, uniform, np.minimum(np.maximum(vertical - 0.5 * uniform, low * uniform), high * uniform))

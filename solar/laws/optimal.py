@@ -216,7 +216,8 @@ class OptimalLaw:
             self._moves / max(settings.moves_per_day, 1),
         )
         left = np.maximum(1.0 - spent, _LEAST_LEFT)
-        pressure = np.clip(np.clip(daylight_left, 0.0, 1.0) / left, 1.0, _MOST_PRESSURE)
+        share = np.minimum(np.maximum(daylight_left, 0.0), 1.0)
+        pressure = np.minimum(np.maximum(share / left, 1.0), _MOST_PRESSURE)
         return settings.thrift * pressure**settings.pacing
 
     def affords(self, distance_deg: ArrayLike) -> Flags:
