@@ -115,10 +115,10 @@ class LightMemory:
         self._settings = settings
         self._shape = shape
         self.site = SiteLearning(shape, learned)
-        each_s = (settings.quick_half_life_s, settings.diffuse_half_life_s, settings.diffuse_half_life_s)
-        self._quick_half_lives_s = np.array(each_s).reshape(3, *[1] * len(shape))
-        self._quick = np.zeros((3, *shape))
-        self._slow = np.zeros((3, *shape))
+        quick_s = (settings.quick_half_life_s, settings.diffuse_half_life_s, settings.diffuse_half_life_s)
+        self._half_lives_s = np.array((quick_s, [settings.slow_half_life_s] * 3)).reshape(2, 3, *[1] * len(shape))
+        # Quick and slow, each of beam, uniform part and horizon.
+        self._light = np.zeros((2, 3, *shape))
         self._deviation = np.zeros(shape)
         self._since_good_s = np.full(shape, np.inf)
         self.light = Light(*np.full((3, *shape), np.nan))
@@ -143,33 +143,29 @@ class LightMemory:
         usable = usable_faces(faces, sun)
         enough = (usable.sum(axis=-1) >= FACES_NEEDED) & (sun[..., 2] > 0.0)
         good = enough & tell_beam(usable, sun)
-        lights = np.stack(light_from_faces(faces, sun, self.site.learned.albedo, usable), axis=1)
-        for light, is_good, is_blind, seconds in zip(lights, good, enough & ~good, elapsed, strict=True):
-            self._remember(light, is_good, seconds)
-            # What a dead face made of the minutes before it was told from a dull dawn is no better.
-            self._since_good_s = np.where(is_blind, np.inf, self._since_good_s)
+        lights = np.array(light_from_faces(faces, sun, self.site.learned.albedo, usable)).swapaxes(0, 1)
+        shares = 1.0 - 0.5 ** (elapsed[:, None, None] / self._half_lives_s)
+        for each in zip(lights, good, enough & ~good, elapsed, shares, strict=True):
+            self._remember(*each)
         self.light = Light(*np.where(good[-1], lights[-1], np.nan))
         self.site.observe(faces, sun, usable, lights[:, 0], elapsed)
 
-    def _remember(self, light: Array, good: Flags, elapsed: Array) -> None:
-        fresh = good & ~(self._since_good_s + elapsed <= self._settings.forget_after_s)
-        self._quick = _towards(self._quick, light, good, fresh, elapsed / self._quick_half_lives_s)
-        pace = elapsed / self._settings.slow_half_life_s
-        self._slow = _towards(self._slow, light, good, fresh, pace)
-        deviation = np.abs(self._quick[0] - self._slow[0])
-        self._deviation = _towards(self._deviation, deviation, good, fresh, pace)
-        self._since_good_s = np.where(good, 0.0, self._since_good_s + elapsed)
+    def _remember(self, light: Array, good: Flags, blind: Flags, elapsed: Array, shares: Array) -> None:
+        """Go by its share from each memory towards the light of one reading, and all the way after a gap."""
+        age_s = self._since_good_s + elapsed
+        shares = np.where(good & ~(age_s <= self._settings.forget_after_s), 1.0, shares)
+        self._light = self._light + shares * (np.where(good, light, self._light) - self._light)
+        deviation = np.where(good, np.abs(self._light[0, 0] - self._light[1, 0]), self._deviation)
+        self._deviation = self._deviation + shares[1, 0] * (deviation - self._deviation)
+        # What a dead face made of the minutes before it was told from a dull dawn is no better.
+        self._since_good_s = np.where(good, 0.0, np.where(blind, np.inf, age_s))
 
     def expect(self, thrift: ArrayLike = 1.0) -> Expectation:
         """Return what is expected of the sky; with more `thrift` a varying one is taken at its slower mean."""
         settings = self._settings
         # The scale keeps the unrest of a sky without beam at zero instead of at the noise of the sensors.
-        unrest = self._deviation / (self._slow[0] + 0.1 * self._slow[1] + 10.0)
+        quick, slow = self._light
+        unrest = self._deviation / (slow[0] + 0.1 * slow[1] + 10.0)
         share = np.minimum(settings.unrest_weight * np.sqrt(thrift) * unrest, settings.slow_share_max)
-        light = Light(*((1.0 - share) * self._quick + share * self._slow))
+        light = Light(*((1.0 - share) * quick + share * slow))
         return Expectation(light, unrest, self._since_good_s <= settings.forget_after_s)
-
-
-def _towards(memory: Array, value: Array, good: Flags, fresh: Flags, half_lives: Array) -> Array:
-    share = np.where(fresh, 1.0, 1.0 - 0.5**half_lives)
-    return memory + share * (np.where(good, value, memory) - memory)

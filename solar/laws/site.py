@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from solar.frames import Array
+from solar.frames import Array, joined
 
 ALBEDO_RANGE = (0.0, 0.9)
 GAIN_RANGE = (0.93, 1.07)
@@ -88,15 +88,9 @@ class SiteLearning:
 
     def corrected(self, faces: ArrayLike) -> Array:
         """Return the faces [W/m2], shape (..., 4), divided by their gains."""
-        readings = np.asarray(faces, dtype=np.float64)
-        gains = np.stack(
-            np.broadcast_arrays(
-                self.learned.gain_east, self.learned.gain_south, self.learned.gain_west, np.ones(readings.shape[:-1])
-            ),
-            axis=-1,
-        )
-        result: Array = readings / gains
-        return result
+        corrected = np.array(faces, dtype=np.float64)
+        corrected[..., :3] /= joined(self.learned.gain_east, self.learned.gain_south, self.learned.gain_west)
+        return corrected
 
     def observe(
         self, faces: Array, sun: Array, usable: NDArray[np.bool_], beam_w_m2: Array, elapsed_s: ArrayLike
@@ -109,13 +103,11 @@ class SiteLearning:
             return
         added = _sums_of(np.where(usable, faces, 0.0), sun, beam_w_m2, np.where(clear, elapsed_s, 0.0))
         added = added._replace(left_out_s=np.where(left_out, elapsed_s, 0.0))
-        if np.ndim(added.albedo) == len(self._shape):
-            self._sums = DaySums(*(total + part for total, part in zip(self._sums, added, strict=True)))
-            return
         # Readings of many instants, shape (n, *shape), one after the other: so that the sum does not depend on how many
         # are taken in at once.
-        parts = (np.concatenate((total[None], part)) for total, part in zip(self._sums, added, strict=True))
-        self._sums = DaySums(*(np.cumsum(part, axis=0)[-1] for part in parts))
+        parts = np.array(added).reshape(len(added), -1, *self._shape)
+        sums = np.concatenate((np.array(self._sums)[:, None], parts), axis=1)
+        self._sums = DaySums(*np.cumsum(sums, axis=1)[:, -1])
 
     def end_of_day(self) -> None:
         """Take a step towards what the day showed, and begin another."""
@@ -183,6 +175,5 @@ def _log_ratio(lit: Array, south: Array, cosine: Array, south_cosine: Array, sec
     """Seconds and log of what `lit` reads too much relative to the south face, both less the shaded face."""
     valid = (seconds > 0.0) & (cosine > _LIT_COSINE) & (south_cosine > _LIT_COSINE)
     valid &= (lit > _LIGHT_W_M2) & (south > _LIGHT_W_M2)
-    ratio = np.where(valid, lit, 1.0) * np.where(valid, south_cosine, 1.0)
-    expected = np.where(valid, south, 1.0) * np.where(valid, cosine, 1.0)
-    return np.where(valid, seconds, 0.0), np.log(ratio / expected)
+    ratio = np.where(valid, lit * south_cosine, 1.0) / np.where(valid, south * cosine, 1.0)
+    return np.where(valid, seconds, 0.0), np.log(ratio)
