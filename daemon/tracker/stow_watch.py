@@ -137,10 +137,13 @@ class StowWatch:
         """Poll every source at this monotonic time and return all reasons to stow, none of them twice."""
         found: dict[str, str] = {}
         silent: dict[str, str] = {}
+        failed: list[str] = []
         for source in self._sources:
             why, status = source.poll(now_s)
             if why is not None:
                 found[source.name] = why
+            if source.failed_why is not None:
+                failed.append(source.failed_why)
             if status.silent:
                 silent[source.name] = _of_silent(status)
             # What was read by this very poll; NaN is no reading.
@@ -154,7 +157,10 @@ class StowWatch:
             self._silent = silent
             text = "; ".join(silent.values()) or None
             self._alarms.set("stow-source-silent", text, of=silent, worse=worse)
-        self._tell_failed()
+        if failed != self._failed:
+            worse = len(failed) > len(self._failed or ())
+            self._failed = failed
+            self._alarms.set("stow-source-failed", "; ".join(failed) or None, worse=worse)
         return tuple(dict.fromkeys(found.values())) if found else ()
 
     def take_gust(self) -> float:
@@ -218,13 +224,6 @@ class StowWatch:
             await failed
         finally:
             end()
-
-    def _tell_failed(self) -> None:
-        failed = [source.failed_why for source in self._sources if source.failed_why is not None]
-        if failed != self._failed:
-            worse = len(failed) > len(self._failed or ())
-            self._failed = failed
-            self._alarms.set("stow-source-failed", "; ".join(failed) or None, worse=worse)
 
     def _keep(self, found: dict[str, str]) -> None:
         self._kept = found.keys()
