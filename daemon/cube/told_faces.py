@@ -58,13 +58,15 @@ class _FaceAlarm(ABC):
 
     def note(self, scan: Scan) -> None:
         """Take in a scan: ten that name a face raise the alarm, ten more that do not end it."""
-        for place, face in enumerate(scan.faces):
-            step = 1 if face.quality in self._qualities else -1
-            self._counts[place] = min(max(self._counts[place] + step, 0), _SCANS)
-        counts = dict(zip(FACES, self._counts, strict=True))
-        faces = [name for name, count in counts.items() if count == _SCANS or (count > 0 and name in self._since)]
-        if faces or self._since:
-            self._since = kept_since(self._since, faces, self._clock)
+        named = [face.quality in self._qualities for face in scan.faces]
+        # Nearly every scan of a year names no face, and comes after others that did not.
+        if any(named) or any(self._counts):
+            steps = zip(self._counts, named, strict=True)
+            self._counts = [min(count + 1, _SCANS) if is_named else max(count - 1, 0) for count, is_named in steps]
+            counts = zip(FACES, self._counts, strict=True)
+            faces = [name for name, count in counts if count == _SCANS or (count > 0 and name in self._since)]
+            if faces or self._since:
+                self._since = kept_since(self._since, faces, self._clock)
         self._tell(scan)
 
     @abstractmethod
@@ -110,6 +112,9 @@ class ToldSensors:
 
         A face that had a note and gave readings, and gives none for another reason now, is told anew.
         """
+        if not (reading.notes or self._since):
+            self._alarms.set("cube-sensor", None)
+            return
         worse = False
         for place, sample in enumerate(reading.faces):
             self._quiet[place] = 0 if sample.note else self._quiet[place] + 1
@@ -136,8 +141,7 @@ class UnreadFaces(_FaceAlarm):
     _qualities = (Quality.OVER_RANGE, Quality.STALE, Quality.MISSING, Quality.LATE)
 
     def _tell(self, scan: Scan) -> None:
-        sensors = next((alarm.text for alarm in self._alarms.active if alarm.name == "cube-sensor"), "")
-        faces = [name for name in self._since if not tells(sensors, (name,))]
+        faces = [name for name in self._since if not tells(self._said_by_sensors(), (name,))]
         if not faces or len(self._since) == len(FACES):
             self._alarms.set("face-unread", None)
             return
@@ -145,3 +149,6 @@ class UnreadFaces(_FaceAlarm):
         if all(read[name].quality in self._qualities for name in faces):
             each = in_a_row([f"{name} ({read[name].quality} since {self._since[name]})" for name in faces])
             self._alarms.set("face-unread", f"no reading of {each} while other faces are read", of=faces)
+
+    def _said_by_sensors(self) -> str:
+        return next((alarm.text for alarm in self._alarms.active if alarm.name == "cube-sensor"), "")
