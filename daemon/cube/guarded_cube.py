@@ -16,6 +16,8 @@ log = logging.getLogger("heliocube.acquisition")
 Answer = TypeVar("Answer")
 
 _UNITS = ("V", "W/m2")
+# All but a few are the first of them, which is told at once.
+_NUMBERS = (float, Real)
 _FLAWS = get_args(FaceFlaw)
 
 
@@ -79,7 +81,7 @@ def _checked(reading: object) -> CubeReading:
             raise ValueError(f"the flaw of a face is {face.flaw!r}, not one of {', '.join(_FLAWS)}")
         values: tuple[object, ...] = (face.value, face.time_utc_s, face.time_monotonic_s)
         for value in values:
-            if not isinstance(value, Real):
+            if not isinstance(value, _NUMBERS):
                 raise TypeError(f"{value!r} of a face is no number")
         # NaN, and what no date can be, would end whatever takes the scan.
         if not FIRST_UTC_S <= face.time_utc_s < END_UTC_S:

@@ -63,7 +63,6 @@ class InMemoryLine(Cabled):
     async def receive(self, within_s: float) -> str:
         """Return the next line."""
         self._require_open()
-        self._forget_aborted()
         now_s = self._now()
         wait_s = self._arriving[0][0] - now_s if self._arriving else math.inf
         if wait_s > within_s:
@@ -71,7 +70,6 @@ class InMemoryLine(Cabled):
         if wait_s > 0.0:
             await asyncio.sleep(wait_s)
             self._require_open()
-            self._forget_aborted()
             if not self._arriving:
                 await self._miss(within_s - wait_s)
         return self._arriving.popleft()[1].decode("latin-1").strip("\r\n")
@@ -84,7 +82,6 @@ class InMemoryLine(Cabled):
     async def drain(self, quiet_s: float) -> None:
         """Throw away what comes."""
         self._require_open()
-        self._forget_aborted()
         begun_s = last_s = self._now()
         while self._arriving and self._arriving[0][0] <= last_s + quiet_s:
             last_s = max(last_s, self._arriving.popleft()[0])
@@ -94,7 +91,6 @@ class InMemoryLine(Cabled):
     async def has_unasked(self) -> bool:
         """Throw away what has come and was not read."""
         self._require_open()
-        self._forget_aborted()
         found = False
         while self._arriving and self._arriving[0][0] <= self._now():
             found |= bool(self._arriving.popleft()[1].strip())
@@ -107,10 +103,12 @@ class InMemoryLine(Cabled):
 
     def _hand_over(self, text: str) -> None:
         self._require_open()
-        self._forget_aborted()
         self._arriving.extend(self._core.feed(text.encode("ascii") + b"\n", self._now()))
 
-    def _forget_aborted(self) -> None:
+    def _require_open(self) -> None:
+        """Forget, too, what the instrument has dropped since."""
+        if not self._is_open:
+            super()._require_open()
         if self._core.aborts != self._aborts:
             self._aborts = self._core.aborts
             self._arriving.clear()
