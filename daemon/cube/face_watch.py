@@ -203,15 +203,16 @@ class FaceWatch:
         loose = [False] * len(FACES)
         if self._is_upright and len(self._suns) == MINUTES:
             loose = jumped.repeated(self._suns, [why in _SHOW_CLOUDS for why in self._whys]).tolist()
-        for face, (doubt, other) in enumerate(zip(found, against, strict=True)):
-            why = doubt if other is Doubt.NONE else other
+        for face, (seen, contradicts) in enumerate(zip(found, against, strict=True)):
+            doubt = seen if contradicts is Doubt.NONE else contradicts
             # To stand still is the plainer word for the same face; of two that are swapped one may seem to.
-            if followed[face] is Response.STAYS and why is not Doubt.SWAPPED:
-                why = Doubt.FROZEN
+            if followed[face] is Response.STAYS and doubt is not Doubt.SWAPPED:
+                doubt = Doubt.FROZEN
             if loose[face]:
-                why = Doubt.LOOSE
-            sound = why is Doubt.NONE and light and not math.isnan(faces[face]) and self._agrees(face, followed[face])
-            self._count(face, why, sound=sound)
+                doubt = Doubt.LOOSE
+            known = light and not math.isnan(faces[face])
+            sound = known and doubt is Doubt.NONE and self._agrees(face, followed[face])
+            self._count(face, doubt, sound=sound)
         self._narrow()
         self._acquit()
 
