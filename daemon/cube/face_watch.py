@@ -201,7 +201,7 @@ class FaceWatch:
         followed = self._responses(jumped.settled, jumping)
         against = self._contradicted(jumped.settled, jumping)
         loose = [False] * len(FACES)
-        if self._is_upright and len(self._suns) == MINUTES:
+        if self._is_upright and len(self._suns) == MINUTES and any(jumping):
             loose = jumped.repeated(self._suns, [why in _SHOW_CLOUDS for why in self._whys]).tolist()
         for face, (seen, contradicts) in enumerate(zip(found, against, strict=True)):
             doubt = seen if contradicts is Doubt.NONE else contradicts

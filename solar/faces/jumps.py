@@ -43,8 +43,6 @@ class Jumps(NamedTuple):
         `sun` are the unit vectors to the sun, shape (n, 3). It has to reach two other faces that are `believed`: what
         passes before the sun now and then leaves one of them at its own median.
         """
-        if not self.sure.any():
-            return np.zeros(4, dtype=np.bool_)
         reached = (sun @ FACE_NORMALS.T > _REACHED_COSINE) & np.asarray(believed)
         others = reached.sum(axis=-1, keepdims=True) - reached
         back = (self.sure & (others >= _REACHED_OTHERS))[:-_BESIDE]

@@ -31,6 +31,27 @@ def test_what_a_cloud_takes_for_a_minute_is_no_jump_of_a_face(at_utc_s, model):
     assert not found.repeated(sun, ALL).any()
 
 
+def by_sorting(faces):
+    """The same by the median of five that a sort gives, which puts NaN behind all numbers."""
+    starts = np.clip(np.arange(len(faces)) - 2, 0, len(faces) - 5)
+    middle = np.array([np.sort(faces[start : start + 5], axis=0)[2] for start in starts])
+    apart = np.abs(faces - middle)
+    others = np.stack([np.delete(apart, face, axis=1).max(axis=1) for face in range(4)], axis=1)
+    sure, unsure = ((apart > low) & (others < share * apart) for low, share in ((80.0, 0.05), (15.0, 0.2)))
+    return sure, np.where(unsure, middle, faces)
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.05, 0.5])
+def test_whatever_the_faces_read_it_is_compared_with_the_median_of_five_minutes(missing):
+    random = np.random.default_rng(3)
+    for size in (3.0, 10.0, 30.0) * 10:
+        faces = 300.0 + random.normal(0.0, size, (random.integers(5, 31), 4))
+        faces[random.random(faces.shape) < 0.1] += random.choice([-200.0, 100.0, 1000.0])
+        faces[random.random(faces.shape) < missing] = np.nan
+        for found, expected in zip(jumps(faces), by_sorting(faces), strict=True):
+            np.testing.assert_array_equal(found, expected)
+
+
 @pytest.mark.parametrize("length", [1, 2])
 @pytest.mark.parametrize("at_w_m2", [0.0, 1350.0])
 @pytest.mark.parametrize("face", [1, 3])
@@ -57,24 +78,3 @@ def test_beside_a_dead_zenith_face_a_cloud_before_a_low_sun_accuses_no_other():
     found = jumps(faces)
     assert found.sure[:, 1].any(), "the sun reaches neither east nor west"
     assert not found.repeated(sun, ALL).any()
-
-
-def by_sorting(faces):
-    """The same by the median of five that a sort gives, which puts NaN behind all numbers."""
-    starts = np.clip(np.arange(len(faces)) - 2, 0, len(faces) - 5)
-    middle = np.array([np.sort(faces[start : start + 5], axis=0)[2] for start in starts])
-    apart = np.abs(faces - middle)
-    others = np.stack([np.delete(apart, face, axis=1).max(axis=1) for face in range(4)], axis=1)
-    sure, unsure = ((apart > low) & (others < share * apart) for low, share in ((80.0, 0.05), (15.0, 0.2)))
-    return sure, np.where(unsure, middle, faces)
-
-
-@pytest.mark.parametrize("missing", [0.0, 0.05, 0.5])
-def test_whatever_the_faces_read_it_is_compared_with_the_median_of_five_minutes(missing):
-    random = np.random.default_rng(3)
-    for size in (3.0, 10.0, 30.0) * 10:
-        faces = 300.0 + random.normal(0.0, size, (random.integers(5, 31), 4))
-        faces[random.random(faces.shape) < 0.1] += random.choice([-200.0, 100.0, 1000.0])
-        faces[random.random(faces.shape) < missing] = np.nan
-        for found, expected in zip(jumps(faces), by_sorting(faces), strict=True):
-            np.testing.assert_array_equal(found, expected)
