@@ -69,18 +69,17 @@ def usable_faces(faces: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
     vertical one; each with 1 W/m2 for noise. At dawn a dead east face would draw the tracker away from the sun.
     """
     readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
-    shape = np.broadcast(readings[..., 0], sun[..., 0]).shape
-    readings, sun = _spread(readings, shape), _spread(sun, shape)
+    axes = max(readings.ndim, sun.ndim)
     possible = _are_possible(readings)
-    seen, shares = _by_face(np.where(possible, readings, 0.0)), beam_shares(sun)
+    seen, shares = _by_face(np.where(possible, readings, 0.0), axes), beam_shares(sun, axes)
     vertical, zenith = seen[:3], seen[3]
     # Of each face by each other one; by itself only that is less which is too little beside the zenith face anyway.
     bounds = np.where(shares <= (shares + _ALIKE)[:, None], _DEAD_SHARE * vertical, 0.0)
     least = np.maximum(np.maximum(bounds[:, 0], bounds[:, 1]), np.maximum(bounds[:, 2], _ZENITH_SHARE * zenith))
-    believed = possible.copy()
-    by_face = _by_face(believed)
-    by_face[:3] &= vertical >= least - _NOISE_W_M2
-    by_face[3] &= _zenith_believed(readings, possible)
+    believed = np.empty((*least.shape[1:], 4), dtype=np.bool_)
+    _by_face(believed, axes)[:3] = vertical >= least - _NOISE_W_M2
+    believed[..., 3] = _zenith_believed(readings, possible)
+    believed &= possible
     return believed
 
 
@@ -106,7 +105,7 @@ def tell_beam(usable: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
         Unit vector(s) to the apparent sun, shape (..., 3).
     """
     counts, sun = np.asarray(usable, dtype=np.bool_), np.asarray(sun, dtype=np.float64)
-    east, south, west, zenith = _by_face(counts)
+    east, south, west, zenith = _by_face(counts, counts.ndim)
     east_told, south_told, west_told = beam_shares(sun) > _TOLD_SHARE
     shown = east & east_told | south & south_told | west & west_told | zenith & (sun[..., 2] > _TOLD_SHARE)
     result: NDArray[np.bool_] = east & south & west & zenith | shown
@@ -120,7 +119,7 @@ def _are_possible(readings: Array) -> NDArray[np.bool_]:
 
 
 def _zenith_believed(readings: Array, possible: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    east, south, west = _by_face(np.where(possible, readings, np.inf))[:3]
+    east, south, west = _by_face(np.where(possible, readings, np.inf), readings.ndim)[:3]
     least = _DEAD_ZENITH_SHARE * np.minimum(np.minimum(east, south), west)
     result: NDArray[np.bool_] = ~(np.isfinite(least) & (readings[..., 3] < least - _NOISE_W_M2))
     return result
@@ -147,11 +146,10 @@ def light_from_faces(
     readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
     counts = usable_faces(readings, sun) if usable is None else np.asarray(usable, dtype=np.bool_)
     rho = np.asarray(albedo, dtype=np.float64)
-    shape = np.broadcast(readings[..., 0], counts[..., 0], sun[..., 0], rho).shape
-    weight = _by_face(_spread(counts, shape).astype(np.float64))
-    readings = _by_face(_spread(np.where(counts, readings, 0.0), shape))
-    sun = _spread(sun, shape)
-    towards, height = beam_shares(sun), np.maximum(sun[..., 2], 0.0)
+    axes = max(readings.ndim, counts.ndim, sun.ndim, rho.ndim + 1)
+    weight = _by_face(counts.astype(np.float64), axes)
+    readings = _by_face(np.where(counts, readings, 0.0), axes)
+    towards, height = beam_shares(sun, axes), np.maximum(sun[..., 2], 0.0)
     solution = _solve(weight, readings, towards + 0.5 * rho * height, 0.5 * (1.0 + rho), height)
     return _possible(solution, weight, towards, height)
 
@@ -248,21 +246,20 @@ def _near(best_deg: Array, most_w_m2: Array, here_deg: ArrayLike, price_w_m2_per
     return result
 
 
-def beam_shares(sun: Array) -> Array:
-    """Cosines of the beam's incidence on east, south and west, shape (3, ...); zero where they are shaded."""
-    east = sun[..., 1]
-    shares: Array = np.maximum((east, sun[..., 0], -east), 0.0) * (sun[..., 2] > 0.0)
+def beam_shares(sun: Array, axes: int = 0) -> Array:
+    """Cosines of the beam's incidence on east, south and west, shape (3, ...); zero where they are shaded.
+
+    Of as many axes as `sun`, shape (..., 3), or more, so that they go with what has a face of its own for each.
+    """
+    south, east, up = _by_face(sun, max(sun.ndim, axes))
+    shares: Array = np.maximum((east, south, -east), 0.0) * (up > 0.0)
     return shares
 
 
-def _spread(values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Return values (..., k) for instants of a shape."""
-    return values if values.shape[:-1] == shape else np.broadcast_to(values, (*shape, values.shape[-1]))
-
-
-def _by_face(values: NDArray[Any]) -> NDArray[Any]:
-    """Return a view of values (..., k) as (k, ...): one call of numpy is for all faces of all instants then."""
-    return values.transpose(-1, *range(values.ndim - 1))
+def _by_face(values: NDArray[Any], axes: int) -> NDArray[Any]:
+    """Return a view of values (..., k) as (k, ...), of so many axes: one call of numpy is for all faces then."""
+    whole = values.reshape((1,) * (axes - values.ndim) + values.shape)
+    return whole.transpose(-1, *range(axes - 1))
 
 
 def _solve(
