@@ -8,7 +8,7 @@ that has missed a reading, or has been told to forget, goes on along links of it
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import ref
 
 import numpy as np
@@ -31,8 +31,7 @@ FourNumbers = tuple[float, float, float, float]
 _NONE: FourNumbers = (0.0, 0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Begun:
+class Begun(NamedTuple):
     """A mean that is being made: the seconds of each face, sums by seconds of its readings and of their UTC [s]."""
 
     elapsed_s: float = 0.0
@@ -58,6 +57,9 @@ class Begun:
         return self.middle / self.elapsed_s, self.elapsed_s, faces
 
 
+_NOTHING = Begun()
+
+
 @dataclass(slots=True, weakref_slot=True, eq=False)
 class Heard:
     """One link: all readings up to some instant.
@@ -75,7 +77,7 @@ class Heard:
     day: int
     _memory: LightMemory
     _newest_s: float = -math.inf
-    _begun: Begun = Begun()
+    _begun: Begun = _NOTHING
     _waiting: tuple[tuple[float, float, list[float]], ...] = ()
     _newest: "deque[Heard]" = field(default_factory=lambda: deque(maxlen=_MOST_KEPT))
     _after: "tuple[Reading, ref[Heard]] | None" = None
@@ -141,12 +143,22 @@ class Heard:
         if not (elapsed_s <= _LONGEST_S):
             # The memory ages by what nobody has read; what was begun before that would be of two suns.
             unread = (reading.utc_s, elapsed_s - self.scan_every_s, [math.nan] * len(_NONE))
-            begun, waiting = Begun(), (*waiting, unread) if math.isfinite(elapsed_s) else waiting
+            begun, waiting = _NOTHING, (*waiting, unread) if math.isfinite(elapsed_s) else waiting
             elapsed_s = self.scan_every_s
         begun = begun.with_reading(reading, elapsed_s)
         if begun.elapsed_s >= _MEAN_S - 1e-3:
-            begun, waiting = Begun(), (*waiting, begun.ended())
-        made = self._changed(_newest_s=reading.monotonic_s, _begun=begun, _waiting=waiting)
+            begun, waiting = _NOTHING, (*waiting, begun.ended())
+        # Once a scan for each tracker: `replace` takes as long as all the rest.
+        made = Heard(
+            site=self.site,
+            scan_every_s=self.scan_every_s,
+            day=self.day,
+            _memory=self._memory,
+            _newest_s=reading.monotonic_s,
+            _begun=begun,
+            _waiting=waiting,
+            _newest=self._newest,
+        )
         if len(waiting) >= _MOST_WAITING:
             made.memory()
         return made
