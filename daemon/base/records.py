@@ -94,7 +94,8 @@ class Scan:
     @property
     def ok(self) -> bool:
         """Whether all four faces are good."""
-        return all(face.quality is Quality.OK for face in self.faces)
+        east, south, west, zenith = self.faces
+        return east.quality is south.quality is west.quality is zenith.quality is Quality.OK
 
 
 @dataclass(frozen=True, slots=True)

@@ -232,8 +232,9 @@ class Control(Doors):
         mean = self._readings.mean(now_s)
         situation = self._situation(now_s, mean)
         self._data = situation.data
-        mode, why = next_mode(self.mode, situation, at_stow=self.at_stow)
-        self._reminders.watch_stow(None if self.at_stow else situation.stow_why, self.wishes)
+        at_stow = situation.stow_why is not None and self.at_stow
+        mode, why = next_mode(self.mode, situation, at_stow=at_stow)
+        self._reminders.watch_stow(None if at_stow else situation.stow_why, self.wishes)
         if mode is not self.mode:
             if self.mode is Mode.STOW and situation.stow_why is None:
                 # Where nothing is decided anew at once, the way to the stow position would go on.
@@ -340,14 +341,13 @@ class Control(Doors):
         if rested_s < self._settings.motion.minimum_interval_s:
             self._due_s = now_s + self._settings.motion.minimum_interval_s - rested_s
             return
-        chosen, utc_s = self._deciding, self._clock.utc()
+        chosen, utc_s, whereabouts = self._deciding, self._clock.utc(), self._whereabouts
         self._due_s = self._phase.next_s(now_s, chosen.law.decide_every_s)
-        whereabouts, deadband_deg = self._whereabouts, self._settings.motion.deadband_deg
         said = ask(chosen, mean, whereabouts, utc_s, sun_known=self._clock_watch.trusted)
         answer, target = said
         # A law that fails gives way while it is asked; a move may use up the law's share of the day.
         law = self._deciding.name
-        worth_it = said.worth_moving(whereabouts.heading, deadband_deg)
+        worth_it = said.worth_moving(whereabouts.heading, self._settings.motion.deadband_deg)
         waits_why = self.budget.waits_why(self._clock_watch.believed_utc_s) if worth_it else None
         if waits_why is not None:
             target = replace(target, why=f"{target.why}; {waits_why}")

@@ -148,7 +148,7 @@ class Readings:
             return False
         if zenith >= self._safety.night_above_w_m2:
             return True
-        sun_deg = self._sun_elevation_deg(self._clock.utc())
+        sun_deg = self._sun_deg()
         if sun_deg <= 0.0:
             return True
         vertical = [face for face in (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2) if not math.isnan(face)]
@@ -164,15 +164,16 @@ class Readings:
         return self._law.believes_zenith(faces, self._clock.utc())
 
     def _judge_night(self, seen: Irradiances | None) -> str | None:
-        sun_deg = self._sun_elevation_deg(self._clock.utc())
         if seen is not None and self._sees_zenith(seen):
             threshold = self._safety.night_above_w_m2 if self._night else self._safety.night_below_w_m2
-            self._night = seen.zenith_w_m2 < threshold and sun_deg <= self._safety.night_highest_sun_deg
-            why = f"the zenith face reads {seen.zenith_w_m2:z.1f} W/m2"
-        else:
-            self._night = sun_deg < (0.5 if self._night else 0.0)
-            why = f"the sun stands at {sun_deg:z.1f} deg"
-        return why if self._night else None
+            self._night = seen.zenith_w_m2 < threshold and self._sun_deg() <= self._safety.night_highest_sun_deg
+            return f"the zenith face reads {seen.zenith_w_m2:z.1f} W/m2" if self._night else None
+        sun_deg = self._sun_deg()
+        self._night = sun_deg < (0.5 if self._night else 0.0)
+        return f"the sun stands at {sun_deg:z.1f} deg" if self._night else None
+
+    def _sun_deg(self) -> float:
+        return self._sun_elevation_deg(self._clock.utc())
 
     def _night_as_it_was(self, seen: Irradiances | None) -> str | None:
         if seen is not None and seen.zenith_w_m2 >= self._safety.night_above_w_m2:
