@@ -266,7 +266,7 @@ def _at_hours(hours: NDArray[np.int64]) -> Array:
         if hours.size < days.size * _WORTH_A_DAY:
             return _geocentric_exact(hours.astype(np.float64) * HOUR_S)
         return _at_days(days)[:, position, hours % 24]
-    return np.stack([_at_hour(hour) for hour in hours.tolist()], axis=-1)
+    return np.array([_at_hour(hour) for hour in hours.tolist()]).T
 
 
 _whole_days: dict[int, Array] = {}

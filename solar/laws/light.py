@@ -265,18 +265,21 @@ def _by_face(values: NDArray[Any], axes: int) -> NDArray[Any]:
 def _solve(
     weight: Array, readings: Array, beam_share: Array, diffuse_share: Array, height: Array
 ) -> tuple[Array, Array, Array]:
-    """Weighted least squares for (B, D, H), by Cramer's rule on the symmetric 3 x 3 normal equations."""
+    """Weighted least squares for (B, D, H), by Cramer's rule on the symmetric 3 x 3 normal equations.
+
+    Weights are 0 and 1, and a reading without weight is 0.
+    """
     w, w_zenith, y, y_zenith = weight[:3], weight[3], readings[:3], readings[3]
-    w_beam, w_diffuse = w * beam_share, w * diffuse_share
-    bb = _sum(w_zenith * height * height + _RIDGE, w_beam * beam_share)
-    bd = _sum(w_zenith * height, w_beam * diffuse_share)
+    w_beam, w_diffuse, w_height = w * beam_share, w * diffuse_share, w_zenith * height
+    bb = _sum(w_height * height + _RIDGE, w_beam * beam_share)
+    bd = _sum(w_height, w_beam * diffuse_share)
     bh = _sum(0.0, w_beam)
     dd = _sum(w_zenith + _RIDGE, w_diffuse * diffuse_share)
     hh = _sum(_HORIZON_PRIOR, w)
     dh = (hh - _HORIZON_PRIOR) * diffuse_share
-    yb = _sum(w_zenith * height * y_zenith, w_beam * y)
-    yd = _sum(w_zenith * y_zenith, w_diffuse * y)
-    yh = _sum(0.0, w * y)
+    yb = _sum(w_height * y_zenith, w_beam * y)
+    yd = _sum(y_zenith, w_diffuse * y)
+    yh = _sum(0.0, y)
     c_bb, c_bd, c_bh = dd * hh - dh * dh, bh * dh - bd * hh, bd * dh - bh * dd
     c_dd, c_dh, c_hh = bb * hh - bh * bh, bd * bh - bb * dh, bb * dd - bd * bd
     determinant = bb * c_bb + bd * c_bd + bh * c_bh
@@ -288,8 +291,7 @@ def _solve(
 
 def _sum(first: Array | float, vertical: Array) -> Array:
     """Return the sum with the terms of the three vertical faces, in one order whatever the shape."""
-    east, south, west = vertical
-    total: Array = first + east + south + west
+    total: Array = first + vertical[0] + vertical[1] + vertical[2]
     return total
 
 
