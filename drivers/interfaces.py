@@ -211,6 +211,15 @@ class Telemetry:
         if any(hasattr(value, "item") for value in self.details.values()):
             object.__setattr__(self, "details", {name: _of_python(value) for name, value in self.details.items()})
 
+    def again(self, time_s: float) -> "Telemetry":
+        """Return the same look, made once more at this time [s]: its values have been gone through already."""
+        later = object.__new__(Telemetry)
+        for name in Telemetry.__slots__:
+            object.__setattr__(later, name, getattr(self, name))
+        for name in ("time_monotonic_s", "status_monotonic_s"):
+            object.__setattr__(later, name, time_s)
+        return later
+
     @property
     def needs_homing(self) -> str:
         """Why its angles are not to be moved by, faults among it, as the words of a sentence; empty where they are."""

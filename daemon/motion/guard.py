@@ -166,7 +166,7 @@ class Guard:
         if repeated is None or telemetry is None or pose is None:
             return
         self._repeated, (at_s, utc_s) = None, repeated
-        self._telemetry = replace(telemetry, time_monotonic_s=at_s, status_monotonic_s=at_s)
+        self._telemetry = telemetry.again(at_s)
         self._pose = replace(pose, time_monotonic_s=at_s, time_utc_s=utc_s)
         self.watch.repeated(self._telemetry)
 

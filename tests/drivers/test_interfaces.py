@@ -1,7 +1,7 @@
 """What drivers tell the service."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -17,3 +17,8 @@ def test_telemetry_has_numbers_of_python_whatever_a_driver_reckons_with():
         5.0, -12.5, 60.25, 1.0, 2.0, 1.0, 2.0, homing=True, supply_v=24, details={"wind": 0.5, "is": ""}
     )
     assert json.dumps(asdict(told)) == json.dumps(asdict(of_python))
+
+
+def test_a_look_that_is_made_again_shows_the_same_later():
+    look = Telemetry(5.0, -12.5, 60.25, 1.0, 2.0, 3.0, 4.0, faults=("a_cable",), supply_v=24.0, details={"mode": "ok"})
+    assert look.again(7.5) == replace(look, time_monotonic_s=7.5, status_monotonic_s=7.5)
