@@ -19,8 +19,8 @@ from daemon.api.pages import Feed, KeptPage, ScanLog, event_of, to_json
 from daemon.api.refusals import ApiRefusals
 from daemon.api.sun import sun_json
 from daemon.api.turns import ReadTurns
-from daemon.base.addresses import Places
 from daemon.base.clock import END_UTC_S, FIRST_UTC_S, Clock
+from daemon.base.places import EventStream, Places
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import LONGEST_BODY, NAMES, BodyError, Operators, TooManyError, parse
 from daemon.service.recent import Recent
@@ -137,16 +137,16 @@ class Api:
         host = request.client.host if request.client else ""
         if not self._places.are_free_for(host):
             raise HTTPException(503, "too many programs listen to the events already; close one")
-        headers = {"Cache-Control": "no-store"}
         if request.method == "HEAD":
             # Nothing is listened to, and a stream would hold its place until whoever asked goes.
+            headers = {"Cache-Control": "no-store"}
             return StreamingResponse(iter(()), media_type="text/event-stream", headers=headers)
-        return StreamingResponse(self._stream(host), media_type="text/event-stream", headers=headers)
+        return EventStream(self._stream(), self._places.taken_by(host))
 
-    async def _stream(self, host: str) -> AsyncIterator[bytes]:
+    async def _stream(self) -> AsyncIterator[bytes]:
         """Yield the state once a second of wall time, and every record as it comes."""
         loop = asyncio.get_running_loop()
-        with self._places.taken_by(host), self._feed.listening() as events:
+        with self._feed.listening() as events:
             closing = asyncio.create_task(self._closing.wait())
             try:
                 due_s = -math.inf

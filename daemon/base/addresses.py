@@ -5,9 +5,6 @@ import ipaddress
 import re
 import socket
 import struct
-from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 from daemon.base.errors import UserError
@@ -93,39 +90,6 @@ def without_mapping(host: str) -> str:
     """Return an IPv4 address that IPv6 has wrapped, such as ``::ffff:192.0.2.2``, as IPv4, and any other as it is."""
     mapped = getattr(ipaddress.ip_address(host), "ipv4_mapped", None)
     return host if mapped is None else str(mapped)
-
-
-class Places:
-    """Places that are taken for long, of which one far address gets no more than half.
-
-    All that comes through a tunnel or a proxy on this machine may come from loopback, which may have all.
-
-    Parameters
-    ----------
-    most
-        How many there are.
-    """
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._taken: Counter[str] = Counter()
-
-    def are_free_for(self, host: str) -> bool:
-        """Return whether one who comes from there may take a place; what a proxy says of that may be any text."""
-        try:
-            near = ipaddress.ip_address(without_mapping(host)).is_loopback
-        except ValueError:
-            near = False
-        return self._taken.total() < self._most and self._taken[host] < (self._most if near else self._most // 2)
-
-    @contextmanager
-    def taken_by(self, host: str) -> Iterator[None]:
-        """Count a place as taken for as long as the context lasts."""
-        self._taken[host] += 1
-        try:
-            yield
-        finally:
-            self._taken -= Counter((host,))
 
 
 def require_key(key: bytes | None, *, insecure: bool) -> None:

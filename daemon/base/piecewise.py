@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import socket
 from contextlib import suppress
 from typing import Any
 
@@ -16,6 +17,8 @@ LONGEST_HEAD = 16 << 10
 TOO_LONG = f"the head of this request is longer than {LONGEST_HEAD} bytes; a browser sends fewer without its cookies"
 # What comes at once with a head that is too long: three times as much, and more.
 _MOST_UNREAD = 1 << 16
+# The kernel would grow it to megabytes for one who does not read.
+_SEND_BUFFER = 1 << 16
 
 
 class PiecewiseProtocol(H11Protocol, asyncio.BufferedProtocol):
@@ -24,6 +27,11 @@ class PiecewiseProtocol(H11Protocol, asyncio.BufferedProtocol):
     def __init__(self, *args: Any, **server: Any) -> None:
         super().__init__(*args, **server)
         self._read = bytearray(READ_AT_ONCE)
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin."""
+        super().connection_made(transport)
+        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
 
     def get_buffer(self, sizehint: int) -> bytearray:  # noqa: ARG002 - the event loop's
         """Return what the next bytes are to be read into."""

@@ -15,17 +15,19 @@ from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
+from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from daemon.base.addresses import Places
 from daemon.base.clock import Clock
+from daemon.base.places import EventStream, Places
 from daemon.dashboard.guard import PageGuard
 from daemon.dashboard.sessions import LONGEST_IDLE_S, Session, Sessions
 from daemon.dashboard.upstream import Fleet, Upstream
 
 STATIC = Path(__file__).with_name("static")
+KEPT = "is_kept"
+"""In the state of a request's scope: its connection is not given up for a new one."""
 
 _NO_SERVICE = "what answers is not a service of heliocube: see dashboard.services"
 _NO_OBJECT = "the body is not a JSON object"
@@ -38,6 +40,8 @@ _LONGEST_ANSWER, _LONGEST_RECORDS = 1 << 20, 64 << 20
 _LONGEST_NAME = 60
 _TOKEN = re.compile(r"[A-Za-z0-9._~+/=-]{32,512}")
 _MOST_LISTENERS = 64
+# A service that hangs keeps each for half a minute, also where nobody waits for it any more.
+_MOST_READERS = 128
 # The service waits up to 6 s for a command's effect before it answers.
 _COMMAND_S = 15.0
 # By then the page that has given an order has given it up, and says so.
@@ -66,6 +70,7 @@ class Dashboard:
         self._monotonic = clock.monotonic
         self._sessions = Sessions(clock.monotonic)
         self._places = Places(_MOST_LISTENERS)
+        self._readers = Places(_MOST_READERS)
         self._closing = asyncio.Event()
         digest = _digest(STATIC)
         index = (STATIC / "index.html").read_text(encoding="utf-8")
@@ -101,17 +106,17 @@ class Dashboard:
         return JSONResponse({"ok": True, "version": version("heliocube"), "listeners": self._fleet.listeners})
 
     async def _events(self, request: Request) -> Response:
-        host = request.client.host if request.client else ""
+        host = _host(request)
         if not self._places.are_free_for(host):
             raise HTTPException(503, "too many pages are open already; close some")
-        headers = {"Cache-Control": "no-store"}
+        request.scope.setdefault("state", {})[KEPT] = True
         if request.method == "HEAD":
-            return Response(media_type="text/event-stream", headers=headers)
-        return StreamingResponse(self._stream(host), media_type="text/event-stream", headers=headers)
+            return Response(media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+        return EventStream(self._stream(), self._places.taken_by(host))
 
-    async def _stream(self, host: str) -> AsyncIterator[str]:
+    async def _stream(self) -> AsyncIterator[str]:
         yield self._hello
-        with self._places.taken_by(host), self._fleet.listening() as listener:
+        with self._fleet.listening() as listener:
             while not self._closing.is_set():
                 messages = await listener.next()
                 # A beat shows a page whose services are all gone that the dashboard is not; orders bear its time.
@@ -124,9 +129,13 @@ class Dashboard:
         service = self._fleet.services.get(query.pop("service", ""))
         if what not in _READABLE or service is None:
             raise HTTPException(404, "the dashboard has no such service, or that has no such records")
+        host = _host(request)
+        if not self._readers.are_free_for(host):
+            raise HTTPException(503, "too many pages read stored days already; try again in half a minute")
         url = f"{service.url}/api/{what}"
-        async with self._fleet.client.stream("GET", url, params=query, timeout=_READ_S) as reply:
-            content = await _raw(reply, _LONGEST_RECORDS)
+        with self._readers.taken_by(host):
+            async with self._fleet.client.stream("GET", url, params=query, timeout=_READ_S) as reply:
+                content = await _raw(reply, _LONGEST_RECORDS)
         # As it comes: what is compressed is for the browser to open.
         kept = {name: reply.headers[name] for name in ("content-type", "content-encoding") if name in reply.headers}
         return Response(content, reply.status_code, headers=kept)
@@ -258,6 +267,7 @@ class Dashboard:
         session = self._sessions.find(_session_name(request))
         if session is None:
             raise HTTPException(401, "log in first")
+        request.scope.setdefault("state", {})[KEPT] = True
         return session
 
 
@@ -278,6 +288,10 @@ def _keep(request: Request, response: Response, name: str) -> None:
     secure = request.url.scheme == "https"
     age_s = int(LONGEST_IDLE_S)
     response.set_cookie(_cookie(request), name, max_age=age_s, httponly=True, samesite="strict", secure=secure)
+
+
+def _host(request: Request) -> str:
+    return request.client.host if request.client else ""
 
 
 def _session_name(request: Request) -> str | None:

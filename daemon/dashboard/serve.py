@@ -22,7 +22,7 @@ from daemon.base.errors import UserError
 from daemon.base.piecewise import LONGEST_HEAD, READ_AT_ONCE, PiecewiseProtocol
 from daemon.base.process import Notifier, on_signals
 from daemon.config.links import DashboardSettings, section_of_guest
-from daemon.dashboard.app import Dashboard
+from daemon.dashboard.app import KEPT, Dashboard
 from daemon.dashboard.upstream import Fleet
 
 _GRACE_S = 1
@@ -51,17 +51,21 @@ class _Server(uvicorn.Server):
 
 
 class _Connection(PiecewiseProtocol):
-    """A connection that those that say nothing, or much at once, keep nobody out of.
+    """A connection that those that say nothing, or much at once, or do not read, keep nobody out of.
 
     It is closed where no whole request comes, and where nothing of an answer is read; and a new one that is one too
-    many costs the one that has been waited for for longest.
+    many costs the one on which nothing has begun or ended for longest, be it a request or its answer.
     """
 
     _limit: asyncio.TimerHandle | None = None
     _reading: asyncio.TimerHandle | None = None
+    _since_s = 0.0
 
     def buffer_updated(self, nbytes: int) -> None:
+        answered = self.cycle
         super().buffer_updated(nbytes)
+        if self.cycle is not answered:
+            self._since_s = self.loop.time()
         if nbytes < READ_AT_ONCE or self.conn.their_state is not h11.SEND_BODY:
             return
         # More of a body is there: it comes as whoever answers asks for it, and not once he has answered.
@@ -73,23 +77,26 @@ class _Connection(PiecewiseProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
         self._wait()
-        everybody = [one for one in self.connections if isinstance(one, _Connection) and one.is_open]
-        if len(everybody) >= _CONNECTIONS:
-            others = (one for one in everybody if one.is_waited_for and one is not self)
-            min(others, key=_Connection.due_s, default=self).transport.abort()
-
-    @property
-    def is_open(self) -> bool:
-        return not self.transport.is_closing()
+        if len(self.connections) >= _CONNECTIONS:
+            others = (one for one in self.connections if isinstance(one, _Connection) and one is not self)
+            given_up = min((one for one in others if not one.is_kept), key=_Connection.since_s, default=self)
+            # The server would count it until it is lost, which is after all others that come in this turn.
+            self.connections.discard(given_up)
+            given_up.transport.abort()
 
     @property
     def is_waited_for(self) -> bool:
         """Whether the next request has not come, or not whole."""
         return self.cycle is None or self.cycle.response_complete or self.conn.their_state is h11.SEND_BODY
 
-    def due_s(self) -> float:
-        """Return until when a whole request is waited for [s]."""
-        return math.inf if self._limit is None else self._limit.when()
+    @property
+    def is_kept(self) -> bool:
+        """Whether it is given up for nobody while it is answered."""
+        return not self.is_waited_for and self.scope["state"].get(KEPT, False)
+
+    def since_s(self) -> float:
+        """Return when a request or an answer has begun or ended here last, by the loop's clock [s]."""
+        return self._since_s
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._end_wait()
@@ -121,14 +128,18 @@ class _Connection(PiecewiseProtocol):
 
     def _wait(self) -> None:
         self._end_wait()
-        self._limit = self.loop.call_later(_REQUEST_WITHIN_S, self._look)
+        self._since_s = self.loop.time()
+        self._limit = self.loop.call_later(_REQUEST_WITHIN_S, self._look, self.transport.get_write_buffer_size())
 
     def _end_wait(self) -> None:
         if self._limit is not None:
             self._limit.cancel()
 
-    def _look(self) -> None:
-        if self.is_waited_for:
+    def _look(self, unread_before: int) -> None:
+        unread = self.transport.get_write_buffer_size()
+        if 0 < unread < unread_before:
+            self._limit = self.loop.call_later(_REQUEST_WITHIN_S, self._look, unread)
+        elif self.is_waited_for:
             self.transport.abort()
 
 
@@ -246,7 +257,8 @@ def _server(dashboard: Dashboard) -> _Server:
             server_header=False,
             date_header=False,
             h11_max_incomplete_event_size=LONGEST_HEAD,
-            limit_concurrency=_CONNECTIONS,
+            # Of connections there are fewer: it bounds the requests whose connection is lost.
+            limit_concurrency=2 * _CONNECTIONS,
             timeout_graceful_shutdown=_GRACE_S,
         )
     )

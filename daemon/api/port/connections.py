@@ -7,7 +7,6 @@ else the oldest whose request bears no token; and what does not get on is closed
 
 import asyncio
 import ipaddress
-import socket
 from functools import partial
 from typing import Any, cast
 
@@ -29,8 +28,6 @@ _BODY_WITHIN_S = 5.0
 _READ_WITHIN_S = 10.0
 # One who sends garbage over and over is held up by that.
 _GARBAGE_PAUSE_S = 0.25
-# The kernel would grow it to megabytes for one who does not read.
-_SEND_BUFFER = 1 << 16
 
 
 class Connections:
@@ -143,7 +140,6 @@ class HttpConnection(PiecewiseProtocol):
             self.client = (without_mapping(self.client[0]), self.client[1])
             self.address = self.client[0]
             self.from_loopback = ipaddress.ip_address(self.address).is_loopback
-        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         if not self._all.admit(self):
             transport.abort()
 

@@ -45,6 +45,17 @@ def test_the_seventeenth_listener_is_sent_away(serve):
     serve(scenario)
 
 
+def test_no_more_than_sixteen_listen_where_many_come_at_once(serve):
+    async def scenario(rig, call):
+        connections = await asyncio.gather(*(call.open("GET", "/api/events") for _ in range(40)))
+        statuses = [int((await reader.readline()).split()[1]) for reader, _ in connections]
+        assert (statuses.count(200), statuses.count(503)) == (16, 24)
+        for _, writer in connections:
+            writer.close()
+
+    serve(scenario)
+
+
 def test_whoever_asks_for_the_head_of_the_events_alone_takes_no_place(serve):
     async def scenario(rig, call):
         asked = [await call.open("HEAD", "/api/events") for _ in range(16)]

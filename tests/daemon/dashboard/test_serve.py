@@ -8,7 +8,7 @@ import shutil
 import signal
 import socket
 import threading
-from contextlib import asynccontextmanager, suppress
+from contextlib import suppress
 
 import h11
 import httpx
@@ -20,6 +20,7 @@ from daemon.base.process import Notifier
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.dashboard.app import STATIC
 from daemon.dashboard.serve import bind, serve
+from tests.daemon.dashboard.served import served
 from tests.support import PATIENCE_S, ROOT
 from tests.support.addresses import SocketWithoutIpv6
 from tests.support.endless import ACCEPTED
@@ -27,28 +28,6 @@ from tests.support.endless import ACCEPTED
 PAGE = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
 HALF_A_BODY = b"POST /login HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\nContent-Length: 100\r\n\r\n{"
 KEPT = b'HTTP/1.1 200 OK\r\nContent-Length: 16\r\n\r\n{"text": "done"}'
-
-
-@pytest.fixture(autouse=True)
-def heard():
-    """A signal that has ended what is served is heard again: the process of the tests goes on."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
-@asynccontextmanager
-async def served(service="127.0.0.1:9"):
-    """Give the address of a dashboard."""
-    bound = bind("127.0.0.1:0")
-    address = bound.getsockname()
-    serving = asyncio.create_task(serve(bound, [parse_address(service)], [], SystemClock(), Notifier({}, os.getpid())))
-    try:
-        yield address
-    finally:
-        signal.raise_signal(signal.SIGTERM)
-        await serving
 
 
 async def statuses(answer, name, times=1):

@@ -1,0 +1,66 @@
+"""Places that are taken for long, as by those who listen to events."""
+
+import ipaddress
+from collections import Counter
+from collections.abc import AsyncIterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+
+from starlette.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
+
+from daemon.base.addresses import without_mapping
+
+
+class Places:
+    """Places that are taken for long, of which one far address gets no more than half.
+
+    All that comes through a tunnel or a proxy on this machine may come from loopback, which may have all.
+
+    Parameters
+    ----------
+    most
+        How many there are.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._taken: Counter[str] = Counter()
+
+    def are_free_for(self, host: str) -> bool:
+        """Return whether one who comes from there may take a place; what a proxy says of that may be any text."""
+        try:
+            near = ipaddress.ip_address(without_mapping(host)).is_loopback
+        except ValueError:
+            near = False
+        return self._taken.total() < self._most and self._taken[host] < (self._most if near else self._most // 2)
+
+    @contextmanager
+    def taken_by(self, host: str) -> Iterator[None]:
+        """Count a place as taken for as long as the context lasts."""
+        self._taken[host] += 1
+        try:
+            yield
+        finally:
+            self._taken -= Counter((host,))
+
+
+class EventStream(StreamingResponse):
+    """Events for one who listens, with a place of his own.
+
+    Parameters
+    ----------
+    events
+        As they are sent.
+    place
+        What `Places.taken_by` has given. It is taken as soon as the answer begins, while its first event may wait: of
+        many who come at once each would find it free.
+    """
+
+    def __init__(self, events: AsyncIterable[str | bytes], place: AbstractContextManager[None]) -> None:
+        super().__init__(events, media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+        self._place = place
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send them to their end, or until nobody listens."""
+        with self._place:
+            await super().__call__(scope, receive, send)
