@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from daemon.base.process import as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.studies.inputs import check_data_files, instant
 
@@ -44,6 +45,7 @@ SerialOption = Annotated[
 
 
 @app.command()
+@as_ctrl_c()
 def cube(
     reference: Annotated[
         Path, typer.Argument(metavar="REFERENCE", help="CSV of the reference: time, ghi [W/m2].", show_default=False)
@@ -122,6 +124,7 @@ def cube(
 
 
 @app.command()
+@as_ctrl_c()
 def field(
     sensors: Annotated[
         Path | None,

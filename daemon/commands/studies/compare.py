@@ -149,6 +149,7 @@ def simulate(
 
 
 @app.command()
+@as_ctrl_c()
 def fit(
     out: Annotated[Path, typer.Option(metavar="FILE", help="JSON file for the bias; figures get the same name.")],
     data: DataArgument = None,
@@ -193,6 +194,7 @@ def fit(
 
 
 @app.command()
+@as_ctrl_c()
 def report(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for report.html, gains.csv and the figures.")],
     data: DataArgument = None,

@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
+from daemon.base.process import as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, warn
 from daemon.commands.archive.readable import check_readable
 from daemon.commands.export import store_directory
@@ -54,6 +55,7 @@ ConfigOption = Annotated[
 
 
 @app.command(rich_help_panel=FILES)
+@as_ctrl_c()
 def report(
     day: DayOption = None,
     start: FromOption = None,
@@ -92,6 +94,7 @@ def report(
 
 
 @app.command(rich_help_panel=FILES)
+@as_ctrl_c()
 def plot(
     what: Annotated[
         list[str],

@@ -2,8 +2,13 @@
 
 import signal
 import sys
+from pathlib import Path
 
 import pytest
+
+from tests.daemon.commands.studies.test_full_disk import inputs, study
+
+__all__ = ["inputs", "study"]
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no such signal")
 
@@ -42,3 +47,22 @@ def test_a_campaign_that_is_ended_reports_what_is_done(heliocube, signal_at_once
     assert code == 130
     assert told.startswith("1 schedule, 0.1 h of virtual time")
     assert told.endswith("ended before 1 more\n")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    [
+        "calibrate cube reference.csv sensors.csv --lag 0 --plot beside.png --out c.toml",
+        "compare fit flat.csv --out bias.json",
+        "compare report flat.csv --out .",
+    ],
+)
+def test_one_that_is_ended_while_it_writes_leaves_no_part_of_a_file(study, tmp_path, monkeypatch, words):
+    before = signal.signal(signal.SIGTERM, lambda *_: None)
+    replace = Path.replace
+    monkeypatch.setattr(Path, "replace", lambda *paths: (signal.raise_signal(signal.SIGTERM), replace(*paths)))
+    code, told = study(words)
+    signal.signal(signal.SIGTERM, before)
+    assert (code, told) == (130, f"heliocube: {NOTHING}\n")
+    assert not list(tmp_path.glob(".*.part"))
