@@ -53,7 +53,7 @@ def replace_file(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as file:
         _fill(file, text)
-    sync_names(path.resolve().parent)
+    sync_names(Path(file.name).parent)
 
 
 def rewrite_file(path: Path, text: str) -> None:
@@ -66,7 +66,7 @@ def rewrite_file(path: Path, text: str) -> None:
     """
     with whole_file(path) as file:
         _fill(file, text, path.stat())
-    sync_names(path.resolve().parent)
+    sync_names(Path(file.name).parent)
 
 
 def write_new(path: Path, text: str, like: os.stat_result | None = None) -> None:
