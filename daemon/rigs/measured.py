@@ -67,7 +67,7 @@ def by_the_minute(weathers: Sequence[MeasuredWeather], site: Site) -> tuple[tupl
     """Return whole minutes [s UTC] with DNI and DHI then [W/m2], and what a person should know of the files.
 
     What lies between two files is bridged as within one, and told as missing where it is too long. Where they overlap,
-    the first counts. Raises `UserError` where there is no whole minute.
+    the first counts. Raises `UserError` where no two whole minutes follow each other.
     """
     parts = zip(*map(_minutes, weathers), strict=True)
     utc_s, dni, dhi = (np.concatenate(columns) for columns in parts)
@@ -78,8 +78,11 @@ def by_the_minute(weathers: Sequence[MeasuredWeather], site: Site) -> tuple[tupl
     unknown = np.full(utc_s.size, np.nan)
     values = {"ghi": dni[first], "dni": dni[first], "dhi": dhi[first], "wind_speed": unknown, "temp_air": unknown}
     together = MeasuredWeather(name, utc_s, values)
+    minutes = _minutes(together)
+    if not (np.diff(minutes[0]) <= _STEP_S).any():
+        raise UserError(f"{name} has single minutes alone: name a file with two records within an hour at least")
     notes = [note for weather in weathers for note in (weather.note(), site_mismatch(weather, site))]
-    return _minutes(together), [note for note in (*notes, gap_note(together, site)) if note]
+    return minutes, [note for note in (*notes, gap_note(together, site)) if note]
 
 
 def _minutes(weather: MeasuredWeather) -> tuple[Array, Array, Array]:

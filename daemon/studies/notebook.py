@@ -191,7 +191,9 @@ def replay(
         out = Path(folder) / "positions.csv"
         rows = _rows(faces)
         _warn(*filter(None, [unit_note("the frame", rows, settings.site.place())]))
-        _warn(*_in_a_loop_of_its_own(lambda progress: run_replay(settings, rows, out, progress)).failed_laws)
+        _warn(
+            *_in_a_loop_of_its_own(lambda progress: run_replay(settings, rows, "the frame", out, progress)).failed_laws
+        )
         return pd.read_csv(out, index_col="time", parse_dates=["time"])
 
 

@@ -72,7 +72,9 @@ class Replayed(NamedTuple):
     failed_laws: list[str]
 
 
-def replay(settings: Settings, rows: RecordedScans, out: Path, progress: Callable[[float], None]) -> Replayed:
+def replay(
+    settings: Settings, rows: RecordedScans, called: str, out: Path, progress: Callable[[float], None]
+) -> Replayed:
     """Run the tracker's role on recorded readings and write one line per row to `out`.
 
     Parameters
@@ -81,6 +83,8 @@ def replay(settings: Settings, rows: RecordedScans, out: Path, progress: Callabl
         With the site and the law. The rhythm of the cube is taken from the rows; store, bridge and wind are left out.
     rows
         To run on.
+    called
+        Where they are from, as messages name it.
     out
         CSV file with `COLUMNS`, compressed if it ends in ``.gz``; replaced if it is there, and only when all is done.
     progress
@@ -91,7 +95,7 @@ def replay(settings: Settings, rows: RecordedScans, out: Path, progress: Callabl
     UserError
         The rows are too few or too far apart, `out` cannot be written, or the settings have several trackers.
     """
-    settings = _fitted(settings_of_one(settings, None), rows)
+    settings = _fitted(settings_of_one(settings, None), rows, called)
     # A folder that cannot be written to is told before the work and not after it.
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -131,14 +135,14 @@ class _Log:
             self.law = ""
 
 
-def _fitted(settings: Settings, rows: RecordedScans) -> Settings:
+def _fitted(settings: Settings, rows: RecordedScans, called: str) -> Settings:
     """Return the settings with the rhythm of the rows, and without what a replay has no business with."""
     if len(rows) < 2:
-        raise UserError("a replay needs two rows at least, to know how far apart they are")
+        raise UserError(f"{called}: a replay needs two rows at least, to know how far apart they are")
     every_s = float(np.median(np.diff(rows.utc_s)))
     if every_s > _SLOWEST_S + 0.5:
         raise UserError(
-            f"the rows are {every_s:.0f} s apart and a tracker needs one every {_SLOWEST_S:.0f} s at least: "
+            f"{called}: the rows are {every_s:.0f} s apart and a tracker needs one every {_SLOWEST_S:.0f} s at least: "
             "name the readings themselves, not their means"
         )
     stale_s = max(settings.safety.scan_stale_s, _STALE_AFTER_ROWS * every_s)

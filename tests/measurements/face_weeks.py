@@ -149,7 +149,7 @@ class Week:
         site = dict(zip(("latitude_deg", "longitude_deg", "altitude_m"), self.site, strict=True))
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder, "out.csv")
-            done = replay(settings_for(None, law=law, site=site), rows, out, lambda _share: None)
+            done = replay(settings_for(None, law=law, site=site), rows, "the week", out, lambda _share: None)
             with out.open(newline="") as file:
                 found = list(csv.DictReader(file))
         day = np.isin(self.utc_s, self.light.utc_s)

@@ -112,7 +112,7 @@ def main():
         rows = RecordedScans(light.utc_s, readings)
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder, "out.csv")
-            replay(settings, rows, out, lambda _share: None)
+            replay(settings, rows, "the day", out, lambda _share: None)
             with out.open(newline="") as file:
                 found = list(csv.DictReader(file))
         a_deg, b_deg = (np.array([float(row[name]) for row in found]) for name in ("a", "b"))

@@ -210,14 +210,15 @@ def replay(
     else:
         assert store is not None  # noqa: S101 - narrowing; one of the two is there
         rows = rows_of_store(store)
-    in_kilowatts = unit_note(f"the store {store}" if faces is None else str(faces), rows, settings.site.place())
+    called = f"the store {store}" if faces is None else str(faces)
+    in_kilowatts = unit_note(called, rows, settings.site.place())
     if in_kilowatts is not None:
         warn(in_kilowatts)
     # The last reading belongs to it.
     span = (float(rows.utc_s[0]), float(rows.utc_s[-1]) + 1.0)
     local = checked_report(report_to, zone, settings, span, force=force)
     with progress_bar(Console(stderr=True), "replaying") as progress:
-        replayed = run_replay(settings, rows, out, progress)
+        replayed = run_replay(settings, rows, called, out, progress)
     done = len(replayed.qualities)
     pages: Sequence[Path] = ()
     if report_to is not None and done == len(rows):

@@ -240,12 +240,12 @@ GOOD = readings(NOON + np.arange(0, 60, 5.0))
     ("lines", "options", "sentence"),
     [
         ([], {}, "has no readings below its header: name a file that has some"),
-        (GOOD[:1], {}, "two rows at least"),
+        (GOOD[:1], {}, "faces.csv: a replay needs two rows at least"),
         ([GOOD[1], GOOD[0]], {}, "not later than that of the line before"),
         ([["yesterday", "1", "1", "1", "1"]], {}, "'yesterday' is not ISO 8601"),
         ([["2022-10-12T12:00:00Z", "x", "1", "1", "1"]], {}, "east is 'x'"),
         ([["2022-10-12T12:00:00Z", "1", "1"]], {}, "3 cells where the header has 5"),
-        (readings(NOON + np.arange(0, 3600, 600.0)), {}, "600 s apart"),
+        (readings(NOON + np.arange(0, 3600, 600.0)), {}, "faces.csv: the rows are 600 s apart"),
         (GOOD, {"--law": "best"}, "law.driver"),
         (GOOD, {"--site": "here"}, "--site"),
         (GOOD, {"--store": "x"}, "either FACES.csv or --store"),
@@ -287,7 +287,7 @@ def test_ctrl_c_leaves_the_rows_that_were_done(tmp_path):
             signal.raise_signal(signal.SIGINT)
 
     settings = settings_for(None, law="flat", site=site_values(PLACE))
-    done = len(replay(settings, source, tmp_path / "out.csv", interrupt).qualities)
+    done = len(replay(settings, source, "faces.csv", tmp_path / "out.csv", interrupt).qualities)
     assert 2000 < done < len(source)
     lines = (tmp_path / "out.csv").read_text().splitlines()
     assert (len(lines), lines[-1].split(",")[0]) == (done + 1, iso_utc(source.utc_s[done - 1]))

@@ -115,6 +115,15 @@ def test_what_lies_between_two_files_is_bridged_as_within_one(tmp_path):
     assert with_a_gap.utc_s.size == whole.utc_s.size - 179
 
 
+@pytest.mark.parametrize("hours", [(10,), (10, 12, 14)], ids=["one record", "hours between them"])
+def test_records_without_two_minutes_in_a_row_are_no_weather(monkeypatch, tmp_path, capsys, hours):
+    file = tmp_path / "one.csv"
+    file.write_text("\n".join(["time,ghi,dni,dhi", *(f"2016-06-05T{hour}:00:00Z,450,500,150" for hour in hours)]))
+    assert energy(monkeypatch, file, "--site", SITE, "--laws", "flat", "--out", tmp_path / "o") == 2
+    told = f"weather file {file} has single minutes alone: name a file with two records within an hour at least"
+    assert capsys.readouterr().err == f"heliocube: {told}\n"
+
+
 PRICES = ("--peak-kw", 2, "--price", 0.25, "--drive-price", 600, "--drive-life-deg", 300000)
 
 
