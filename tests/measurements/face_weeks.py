@@ -237,7 +237,7 @@ def main() -> None:
         for law in ["optimal"] if arguments.quick else arguments.law:
             driven = week.quickly_driven if arguments.quick else partial(week.driven, law)
             share, days, how = driven(week.faces)
-            print(f"\nmonth {month} from the {arguments.day}th, {sky}, {law}: share of the bound [%], of the healthy")
+            print(f"\nmonth {month} from day {arguments.day}, {sky}, {law}: share of the bound [%], of the healthy")
             print("week's [%], worst day over chronometric [%], most that a day lost against the healthy one [%],")
             print("deg/day, tracking [%], hours of daylight without the east, south, west and zenith face\n")
             say("healthy", share, 100.0, days.min(), 0.0, how)
