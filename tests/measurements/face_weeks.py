@@ -11,8 +11,9 @@ still but for its noise, `stuck` does so at 300 W/m2; `shaded` has no beam while
 face looks; `soiled` keeps 80 % of its light, or the share of --soiled; `loose` reads 0 or 1350 W/m2 for a minute in
 ten, at random, as a loose contact does. --kind without a kind is the healthy week alone.
 
---quick asks the watch alone and drives `optimal` as `heliocube energy` does: a third of the time, for a share within a
-point. By default June and December of `optimal`; --month 4 6 10 12 --law optimal mu-prime is the whole, 20 minutes.
+--quick asks the watch alone and drives `optimal` as `heliocube energy` does: a third of the time, for shares within
+some three points. By default June and December of `optimal`; --month 4 6 10 12 --law optimal mu-prime is the whole, 20
+minutes.
 """
 
 import argparse
