@@ -179,7 +179,8 @@ def replay(
     Raises
     ------
     UserError
-        The rows are too few or too far apart or hold what is no number, or a choice cannot be used.
+        The rows are too few, too far apart, not within 1979 to 2099 or hold what is no number, or a choice cannot be
+        used.
 
     Warns
     -----

@@ -22,6 +22,7 @@ from daemon.base.records import FACES, Bus, Decision, Event, FaceReading, Mode, 
 from daemon.base.timeloop import VirtualTimeLoop, virtual_time
 from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
+from daemon.config.rules import END_OF_STARTS, FIRST_START
 from daemon.config.settings import Settings, settings_of_one
 from daemon.cube.face_watch import FaceWatch
 from daemon.cube.repeats import Repeats
@@ -93,7 +94,8 @@ def replay(
     Raises
     ------
     UserError
-        The rows are too few or too far apart, `out` cannot be written, or the settings have several trackers.
+        The rows are too few, too far apart or not within 1979 to 2099, `out` cannot be written, or the settings have
+        several trackers.
     """
     settings = _fitted(settings_of_one(settings, None), rows, called)
     # A folder that cannot be written to is told before the work and not after it.
@@ -139,6 +141,12 @@ def _fitted(settings: Settings, rows: RecordedScans, called: str) -> Settings:
     """Return the settings with the rhythm of the rows, and without what a replay has no business with."""
     if len(rows) < 2:
         raise UserError(f"{called}: a replay needs two rows at least, to know how far apart they are")
+    first_s, last_s = float(rows.utc_s[0]), float(rows.utc_s[-1])
+    if not FIRST_START.timestamp() <= first_s <= last_s < END_OF_STARTS.timestamp():
+        raise UserError(
+            f"{called}: the times must be within the years {FIRST_START.year} to {END_OF_STARTS.year - 1}; these begin"
+            f" at {iso_utc(first_s)[:19]}Z and end at {iso_utc(last_s)[:19]}Z: put them right"
+        )
     every_s = float(np.median(np.diff(rows.utc_s)))
     if every_s > _SLOWEST_S + 0.5:
         raise UserError(

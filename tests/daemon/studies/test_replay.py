@@ -246,6 +246,12 @@ GOOD = readings(NOON + np.arange(0, 60, 5.0))
         ([["2022-10-12T12:00:00Z", "x", "1", "1", "1"]], {}, "east is 'x'"),
         ([["2022-10-12T12:00:00Z", "1", "1"]], {}, "3 cells where the header has 5"),
         (readings(NOON + np.arange(0, 3600, 600.0)), {}, "faces.csv: the rows are 600 s apart"),
+        (
+            [["1970-01-01T00:00:01Z", *GOOD[0][1:]], *GOOD],
+            {},
+            "faces.csv: the times must be within the years 1979 to 2099; these begin at 1970-01-01T00:00:01Z",
+        ),
+        ([*GOOD, ["9999-12-31T12:00:00Z", *GOOD[0][1:]]], {}, "and end at 9999-12-31T12:00:00Z: put them right"),
         (GOOD, {"--law": "best"}, "law.driver"),
         (GOOD, {"--site": "here"}, "--site"),
         (GOOD, {"--store": "x"}, "either FACES.csv or --store"),
