@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from solar.ephemeris import DAY_S, Site, extraterrestrial_dni, sun_direction
-from solar.frames import FACE_NORMALS, Array, Limits, normal_from_angles
+from solar.frames import FACE_NORMALS, Array, Limits, bounded, normal_from_angles
 from solar.skies.allweather import all_weather_sky
 from solar.skies.cie import cie_sky
 from solar.skies.sky import SKY_MODELS, sky
@@ -258,9 +258,9 @@ def harvest(
             continue
         for sample in range(drive.samples):
             # np.clip takes several times as long for a few days.
-            by_a = np.minimum(np.maximum(target_a - a, -stride), stride)
+            by_a = bounded(target_a - a, -stride, stride)
             left = stride - np.abs(by_a) if np.isfinite(stride) else stride
-            by_b = np.minimum(np.maximum(target_b - b, -left), left)
+            by_b = bounded(target_b - b, -left, left)
             poses[0, sample, step], poses[1, sample, step] = a + middle * by_a, b + middle * by_b
             a, b = a + by_a, b + by_b
             travel += np.abs(by_a) + np.abs(by_b)

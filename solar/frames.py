@@ -76,7 +76,7 @@ def angles_from_direction(direction: ArrayLike) -> tuple[Array, Array]:
     """
     vector = vectors(direction)
     length, b_deg = _length_and_b(vector)
-    return np.degrees(np.arcsin(np.minimum(np.maximum(-vector[..., 1] / length, -1.0), 1.0))), b_deg
+    return np.degrees(np.arcsin(bounded(-vector[..., 1] / length, -1.0, 1.0))), b_deg
 
 
 def _length_and_b(vector: Array) -> tuple[Array, Array]:
@@ -101,12 +101,11 @@ def angles_within(direction: ArrayLike, limits: Limits) -> tuple[Array, Array]:
         raise ValueError(f"the limits must be {wanted}, and not {given!r}")  # noqa: TRY004 - as for all bad numbers
     vector = vectors(direction)
     _, free_b_deg = _length_and_b(vector)
-    # As np.clip, which takes several times as long for a single direction.
-    b_deg = np.minimum(np.maximum(free_b_deg, limits.b_min_deg), limits.b_max_deg)
+    b_deg = bounded(free_b_deg, limits.b_min_deg, limits.b_max_deg)
     b = np.radians(b_deg)
     towards = vector[..., 0] * np.cos(b) + vector[..., 2] * np.sin(b)
     a_deg = np.degrees(np.arctan2(-vector[..., 1], towards))
-    return np.minimum(np.maximum(a_deg, limits.a_min_deg), limits.a_max_deg), b_deg
+    return bounded(a_deg, limits.a_min_deg, limits.a_max_deg), b_deg
 
 
 def direction_from_azimuth(azimuth_deg: ArrayLike, elevation_deg: ArrayLike, latitude_deg: float) -> Array:
@@ -141,6 +140,12 @@ def separation_deg(first: ArrayLike, second: ArrayLike) -> Array:
         along: Array = np.sum(u * v, axis=-1)
         apart: Array = np.where(u.any(axis=-1) & v.any(axis=-1), np.degrees(np.arctan2(across, along)), np.nan)
     return apart[()]
+
+
+def bounded(values: ArrayLike, low: ArrayLike, high: ArrayLike) -> Array:
+    """Return values, none of them beyond its bounds, as `np.clip` does in several times as long where they are few."""
+    result: Array = np.minimum(np.maximum(values, low), high)
+    return result
 
 
 def joined(*components: ArrayLike) -> Array:

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from solar.frames import FACE_NORMALS, Array, Limits, angles_within, joined
+from solar.frames import FACE_NORMALS, Array, Limits, angles_within, bounded, joined
 
 FACES_NEEDED = 3
 """How many faces the light can be told by, with the sun's position."""
@@ -232,18 +232,17 @@ def as_far_as_it_pays(
     south, east, up = vector[..., 0], vector[..., 1], vector[..., 2]
     upright = np.hypot(south, up) * np.cos(np.radians(best_a_deg))
     b_deg = _near(np.degrees(np.arctan2(up, south)), upright, here[1], price_w_m2_per_deg)
-    b_deg = np.minimum(np.maximum(b_deg, limits.b_min_deg), limits.b_max_deg)
+    b_deg = bounded(b_deg, limits.b_min_deg, limits.b_max_deg)
     upright = south * np.cos(np.radians(b_deg)) + up * np.sin(np.radians(b_deg))
     a_deg = _near(np.degrees(np.arctan2(-east, upright)), np.hypot(upright, east), here[0], price_w_m2_per_deg)
-    return np.minimum(np.maximum(a_deg, limits.a_min_deg), limits.a_max_deg), b_deg
+    return bounded(a_deg, limits.a_min_deg, limits.a_max_deg), b_deg
 
 
 def _near(best_deg: Array, most_w_m2: Array, here_deg: ArrayLike, price_w_m2_per_deg: ArrayLike) -> Array:
     """Return the angle nearest to `here_deg` from which no degree towards the best one gains more than its price."""
     slope = np.asarray(price_w_m2_per_deg) / np.radians(np.maximum(most_w_m2, _SMALLEST))
     left_deg = np.degrees(np.arcsin(np.minimum(slope, 1.0)))
-    result: Array = np.minimum(np.maximum(here_deg, best_deg - left_deg), best_deg + left_deg)
-    return result
+    return bounded(here_deg, best_deg - left_deg, best_deg + left_deg)
 
 
 def beam_shares(sun: Array, axes: int = 0) -> Array:
@@ -301,9 +300,9 @@ def _possible(solution: tuple[Array, Array, Array], weight: Array, towards: Arra
     zenith = np.maximum(beam * height + uniform, 0.0)
     vertical = 0.5 * uniform + horizon
     most = np.where(height > _SMALLEST, zenith / np.maximum(height, _SMALLEST), 0.0)
-    kept = np.minimum(np.maximum(beam, 0.0), most)
+    kept = bounded(beam, 0.0, most)
     mean_share = _sum(0.0, weight[:3] * towards) / np.maximum(_sum(0.0, weight[:3]), 1.0)
     uniform = np.maximum(zenith - kept * height, 0.0)
     vertical = vertical + (beam - kept) * mean_share
     low, high = _HORIZON_RANGE
-    return Light(kept, uniform, np.minimum(np.maximum(vertical - 0.5 * uniform, low * uniform), high * uniform))
+    return Light(kept, uniform, bounded(vertical - 0.5 * uniform, low * uniform, high * uniform))

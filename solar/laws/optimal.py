@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from solar.frames import Array, Limits, angles_within
+from solar.frames import Array, Limits, angles_within, bounded
 from solar.laws.in_rows import best_among, taken_by_neighbours
 from solar.laws.light import Light, aim_vector, as_far_as_it_pays, product, within_reach
 from solar.laws.memory import Expectation, Flags, LightMemory, OptimalSettings
@@ -216,8 +216,7 @@ class OptimalLaw:
             self._moves / max(settings.moves_per_day, 1),
         )
         left = np.maximum(1.0 - spent, _LEAST_LEFT)
-        share = np.minimum(np.maximum(daylight_left, 0.0), 1.0)
-        pressure = np.minimum(np.maximum(share / left, 1.0), _MOST_PRESSURE)
+        pressure = bounded(bounded(daylight_left, 0.0, 1.0) / left, 1.0, _MOST_PRESSURE)
         return settings.thrift * pressure**settings.pacing
 
     def affords(self, distance_deg: ArrayLike) -> Flags:
