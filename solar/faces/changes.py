@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from solar.faces.contradiction import PAIRS, SWAPS
 from solar.faces.plausible import LOWEST_SINE
-from solar.frames import Array
+from solar.frames import Array, joined
 from solar.laws.light import beam_shares
 
 _CONTRADICT = 0.25
@@ -84,7 +84,7 @@ def changes(faces_w_m2: Array, sun: Array) -> Changes | None:
     if not _suffice(told & (np.abs(steps) > _LARGE_W_M2).any(axis=-1)):
         return None
     steps, up = steps[told], sun[1:][told]
-    direct = np.stack([*beam_shares(up), up[:, 2]], axis=-1)
+    direct = joined(*beam_shares(up), up[:, 2])
     sound, total = _sound(direct), (steps**2).sum()
     as_they_are = float(np.sqrt(_left_over(steps, sound[None]) / total)[0])
     if not as_they_are > _CONTRADICT:

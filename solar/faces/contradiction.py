@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from solar.faces.plausible import LOWEST_SINE
+from solar.faces.plausible import LOWEST_SINE, OTHERS
 from solar.frames import Array
 from solar.laws.light import Light, light_from_faces, on_faces
 
@@ -36,7 +36,6 @@ _LIT_W_M2 = 30.0
 _PARTS = 3
 _LEAST_MINUTES = 24
 _ALL_FOUR = np.ones((1, 1, 4), dtype=np.bool_)
-_HELD_BACK = ~np.eye(4, dtype=np.bool_)[:, None, :]
 _DOUBLED = (1.0 + np.eye(4))[:, None, :]
 
 
@@ -128,7 +127,7 @@ class Misfits:
 
     @cached_property
     def _held_back(self) -> tuple[Array, Array]:
-        return self._left_over(self._faces[None], _HELD_BACK)
+        return self._left_over(self._faces[None], OTHERS)
 
     def _left_over(
         self,

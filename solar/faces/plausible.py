@@ -40,8 +40,8 @@ _ALBEDO = 0.2
 _NIGHT_SINE = float(np.sin(np.radians(-6.0)))
 _NIGHT_W_M2 = 20.0
 _NIGHT_OTHERS_W_M2 = 5.0
-# By which faces each is judged: all but itself, at every instant.
-_OTHERS = ~np.eye(4, dtype=np.bool_)[:, None, :]
+OTHERS = ~np.eye(4, dtype=np.bool_)[:, None, :]
+"""By which faces each is judged at every instant, shape (4, 1, 4): all but itself."""
 _PAIRINGS = (((3, 0), (1, 2)), ((3, 1), (0, 2)), ((3, 2), (0, 1)))
 
 
@@ -181,7 +181,7 @@ def _can_be_judged(face: int, reached: Sequence[bool], believed: Sequence[bool])
 
 def _by_the_others(faces: Array, sun: Array, judged: Sequence[int]) -> Array:
     """Return what each of some faces should read by the other three, shape (faces, n): one fit for all of them."""
-    light = light_from_faces(faces, sun, _ALBEDO, _OTHERS[judged])
+    light = light_from_faces(faces, sun, _ALBEDO, OTHERS[judged])
     return irradiance_on(light, sun, _ALBEDO, FACE_NORMALS[judged, None, :])
 
 
