@@ -109,7 +109,7 @@ class Dashboard:
         host = _host(request)
         if not self._places.are_free_for(host):
             raise HTTPException(503, "too many pages are open already; close some")
-        request.scope.setdefault("state", {})[KEPT] = True
+        setattr(request.state, KEPT, True)
         if request.method == "HEAD":
             return Response(media_type="text/event-stream", headers={"Cache-Control": "no-store"})
         return EventStream(self._stream(), self._places.taken_by(host))
@@ -267,7 +267,7 @@ class Dashboard:
         session = self._sessions.find(_session_name(request))
         if session is None:
             raise HTTPException(401, "log in first")
-        request.scope.setdefault("state", {})[KEPT] = True
+        setattr(request.state, KEPT, True)
         return session
 
 
