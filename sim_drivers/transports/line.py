@@ -107,8 +107,7 @@ class InMemoryLine(Cabled):
 
     def _require_open(self) -> None:
         """Forget, too, what the instrument has dropped since."""
-        if not self._is_open:
-            super()._require_open()
+        super()._require_open()
         if self._core.aborts != self._aborts:
             self._aborts = self._core.aborts
             self._arriving.clear()
