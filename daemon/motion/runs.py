@@ -162,6 +162,9 @@ class Runs:
         outcome, why = MoveOutcome.INTERRUPTED, target.why
         for attempt in range(self._settings.attempts):
             if attempt:
+                if outcome is MoveOutcome.OVERSHOT:
+                    # The axis may obey somebody else, and the next attempt may succeed: tell it all the same.
+                    self._report(f"{why}; it was stopped")
                 await self._pause()
                 if guard.doubts.reference is not None:
                     # The count may have begun anew: what it was before would put the axes beyond their targets.

@@ -5,7 +5,7 @@ import itertools
 
 import pytest
 
-from daemon.base.records import Mode, MoveOutcome, Target
+from daemon.base.records import Event, Mode, MoveOutcome, Target
 from sim_drivers.pozsol.setup import AxisDrive, Setup
 from tests.daemon.tracker.days import operator
 from tests.support.motion import (
@@ -86,6 +86,16 @@ def test_a_move_that_overshoots_ends_with_stop(run_rig, monkeypatch):
         assert await moves_for(rig, 30) <= 1.0
 
     run_rig(scenario, motion={"attempts": 1}, setup=Setup(drive=AxisDrive(overshoot_mm=12.0)))
+
+
+def test_an_axis_that_went_past_its_target_is_told_although_the_next_attempt_may_arrive(run_rig):
+    async def scenario(rig):
+        await rig.until(lambda: rig.motion.last_move, 300, "the end of the move")
+        told = [event.text for event in rig.of(Event) if event.subject == "positioner" and "beyond" in event.text]
+        assert len(told) == 1
+        assert told[0].startswith(("A stands at", "B stands at"))
+
+    run_rig(scenario, motion={"attempts": 2}, setup=Setup(drive=AxisDrive(overshoot_mm=12.0)))
 
 
 def test_a_move_that_stalls_ends_with_stop(run_rig, monkeypatch):
