@@ -30,19 +30,19 @@ class Used(BaseModel):
     moves: int = Field(default=0, ge=0)
 
     def plus(self, travelled_deg: float, moves: int) -> "Used":
-        """Return the count with so much more."""
+        """Return the count with these added."""
         return Used(day=self.day, travelled_deg=self.travelled_deg + travelled_deg, moves=self.moves + moves)
 
 
 def is_early(moves: int, settings: MotionSettings, site: Site, utc_s: float) -> bool:
-    """Whether so many moves are made by now that the next has to wait: they are to last until sunset.
+    """Whether so many moves are made by now that the next has to wait: the day's moves are to last until sunset.
 
     Parameters
     ----------
     moves
-        That were made today.
+        How many were made today.
     settings, site
-        The limit, and where the sun is looked at.
+        The limit, and where the tracker is.
     utc_s
         Now [s]. While the sun is down nothing waits: it is twilight, or the clock is wrong.
     """
@@ -58,7 +58,7 @@ class DayBudget:
     settings
         The limits.
     site
-        A day is the sun's there, from midnight to midnight.
+        Where the tracker is. A day is a solar day there, from midnight to midnight.
     folder
         Where the count is kept over a restart.
     alarms
@@ -92,13 +92,16 @@ class DayBudget:
         return self.travel_left_deg < _FOR_THE_SUN * self._settings.travel_per_day_deg
 
     def waits_why(self, utc_s: float) -> str | None:
-        """Return why the next move has to wait for a later time of the day; None if it need not, or there is none."""
+        """Return why the next move has to wait for a later time of the day; None if it need not, or no move is left."""
         if self.moves_left < 1 or not is_early(self.used.moves, self._settings, self._site, utc_s):
             return None
         return f"waits, because the day's {self._settings.moves_per_day} moves are to last until sunset"
 
     def turn(self, utc_s: float) -> None:
-        """Begin a new day when the sun has passed its lowest point since the last call, or go on with a later one."""
+        """Begin a new day when the sun has passed its lowest point since the last call.
+
+        If the clock was wrong for a time and is then set to the day of the kept count, that count goes on.
+        """
         today, before, later = int(solar_days(utc_s, self._site.longitude_deg)), self.used, self._later
         if today == before.day:
             return

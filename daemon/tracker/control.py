@@ -30,11 +30,11 @@ from drivers.errors import DeviceError
 log = logging.getLogger("heliocube.control")
 
 _TICK_S = 5.0
-# To ask a law takes milliseconds, and displays ask once a second.
+# Asking a law takes milliseconds, and displays ask once a second.
 _FORESEE_EVERY_S = 10.0
 # Longer than a clock's resolution: a timer may fire that much early, and the tick after it must find time moved on.
 _SHORTEST_WAIT_S = 0.001
-# Changes between the same two modes that are told each for itself.
+# This many changes between the same two modes are logged one by one.
 _FEW_CHANGES = 8
 
 
@@ -90,9 +90,9 @@ class Control(Doors):
     publish
         Called with decisions, mode changes and events.
     alarms
-        Where what a person has to know is raised.
+        Where alarms are raised.
     folder
-        Where all of it is kept over a restart.
+        Where state is kept over a restart.
     clock_watch
         Tells whether the time of day may be used.
     phase
@@ -144,7 +144,7 @@ class Control(Doors):
         if self._clock_watch.trusted:
             self.pointing.receive(scan, utc_s)
         if (self.mode in (Mode.STARTING, Mode.FALLBACK) or self._waits) and scan.ok:
-            # It may be what was waited for.
+            # This scan may be what the decision waits for.
             self._decide_in_turn()
 
     def note(self, record: Record) -> None:
@@ -212,7 +212,7 @@ class Control(Doors):
 
     @property
     def _waits(self) -> bool:
-        """Whether a decision is kept back: readings that are not good at this instant, or wind that was not heard."""
+        """Whether decisions are held back, because readings are not good at present or the wind was not heard yet."""
         return not self._wind_known or (self.mode is Mode.TRACKING and self._data is not Data.FRESH)
 
     def _until_next_tick(self) -> float:
@@ -237,7 +237,7 @@ class Control(Doors):
         self._reminders.watch_stow(None if at_stow else situation.stow_why, self.wishes)
         if mode is not self.mode:
             if self.mode is Mode.STOW and situation.stow_why is None:
-                # Where nothing is decided anew at once, the way to the stow position would go on.
+                # If the next mode does not decide at once, a move to the stow position would go on.
                 self._motion.forget_order()
             self._enter(mode, why, now_s)
         self.why = why
@@ -255,7 +255,7 @@ class Control(Doors):
         if (step_s := self._clock_watch.step_s()) is not None:
             self._warn(told_step(step_s, self._clock.utc()))
         if (slept_s := self._sleeps.take_s()) > self._settings.safety.scan_stale_s:
-            # What is old seems fresh by the steady clock.
+            # By the monotonic clock, which stands still during a sleep, old readings seem fresh.
             self._warn(told_sleep(slept_s))
             self._readings.forget()
             self._stow_watch.note_sleep(now_s)
@@ -268,7 +268,7 @@ class Control(Doors):
         stow_why = "; ".join((*([asked] if asked else []), *self._stow_watch.reasons(now_s))) or None
         self._wind_known = (waiting_why := self._stow_watch.waiting_why(now_s)) is None
         if waiting_why is not None:
-            # Nor, as below, to the position of night or snow: it may be steeper than where the tracker lay in a storm.
+            # Wait; go to no night or (below) snow position: it may be steeper than where the tracker lay in a storm.
             data, data_why, night_why = Data.WAITING, waiting_why, None
         wishes = self.wishes
         return Situation(
@@ -289,7 +289,7 @@ class Control(Doors):
 
     @property
     def at_stow(self) -> bool:
-        """Whether it surely stands there: what is in doubt about the axes, or is not seen, is no stow that is done."""
+        """Whether the tracker surely stands in the stow position; False if the axes are in doubt or not seen."""
         safety, motion = self._settings.safety, self._motion
         sure = motion.connected and motion.blocked is None and motion.doubt is None
         return sure and self._parking.stands_at(safety.stow_a_deg, safety.stow_b_deg)
@@ -303,13 +303,13 @@ class Control(Doors):
         self._since_utc_s = utc_s
         self._due_s = max(now_s, self._readings.good_s + kept_s)
         self._parking.forget()
-        # What has not begun yet was ordered for a reason that is no longer in force.
+        # An order that has not begun yet was given for a reason that is no longer in force.
         self._motion.forget_waiting()
         if mode is Mode.FAULT:
             self._orders.end_goto("a fault")
 
     def _log_mode(self, mode: Mode, why: str, now_s: float) -> None:
-        """Log a change of mode; two modes that alternate are told as that, for every change is recorded anyway."""
+        """Log a change of mode; if two modes keep alternating, say so once: every change is recorded anyway."""
         changes = self._changes.setdefault(frozenset((self.mode, mode)), Recurrence(_FEW_CHANGES, reminds=False))
         said = changes.note(now_s)
         often = f" ({changes.how_often(now_s)} between these two)" if said is Wording.OFTEN else ""
@@ -345,7 +345,7 @@ class Control(Doors):
         self._due_s = self._phase.next_s(now_s, chosen.law.decide_every_s)
         said = ask(chosen, mean, whereabouts, utc_s, sun_known=self._clock_watch.trusted)
         answer, target = said
-        # A law that fails gives way while it is asked; a move may use up the law's share of the day.
+        # Read the name after asking (a law that fails gives way) and before a move (it may use up the law's share).
         law = self._deciding.name
         worth_it = said.worth_moving(whereabouts.heading, self._settings.motion.deadband_deg)
         waits_why = self.budget.waits_why(self._clock_watch.believed_utc_s) if worth_it else None

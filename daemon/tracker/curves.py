@@ -1,4 +1,4 @@
-"""The I-V curve of the module on the tracker, every few seconds; it is in open circuit in between."""
+"""The I-V curve of the module on the tracker, every few seconds; the module is in open circuit in between."""
 
 import asyncio
 import base64
@@ -21,9 +21,9 @@ from solar.iv import measured_maximum, sweep_voltages
 log = logging.getLogger("heliocube.load")
 
 _LOWEST_SUN_DEG = -3.0
-# A change by less is the sensor's noise at dusk.
+# A smaller change is the sensor's noise at dusk.
 _LEAST_CHANGE_W_M2 = 5.0
-# With less than this many times the lowest voltage there is nothing to sweep.
+# An open-circuit voltage below this many times the lowest voltage leaves nothing to sweep.
 _LEAST_OPEN_CIRCUIT = 2.0
 
 
@@ -43,12 +43,12 @@ class IvAcquisition:
     publish
         Called with every curve, and with events worth telling.
     sun_elevation_deg
-        Of UTC [s].
+        Returns the sun's elevation at a UTC [s].
     scan_stale_s
-        Age from which the cube's reading is not known any more.
+        Age from which the cube's last reading counts as unknown.
     time_known
-        Tells whether the time of day is believed: if not, curves go on, with a word about their time and without the
-        sun.
+        Tells whether the time of day is believed. If not, curves are measured whatever the sun's position, and are
+        marked as of doubtful time.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class IvAcquisition:
 
     @contextmanager
     def _no_more_than_lost(self) -> Iterator[None]:
-        """Take what a driver does not foresee for a lost load: trackers do not end for want of a measurement."""
+        """Treat an error that the driver does not foresee as a lost load: no tracker ends for want of a measurement."""
         try:
             yield
         except DeviceError:

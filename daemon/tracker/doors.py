@@ -11,7 +11,7 @@ from daemon.tracker.phase import Phase
 from daemon.tracker.wishes import Wishes
 from drivers.errors import RefusedError
 
-# Hundreds of first decisions take a second or two.
+# The first decisions of hundreds of trackers take a second or two.
 _ALL_WITHIN_S = 3.0
 
 
@@ -109,14 +109,14 @@ class Doors:
             remedy = "; give it again in a minute, or after 'heliocube hold'" if self.mode is Mode.STARTING else ""
             raise RefusedError("positioner", f"no goto in mode {self.mode}: {self.why}{remedy}")
         self._orders.hold_at = Target(a_deg, b_deg, why)
-        # From where it stands it may be on its way to elsewhere in a moment.
+        # An older order that waits could still move the tracker to elsewhere.
         self._motion.forget_waiting()
         self._orders.latch("hold", why, by, instead_of="snow", goto_deg=(a_deg, b_deg))
         self._parking.forget()
         self._keep_wishes()
 
     def refuse_goto(self, a_deg: float, b_deg: float) -> None:
-        """Raise what `goto` raises for the place, for persons and for stow."""
+        """Raise what `goto` raises because of the position, a person's orders or a stow."""
         limits = self._settings.limits.limits()
         if not limits.contain(a_deg, b_deg):
             raise ValueError(f"A {a_deg:g}, B {b_deg:g} deg is outside the limits ({limits})")
@@ -127,7 +127,7 @@ class Doors:
         """Release everything that persons asked for: the one way out of stop and maintenance."""
         self._orders.release()
         if self.mode in (Mode.HOLD, Mode.SNOW):
-            # Where nothing is decided anew, a move to where a person wanted it would go on.
+            # If nothing is decided anew, a move to the position that a person wanted would go on.
             self._motion.forget_order()
         self._freeze()
         self._keep_wishes()
@@ -140,7 +140,7 @@ class Doors:
         await self._stand_still("stop", why, by)
 
     def join_stop(self, why: str, by: str = "") -> bool:
-        """Note who else wants the tracker stopped, of a stop that has just been sent; return whether that is new."""
+        """Note who else wants the tracker stopped, just after a stop was sent; return whether that is new."""
         if self.wishes.stop is not None and self.wishes.stop.tells(why, by):
             return False
         self._orders.latch("stop", why, by)
@@ -160,7 +160,7 @@ class Doors:
         self._orders.latch(name, why, by)
         self._orders.hold_at = None
         self._freeze()
-        # No disk stands between a person and the axes; a link that takes its time to send it, none before the disk.
+        # The stop does not wait for the disk, and writing to disk does not wait for a slow link.
         asyncio.get_running_loop().call_soon(self._orders.keep)
         try:
             await self._motion.stop()
@@ -171,7 +171,7 @@ class Doors:
         """Tell motion at once what persons want to stand still."""
         stillness = self.wishes.stillness
         if stillness is not None:
-            # What was under way ends, and is to be ordered again at once should that be released before a tick.
+            # A move to a fixed position ends here; if this is released before the next tick, order it again at once.
             self._parking.forget()
         self._motion.freeze(None if stillness is None else f"the tracker is {stillness}; {RELEASE}")
 
@@ -194,7 +194,7 @@ class Doors:
         self._wake.set()
 
     def refuse_home(self) -> None:
-        """Raise what `home` raises for persons and for stow."""
+        """Raise what `home` raises because of a person's orders or a stow."""
         self._orders.refuse("home")
         self._refuse_stowed("home")
 

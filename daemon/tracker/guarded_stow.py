@@ -1,4 +1,4 @@
-"""A source of stow whose failure ends nothing: what answers with an error is not known to be safe, and stows."""
+"""A guard around a stow source: a source that fails is not known to be safe, so it stows and the service goes on."""
 
 import logging
 import math
@@ -10,11 +10,11 @@ from daemon.tracker.stow import StowSource, StowStatus
 
 log = logging.getLogger("heliocube.stow")
 
-# One that fails now and then is told once, and not each time.
+# A source that fails now and then is reported once, not at each failure.
 _SOUND_AFTER_S = 60.0
-# It may have read its own clock a moment after ours.
+# A source may read its own clock a moment after ours, so an age slightly below zero is no error.
 _LEAST_AGE_S = -1.0
-# What a status without a reason is made of; such a one is handed on as it is, 100,000 times a simulated day.
+# Types of a status without a reason. Such a status is handed on without a copy: there are 100,000 in a simulated day.
 _OF_CALM = (str, type(None), float, float, float, float, float, bool)
 
 
@@ -26,22 +26,22 @@ class StowAnswer(NamedTuple):
 
 
 class GuardedStow:
-    """A source of stow that stows while it raises what it never should, or answers with what is no answer.
+    """A source of stow that also stows while it raises errors or gives invalid answers.
 
-    It has failed until it has worked for a minute; after each failure it is told to `resume`, so that it has to be
-    calm for its whole time.
+    It counts as failed until it has worked for a minute. After each failure it is told to `resume`, so that it has to
+    be calm for its whole time.
 
     Parameters
     ----------
     source
-        Which anybody may have written.
+        The source, which anybody may have written.
     taken
         The names of the sources before it.
 
     Attributes
     ----------
     name
-        Of the source, or of its class where it has none; with a number where that is taken.
+        Name of the source, or of its class where it has none; with a number where that name is taken.
     failed_why
         What has happened, in a sentence, or None.
     """
@@ -50,7 +50,7 @@ class GuardedStow:
         self._source = source
         name = getattr(source, "name", None)
         given = name if isinstance(name, str) else type(source).__name__
-        # Reasons, alarms and metrics are kept by name: of two alike one would be lost.
+        # Reasons, alarms and metrics are kept by name: of two sources with one name, one would be lost.
         numbered = (f"{given} ({number})" for number in count(2))
         self.name = given if given not in taken else next(each for each in numbered if each not in taken)
         self.failed_why: str | None = None
@@ -75,7 +75,7 @@ class GuardedStow:
         return StowAnswer(self.failed_why, self._status_failed(now_s))
 
     def status(self, now_s: float) -> StowStatus:
-        """Return how it stood at the last poll."""
+        """Return how the source stood at the last poll."""
         if self.failed_why is None:
             try:
                 return _checked(self._source.status(now_s), self.name)
@@ -111,7 +111,7 @@ def _words(why: object) -> str | None:
 
 
 def _checked(status: object, name: str) -> StowStatus:
-    """Return the status in numbers of Python; `TypeError` or `ValueError` for what is none."""
+    """Return the status with plain Python numbers; `TypeError` or `ValueError` for an invalid one."""
     if not isinstance(status, StowStatus):
         raise TypeError(f"its status is {status!r}, no StowStatus")
     age_s = float(status.age_s)

@@ -1,4 +1,4 @@
-"""What a law wants kept or shown, checked and in numbers of Python: anybody may have written it, and with numpy."""
+"""What a law wants kept or shown, checked and in plain Python numbers: anybody may have written the law, with numpy."""
 
 import json
 from collections.abc import Mapping
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def checked_kept(found: object) -> dict[str, Any] | None:
-    """Return what a law wants kept as it will be read again; `TypeError` for what no file of kept state holds."""
+    """Return what a law wants kept, in the form in which it will be read again; `TypeError` if no file can hold it."""
     if found is None:
         return None
     if not isinstance(found, Mapping):
@@ -16,5 +16,5 @@ def checked_kept(found: object) -> dict[str, Any] | None:
 
 
 def checked_shown(found: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """Return what a law shows of itself; an error of Python's for what is no mapping of mappings of numbers."""
+    """Return what a law shows of itself; raises an error unless it is a mapping of mappings of numbers."""
     return {str(part): {str(name): float(value) for name, value in of.items()} for part, of in found.items()}

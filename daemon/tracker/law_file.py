@@ -1,4 +1,4 @@
-"""What a law keeps from one run to the next: a small file beside the store, of whatever law it is."""
+"""What a law keeps from one run to the next: a small file beside the store, for any law."""
 
 import logging
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ class LawFile:
     Parameters
     ----------
     folder, name
-        Of the file.
+        Folder and name of the file.
     """
 
     def __init__(self, folder: StateFolder, name: str = FILE_NAME) -> None:
@@ -39,10 +39,10 @@ class LawFile:
         return None if kept is None else kept.root
 
     def refuse(self) -> None:
-        """Report that what was kept is not what the law can go on from."""
+        """Report that the law cannot go on from what was kept."""
         log.warning("%s cannot be used: the law learns the site again from the beginning", self._file.path)
 
     def save(self, kept: Mapping[str, Any] | None) -> None:
-        """Have the file replaced as a whole; no disk hinders tracking."""
+        """Have the file replaced as a whole; a slow or failing disk does not hold up tracking."""
         if kept is not None:
             self._file.save(_Kept(dict(kept)))

@@ -3,7 +3,7 @@
 Maintenance comes first: people work on the tracker. Then a positioner that cannot move at all, because nothing can be
 done; a request to stow stays latched meanwhile and is the first thing carried out after it. A person's stop comes next,
 and a person at the unit's buttons, because somebody may be in reach of the axes. Stow pre-empts everything else, homing
-and doubts included. A reason that is not the mode's but still holds people's hands off or calls for stow is told too.
+and doubts included. The reason also names a stop, a lost positioner or a wanted stow that does not decide the mode.
 """
 
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class Situation:
     blocked_why
         Why the positioner can move nothing, or None.
     doubt_why
-        Why it must not be moved but to stow, or None.
+        Why the positioner may move only to stow, or None.
     homing
         A reference run is on, or was asked for and comes next.
     maintenance_why
@@ -39,7 +39,7 @@ class Situation:
     stop_why
         Why an operator has stopped the axes, or None.
     buttons_why
-        Why the unit's buttons count as somebody's who is there, or None.
+        Why somebody counts as being at the unit's buttons, or None.
     stow_why
         The first reason to stow, or None.
     snow_why
@@ -49,7 +49,7 @@ class Situation:
     night_why
         Why it counts as night, or None.
     data, data_why
-        Whether the cube's scans can be used, and in words.
+        Whether the cube's scans can be used, and why, in words.
     """
 
     connected: bool
@@ -96,7 +96,7 @@ def next_mode(current: Mode, situation: Situation, *, at_stow: bool = False) -> 
         return Mode.TRACKING, s.data_why
     if s.data is Data.BAD:
         return Mode.FALLBACK, s.data_why
-    # Data may yet come: what the tracker did with data or without it goes on, anything else waits for it.
+    # Data may yet come. Tracking and fallback go on until then; any other mode waits for it in `starting`.
     return (current if current in (Mode.TRACKING, Mode.FALLBACK) else Mode.STARTING), s.data_why
 
 

@@ -24,7 +24,7 @@ class Orders:
     clock
         The service's time.
     file
-        Keeps it over a restart.
+        Keeps the wishes over a restart.
     hold_why
         Why the tracker is to be held from the start where nobody has asked for anything; None to let it go to work.
 
@@ -54,7 +54,7 @@ class Orders:
     def refuse(self, command: str) -> None:
         """Raise `RefusedError` where a person's stop, maintenance or a person at the buttons forbids a command."""
         wishes, stillness = self.wishes, self.wishes.stillness
-        # Who works at a tracker may press its buttons before saying so.
+        # A person who works at a tracker may press its buttons before giving the command.
         from_buttons = command == "maintenance" and wishes.stop is None and wishes.maintenance is None
         if stillness is None or from_buttons:
             return
@@ -69,18 +69,18 @@ class Orders:
         instead_of: str | None = None,
         goto_deg: tuple[float, float] | None = None,
     ) -> None:
-        """Put a wish in force, in memory; `keep` writes it down. A stop joins one that stands, and takes no place.
+        """Put a wish in force, in memory; `keep` writes it down. A stop joins one that stands and does not replace it.
 
         Parameters
         ----------
         name
-            Of the wish.
+            Name of the wish.
         why, by
             Reason and person.
         instead_of
-            A wish that ends by this one.
+            A wish that this one ends.
         goto_deg
-            Where to, A and B, of the hold of a goto.
+            For the hold of a goto: its position, A and B.
         """
         wish = Wish(why=why, by=by, since_utc_s=self._clock.utc(), goto_deg=goto_deg)
         if name == "stop" and self.wishes.stop is not None:
@@ -89,14 +89,14 @@ class Orders:
         self._set(self.wishes.model_copy(update={name: wish, **ended}))
 
     def end_goto(self, by: str) -> None:
-        """Let what has come end a goto: where a person wanted to go before may be a wrong place to go to after it."""
+        """End a goto because of what has come: afterwards the position that a person wanted may be the wrong one."""
         if self.hold_at is not None:
             self.hold_at, self._goto_ended_by = None, by
 
     def end_goto_on_its_way(self, stands_at: Callable[[float, float], bool]) -> str | None:
         """Let a sleep of the machine end a goto that has not arrived, and return that in words; None if there is none.
 
-        Hours later whoever gave it may not stand there any more. `stands_at` as for `why_held`.
+        Hours later the person who gave it may no longer be at the tracker. `stands_at` is as for `why_held`.
         """
         if self.hold_at is None or stands_at(self.hold_at.a_deg, self.hold_at.b_deg):
             return None
@@ -104,7 +104,7 @@ class Orders:
         return self.why_held(stands_at)
 
     def why_held(self, stands_at: Callable[[float, float], bool]) -> str | None:
-        """Return why a person holds the tracker, or None; of a goto that has ended on its way, what ended it as well.
+        """Return why a person holds the tracker, or None; for a goto that ended on its way, also what ended it.
 
         Parameters
         ----------
@@ -135,7 +135,7 @@ class Orders:
     def note_buttons(self, telemetry: Telemetry | None) -> bool:
         """Hold, in memory, when somebody presses a button at the unit; return whether that is new.
 
-        What was seen before a person said `auto` is no reason afterwards; in maintenance somebody is known to be there.
+        A press seen before the last `auto` no longer counts; in maintenance somebody is known to be there anyway.
         """
         if telemetry is None or not telemetry.button_pressed or self.wishes.buttons or self.wishes.maintenance:
             return False

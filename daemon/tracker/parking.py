@@ -36,7 +36,7 @@ class Parking:
     def park(self, target: Target, now_s: float) -> None:
         """Order a move to a position unless the tracker is there, on its way, or was sent there a moment ago.
 
-        What was refused is ordered again the next time.
+        A refused order is given again at the next call.
         """
         if now_s - self._parked_s < _REPARK_S or self._heads_for(target) or self.stands_at(target.a_deg, target.b_deg):
             return
@@ -48,7 +48,7 @@ class Parking:
         return heading is not None and (heading.a_deg, heading.b_deg) == (target.a_deg, target.b_deg)
 
     def stands_at(self, a_deg: float, b_deg: float) -> bool:
-        """Whether the tracker was seen to rest at a position; where it is not seen it is nowhere."""
+        """Whether the tracker was seen to rest at a position; False while its pose is not known."""
         pose = self._motion.pose
         if self._motion.target is not None or self._motion.homing or pose is None:
             return False

@@ -1,4 +1,4 @@
-"""Whose turn it is when: so that the many trackers of a process do not all work in one instant."""
+"""When each tracker of a process has its turn, so that many trackers do not all work in one instant."""
 
 from dataclasses import dataclass
 
@@ -7,9 +7,9 @@ _LEAST_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """A tracker's place among those of its process, which take their turns in every interval one after the other.
+    """A tracker's place among the trackers of its process, which take turns in every interval.
 
-    The only one has no turn to wait for: its intervals count from what it did last.
+    A single tracker waits for no turn: its intervals count from when it last worked.
 
     Attributes
     ----------
@@ -23,11 +23,11 @@ class Phase:
     trackers: int = 1
 
     def delay_s(self, within_s: float) -> float:
-        """Return how long it waits where all are called at once, and have so long to come one after the other [s]."""
+        """Return how long this tracker waits [s] when all are called at once and take turns within `within_s`."""
         return within_s * self.place / self.trackers
 
     def next_s(self, now_s: float, every_s: float) -> float:
-        """Return when it is its turn again [s], in half an interval at the earliest, for what it does at `now_s`."""
+        """Return when this tracker's next turn is [s] after one at `now_s`, half an interval later at the earliest."""
         if self.trackers == 1:
             return now_s + every_s
         delay_s = self.delay_s(every_s)

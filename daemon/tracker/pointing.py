@@ -36,20 +36,20 @@ class NamedLaw(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Whereabouts:
-    """Where a tracker stands, and where it is on its way to; None for what is not known or not so."""
+    """Where a tracker stands (None: not known), and where it is on its way to (None: nowhere)."""
 
     pose: Pose | None
     target: Target | None
 
     @property
     def heading(self) -> Angles | None:
-        """Where it will be when nothing else is ordered."""
+        """Where the tracker will be if nothing else is ordered."""
         whence = self.target or self.pose
         return Angles(whence.a_deg, whence.b_deg) if whence else None
 
 
 class LawAnswer(NamedTuple):
-    """What a law says, and where the tracker is to be by that: where it stands, without a target of the law's."""
+    """What a law says, and where the tracker is to be by it: where it stands already if the law gives no target."""
 
     aim: Aim
     target: Target
@@ -70,11 +70,12 @@ class Foresight:
     Attributes
     ----------
     law
-        Which will decide.
+        The law that will decide.
     target
-        Where the tracker would be then: where it stands, without a target of the law's.
+        Where the tracker would be then: where it stands already if the law gives no target.
     moves
-        Whether that would be worth a move, and early enough for one; all of the day's budget may still be used up.
+        Whether the target would be worth a move that need not wait for a later time of the day. The day's budget may
+        be used up all the same.
     """
 
     law: str
@@ -90,7 +91,7 @@ class GuardedLaw(Law):
     named
         The law, which anybody may have written.
     other
-        Answers after it has raised what it never should, or has answered with what is no answer.
+        Answers in its place once it has raised an error or given an invalid answer.
 
     Attributes
     ----------
@@ -106,7 +107,7 @@ class GuardedLaw(Law):
 
     @property
     def name(self) -> str:
-        """Of the law that answers."""
+        """Name of the law that answers."""
         return (self._named if self.failed_why is None else self._other).name
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Law:
@@ -155,7 +156,7 @@ class GuardedLaw(Law):
         return self._ask(lambda law: checked_shown(law.shown()))
 
     def estimates(self, faces: Array, sun: Array, learned: Any) -> Estimates:
-        """Return what faces show by what was learned."""
+        """Return what the faces show, given what was learned."""
         return self._ask(lambda law: law.estimates(faces, sun, learned))
 
     def _ask(self, question: Callable[[Law], Answer]) -> Answer:
@@ -184,7 +185,7 @@ class ShadowLaw(NamedTuple):
 
 
 class Pointing:
-    """What points one tracker.
+    """The laws that point one tracker.
 
     Parameters
     ----------
@@ -203,12 +204,12 @@ class Pointing:
 
     @property
     def law(self) -> Law:
-        """The law of the configuration; what answers in its place once it has failed."""
+        """The law of the configuration, or the one that answers in its place once it has failed."""
         return self._guarded
 
     @property
     def chosen(self) -> NamedLaw:
-        """The same with the name of whatever answers."""
+        """`law`, with the name of the law that answers."""
         return NamedLaw(self._guarded.name, self._guarded)
 
     @property
@@ -255,7 +256,7 @@ def ask(
     if chosen.law.needs_sun and not sun_known:
         why = "the clock was set: the sun's position is in doubt"
         return LawAnswer(replace(answer, target=None), _standing(whereabouts.pose, why))
-    # It may have failed at this very question.
+    # The law may have failed at this very question, and another one answered.
     name = chosen.law.name if isinstance(chosen.law, GuardedLaw) else chosen.name
     why = f"{name}: {answer.why}" if answer.why else name
     if answer.target is None:
@@ -273,10 +274,10 @@ def foresee(
     sun_known: bool,
     may_move: bool,
 ) -> Foresight | None:
-    """Return what a law would say at a later instant, UTC [s], by the readings of now; None where it cannot be asked.
+    """Return what a law would say at a later UTC [s] by the present readings; None where it cannot be asked.
 
-    A move that may not be made then is none. The question goes to a copy: whether anybody looks must not change what
-    the law remembers.
+    Without `may_move` no move is foreseen. A copy of the law is asked: a look ahead must not change what the law
+    remembers.
     """
     try:
         asked = NamedLaw(chosen.name, copy.deepcopy(chosen.law))
@@ -313,7 +314,7 @@ def build_pointing(settings: Settings, utc_s: float, folder: StateFolder, common
 
 
 def build_shadow(settings: Settings, utc_s: float, folder: StateFolder, common: Common | None = None) -> ShadowLaw:
-    """Build the law of `law.shadow`, with what the file says of its parameters; raises `UserError` if it cannot be."""
+    """Build the law of `law.shadow` with its parameters in the configuration; raises `UserError` if that fails."""
     name = settings.law.shadow
     file = LawFile(folder, f"shadow-{name}-learned.json")
     beside = settings.model_copy(update={"law": LAW.rechosen(settings.law, name)})
@@ -335,7 +336,7 @@ def _facts(settings: Settings, utc_s: float, file: LawFile, common: Common | Non
 
 
 def _checked(law: Law, name: str, key: str = "law.driver") -> Law:
-    """Return the law; `UserError` for one that is none, or asks for what there is not."""
+    """Return the law; `UserError` if it is no law, or asks for an impossible number of faces or interval."""
     if not hasattr(law, "faces_needed"):
         raise UserError(f"{key}: what the law {name} builds is not a law but {law!r}")
     if not 1 <= law.faces_needed <= len(FACES):

@@ -1,4 +1,4 @@
-"""What the cube's scans are good for: their mean, whether it can be steered by, and whether it is night."""
+"""What the cube's scans are good for: their mean, whether the tracker can be steered by it, and whether it is night."""
 
 import math
 from collections import deque
@@ -12,13 +12,14 @@ from daemon.config.settings import Settings
 from daemon.tracker.modes import Data
 from solar.laws.law import Law
 
-# So much brighter than the end of night a vertical face is lit by the sun, which gives the zenith face its share.
+# Above this many times `safety.night_above_w_m2` a vertical face is lit by the sun. If the zenith face can be believed,
+# it then reads at least the share below of what the sun's elevation would give it.
 _SUNLIT = 10.0
 _LEAST_SHARE = 0.5
 
 
 class Common:
-    """What trackers by one cube know alike, so that it is worked out once for all of them.
+    """What all trackers of one cube know alike, so that it is worked out only once.
 
     Attributes
     ----------
@@ -47,20 +48,20 @@ class Readings:
     clock
         The service's time.
     sun_elevation_deg
-        Of UTC [s], to tell night from day.
+        Returns the sun's elevation at a UTC [s], to tell night from day.
     law
         Says how many faces it needs, and whether the zenith face can be believed.
     unheard
         Returns why the bridge hears nothing, or what it has refused since the last scan, in words; empty for nothing.
     common
-        With trackers that hear the same scans, on the same clock.
+        Shared with trackers that hear the same scans, on the same clock.
 
     Attributes
     ----------
     newest
         The newest scan, good or bad.
     good_s
-        Monotonic time of the newest one with as many good faces as the law needs.
+        Monotonic time of the newest scan with as many good faces as the law needs.
     """
 
     def __init__(
@@ -93,7 +94,7 @@ class Readings:
             self.good_s = scan.time_monotonic_s
 
     def forget(self) -> None:
-        """Decide on no reading of until now: they may be older than they seem."""
+        """Forget all readings until now: they may be older than they seem."""
         self._window.forget()
 
     def mean(self, now_s: float) -> Irradiances | None:
@@ -103,8 +104,8 @@ class Readings:
     def judge(self, now_s: float, mean: Irradiances | None, *, sun_known: bool = True) -> tuple[Data, str, str | None]:
         """Return what the data is good for, why, and why it counts as night (None by day).
 
-        The zenith face tells night from day while it can be believed, with hysteresis; the ephemeris does otherwise.
-        Unless `sun_known` the clock is in doubt: the ephemeris tells nothing then, and only light ends a night.
+        The zenith face tells night from day while it can be believed, with hysteresis; otherwise the ephemeris does.
+        Without `sun_known` the clock is in doubt: the ephemeris is not used, and only light ends a night.
         """
         data, why = self._judge_data(now_s, mean)
         seen = mean if data is Data.FRESH else None
@@ -136,7 +137,7 @@ class Readings:
 
     def _too_dark(self, mean: Irradiances, *, sun_known: bool) -> bool:
         if math.isnan(mean.zenith_w_m2):
-            # Nothing tells day from night then.
+            # Without the zenith face and the sun's position, nothing tells day from night.
             return not sun_known
         dark = mean.zenith_w_m2 < self._safety.night_below_w_m2
         return dark and (not sun_known or self._law_believes_zenith(mean))
@@ -159,7 +160,7 @@ class Readings:
         return self._law_believes_zenith(mean)
 
     def _law_believes_zenith(self, mean: Irradiances) -> bool:
-        """Whether the law needs the zenith face; one that can do without it does not stop for it."""
+        """Whether the law believes the zenith face; a law that can do without that face does not stop for it."""
         faces = (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2, mean.zenith_w_m2)
         return self._law.believes_zenith(faces, self._clock.utc())
 
@@ -204,7 +205,7 @@ class Window:
     longest_s
         The longest time that one reading may stand for.
     stale_s
-        A face of which the newest good reading is older than this has no mean and covers nothing.
+        A face whose newest good reading is older than this has no mean and covers nothing.
     """
 
     def __init__(self, mean_s: float, nominal_s: float, longest_s: float, stale_s: float = math.inf) -> None:
@@ -275,9 +276,9 @@ class _FaceWindow:
         self.newest_s = end_s
 
     def mean(self, now_s: float) -> tuple[float, float]:
-        """Return the mean and how much of the window it stands for [s]; what is older is forgotten.
+        """Return the mean and how much of the window it stands for [s]; older readings are forgotten.
 
-        Sums are exact to the last digit: whoever else has asked before, and when, makes no difference.
+        Sums are exact to the last digit, so it makes no difference who else has asked before, and when.
         """
         ends_s, start_s = self._ends_s, now_s - self._mean_s
         while ends_s and ends_s[0] <= start_s:

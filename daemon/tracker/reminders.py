@@ -18,9 +18,9 @@ log = logging.getLogger("heliocube.control")
 
 # A unit that restarts, or a cable that is put back, is found again sooner.
 _DOWN_AFTER_S = 60.0
-# A bad contact lets it answer for a moment now and then, in which nothing gets to its place.
+# A bad contact lets the unit answer for moments in which no move can finish: only this long counts as back.
 _BACK_AFTER_S = 15.0
-# A cube that restarts, and a cloud that makes the zenith face dark, are over sooner.
+# A restart of the cube, or a cloud that darkens the zenith face, is over sooner.
 _WITHOUT_READINGS_S = 900.0
 
 
@@ -36,7 +36,7 @@ class Reminders:
     alarms
         Where a forgotten hold is shown.
     publish
-        Called with the events of maintenance, whose alarms are muted.
+        Called with events that remind of maintenance, while alarms are muted.
     """
 
     def __init__(self, clock: Clock, site: SiteSettings, alarms: Alarms, publish: Callable[[Record], None]) -> None:
@@ -93,13 +93,13 @@ class Reminders:
         does = "tracking by the ephemeris" if sun_known else "standing, since the clock is in doubt too,"
         told = does if mode is Mode.FALLBACK else "no good readings"
         lasted, self._without_readings = self._without_readings, lasts
-        # Before that nobody knows whether it is over: after a restart it may be the one that was acknowledged.
+        # Otherwise leave the alarm as it is: after a restart nobody knows yet whether one that stood before is over.
         if lasts or lasted or data is Data.FRESH:
             text = f"{told} for a quarter of an hour: {situation.data_why}" if lasts else None
             self._alarms.set("no-readings", text)
 
     def watch_stow(self, missed_why: str | None, wishes: Wishes) -> None:
-        """Raise that a person keeps the tracker from a stow that is wanted and not done; in maintenance nothing."""
+        """Raise that a person keeps the tracker from a stow that is wanted and not done; not in maintenance."""
         stillness = wishes.stillness
         if missed_why is None or stillness is None or wishes.maintenance is not None:
             self._alarms.set("stow-wanted", None)

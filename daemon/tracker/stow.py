@@ -17,14 +17,14 @@ class StowStatus(NamedTuple):
     why
         Why it wants the tracker stowed, or None.
     age_s
-        Time since it was last heard; infinite before the first time since the start of the service.
+        Time since the source was last heard; infinite until it is heard for the first time after the service's start.
     speed_m_s, stow_from_m_s, release_below_m_s
-        Wind of the last reading, NaN once that is too old to count, and what it is compared with; all three NaN for a
-        source that measures no wind.
+        Wind of the last reading (NaN once the reading is too old to count), and its two thresholds. All three are NaN
+        for a source that measures no wind.
     release_in_s
-        How long it must go on being calm before it lets the tracker go; NaN while it does not stow.
+        How much longer the source must be calm before it releases the tracker; NaN while it asks for no stow.
     silent
-        Whether it has not been heard for longer than it may be silent: it stows for that.
+        Whether the source has been silent for longer than allowed, which is itself a reason to stow.
     """
 
     name: str
@@ -46,10 +46,10 @@ class StowSource(Protocol):
         """Return why the tracker must be stowed at this monotonic time, or None; it has to be polled often."""
 
     def status(self, now_s: float) -> StowStatus:
-        """Return how it stood at the last poll; changes nothing, so anybody may call it."""
+        """Return how the source stood at the last poll; changes nothing, so anybody may call it."""
 
     def resume(self, why: str, now_s: float) -> None:
-        """Begin stowed, as before a restart or a sleep of the machine, until it was heard and calm for its time."""
+        """Begin stowed, as before a restart or a sleep of the machine, until heard and calm for the whole time."""
 
 
 class OperatorStow:
@@ -83,7 +83,7 @@ class WindStow:
     wind_speed_m_s
         Returns the latest wind speed [m/s], or the strongest since the last call; None while there is no reading.
     name
-        Of the source, for people.
+        Name of the source, for people.
     """
 
     def __init__(self, safety: SafetySettings, wind_speed_m_s: Callable[[], float | None], name: str = "wind") -> None:
@@ -98,7 +98,7 @@ class WindStow:
 
     @property
     def stowing(self) -> bool:
-        """Whether it asked for stow at the last poll."""
+        """Whether the wind was a reason to stow at the last poll."""
         return self._why is not None
 
     def reason(self, now_s: float) -> str | None:
@@ -112,7 +112,7 @@ class WindStow:
             self._judge(wind, now_s)
             return self._why
         if self._why is not None and self._heard_s == -math.inf:
-            # Calm begins to count when the sensor has been heard, and not at a restart.
+            # The time of calm counts from the first reading of the sensor, not from the restart.
             self._strong_s = now_s
         silent_s = self._silent_s(now_s)
         if silent_s > safety.wind_stale_s:

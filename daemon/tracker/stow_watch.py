@@ -40,7 +40,7 @@ class StormBefore(NamedTuple):
     Attributes
     ----------
     text
-        In a sentence.
+        The reason, as a sentence.
     stowing
         The reasons by their sources, as they were kept.
     since_utc
@@ -58,7 +58,7 @@ class SafetyFile:
     Parameters
     ----------
     folder
-        Of the file.
+        Folder of the file.
     """
 
     def __init__(self, folder: StateFolder) -> None:
@@ -66,7 +66,7 @@ class SafetyFile:
         self._file.reserve()
 
     def load(self) -> StormBefore | None:
-        """Return why the tracker was stowed when the file was written, or None; what cannot be read counts as stow."""
+        """Return why the tracker was stowed when the file was written, or None; an unreadable file counts as stow."""
         try:
             kept = self._file.load()
         except UnreadableStateError as error:
@@ -81,7 +81,7 @@ class SafetyFile:
         )
 
     def save(self, stowing: dict[str, str], since_utc: str) -> None:
-        """Have the file replaced as a whole; no disk hinders the stow."""
+        """Have the file replaced as a whole; a slow or failing disk does not hold up the stow."""
         self._file.save(KeptSafety(stowing=stowing, since_utc=since_utc))
 
 
@@ -99,7 +99,7 @@ class StowWatch:
     alarms
         Where a source that is silent or has failed is raised.
     wake
-        Called when one begins to stow, so that nobody waits for the next tick.
+        Called when a source begins to stow, so that control does not wait for its next tick.
     """
 
     def __init__(
@@ -146,13 +146,13 @@ class StowWatch:
                 failed.append(source.failed_why)
             if status.silent:
                 silent[source.name] = _of_silent(status)
-            # What was read by this very poll; NaN is no reading.
+            # Count only a reading of this very poll; NaN is no reading.
             if status.age_s < _POLL_EVERY_S and not status.speed_m_s <= self._gust_m_s and status.speed_m_s >= 0.0:
                 self._gust_m_s = status.speed_m_s
         if found.keys() != self._kept:
             self._keep(found)
         if silent != self._silent:
-            # By the sources: one may be called as another one is, and more, such as roof and roof (2).
+            # Compare the sources, not the texts: one name may contain another, such as roof and roof (2).
             worse = not silent.keys() <= (self._silent or {}).keys()
             self._silent = silent
             text = "; ".join(silent.values()) or None
@@ -183,7 +183,7 @@ class StowWatch:
     def note_sleep(self, now_s: float) -> None:
         """Take note that the machine has slept before this monotonic time: nobody heard what the wind did.
 
-        Every source has to be heard again, and one that stows to be calm for its whole time, as after a restart.
+        Every source has to be heard again. One that stows must also be calm for its whole time, as after a restart.
         """
         self._heard_after_s = now_s
         self._pending = {source.name for source in self._sources}
@@ -202,13 +202,13 @@ class StowWatch:
         stowed = False
 
         def poll() -> bool:
-            # Called back and not a sleeping task: 86,400 polls of a simulated day have to be cheap.
+            # A callback, not a sleeping task: the 86,400 polls of a simulated day have to be cheap.
             nonlocal stowed
             if failed.done():
                 return True
             try:
                 stows = bool(self.reasons(self._clock.monotonic()))
-            except Exception as error:  # noqa: BLE001 - it is raised below, where this is waited for
+            except Exception as error:  # noqa: BLE001 - `await failed` raises it below
                 failed.set_exception(error)
                 return True
             begins, stowed = stows and not stowed, stows
@@ -231,7 +231,7 @@ class StowWatch:
             return
         before, since_utc = self._before, iso_utc(self._clock.utc())
         if before is not None and before.text in found.values():
-            # What was kept is kept as it was: in its sentence it would be one more restart old, and longer, each time.
+            # Keep the reasons as they were kept: `before.text` quotes them, and would grow with every restart.
             found = {**before.stowing, **{name: why for name, why in found.items() if why != before.text}}
             since_utc = before.since_utc or since_utc
         self._file.save(found, since_utc)

@@ -18,13 +18,13 @@ FILE_NAME = "operator.json"
 PROGRAM = "heliocube"
 """Who holds the tracker where no person does: the service itself, after a change of its release or of its name."""
 
-# Many a program dates what it asks for by the second.
+# Many programs give the time of a command in whole seconds.
 _WHOLE_SECONDS_S = 1.0
 
-# Beside the first: of more the newest takes the last place, for a flood must not fill the file.
+# Kept beside the first wish. If there are more, the newest replaces the last, so that a flood cannot fill the file.
 _MOST_ALSO = 8
 
-# What each wish makes of the tracker, as a sentence begins.
+# What each wish does to the tracker, as the beginning of a sentence.
 _DONE_TO_IT = {
     "maintenance": "in maintenance",
     "stop": "stopped",
@@ -63,7 +63,7 @@ class Wish(BaseModel):
 
     @property
     def first(self) -> "Wish":
-        """What was asked for first, alone."""
+        """The first request, without those that joined it."""
         return self.model_copy(update={"again_utc_s": None, "also": None})
 
     @property
@@ -76,7 +76,7 @@ class Wish(BaseModel):
         return any((each.why, each.by) == (why, by) for each in self.everybodys)
 
     def joined_by(self, later: "Wish") -> "Wish":
-        """Return this with what is asked for later beside it: as with locks at a switch, the first stays."""
+        """Return this wish with a later one beside it: like padlocks on one switch, the first stays."""
         also = self.also or ()
         if not self.tells(later.why, later.by):
             also = (*also[: _MOST_ALSO - 1], later)
@@ -89,12 +89,12 @@ class Wish(BaseModel):
 
     @property
     def latest(self) -> str | None:
-        """The same, as the state shows it."""
+        """`latest_utc_s` as the state shows it."""
         return None if self.latest_utc_s is None else iso_utc(self.latest_utc_s)
 
     @property
     def since(self) -> str | None:
-        """When, as the state shows it; None where that is not known."""
+        """When it was asked for first, as the state shows it; None where that is not known."""
         return None if self.since_utc_s is None else iso_utc(self.since_utc_s)
 
     @property
@@ -105,7 +105,7 @@ class Wish(BaseModel):
 
 
 def _from_text(value: Any) -> Any:
-    """Take the form of earlier versions, which kept the reason alone."""
+    """Accept the form of earlier versions, which kept only the reason."""
     return {"why": value} if isinstance(value, str) else value
 
 
@@ -140,7 +140,7 @@ class Wishes(BaseModel):
 
     @property
     def allow_rehoming(self) -> bool:
-        """Whether a reference run, which tilts the module, may be made unasked: not where a person has left it so."""
+        """Whether a reference run, which tilts the module, may start by itself: not while any wish is in force."""
         return not any(getattr(self, name) for name in type(self).model_fields)
 
     @property
@@ -149,7 +149,7 @@ class Wishes(BaseModel):
         return self.describe("hold") if self.hold is not None and self.hold.by == PROGRAM else None
 
     def later_than(self, utc_s: float) -> str | None:
-        """Return in words what was asked for after an instant [s of UTC] and stands, or None."""
+        """Return in words a wish that was made after an instant [s of UTC] and is in force, or None."""
         for name in type(self).model_fields:
             wish: Wish | None = getattr(self, name)
             if wish is not None and wish.latest_utc_s is not None and wish.latest_utc_s > utc_s + _WHOLE_SECONDS_S:
@@ -157,9 +157,10 @@ class Wishes(BaseModel):
         return None
 
     def not_in(self, shown: Mapping[str, str | None]) -> str | None:
-        """Return in words what stands and was not shown, or was asked for last at another time, or None.
+        """Return in words a wish in force that was not shown, or was shown with another time, or None.
 
-        By equality: a clock that was set back would hide for hours what is asked for now, or forbid to end it.
+        Times are compared for equality: after a clock was set back, "later than" would hide new wishes for hours, or
+        forbid to end them.
         """
         for name in type(self).model_fields:
             wish: Wish | None = getattr(self, name)
@@ -168,17 +169,17 @@ class Wishes(BaseModel):
         return None
 
     def gone_in(self, later: "Wishes") -> Iterator[str]:
-        """Yield in words what stands here and no longer, or another one, in `later`."""
+        """Yield in words each wish that stands here and has ended or been replaced in `later`."""
         for name in type(self).model_fields:
             text, after = self.describe(name), getattr(later, name)
-            # What somebody has joined stands.
+            # A wish that another one has joined still stands.
             if text is not None and (after is None or after.first != getattr(self, name).first):
                 yield text
 
     def told_beside(self, now: "Wishes", said: str) -> str:
-        """Return as the end of an answer what it has replaced here, or beside which stop it was noted; or nothing.
+        """Return the end of an answer to a command: which wishes it replaced, or beside which stop it was noted.
 
-        Nothing of a stop that what is `said` before tells already.
+        Empty for neither, and for a stop that the answer so far, `said`, already tells.
         """
         if self.stop is not None and now.stop is not None:
             stands = self.describe("stop") or ""
@@ -188,7 +189,7 @@ class Wishes(BaseModel):
 
 
 def kept_wishes(folder: StateFolder) -> Wishes:
-    """Return what is wished in a folder of which no service is at work; nothing is written there."""
+    """Return the wishes kept in a folder that no service is using; nothing is written there."""
     return _load(_file_in(folder))
 
 
@@ -198,7 +199,7 @@ class WishFile:
     Parameters
     ----------
     folder
-        Of the file.
+        Folder of the file.
     """
 
     def __init__(self, folder: StateFolder) -> None:
@@ -210,7 +211,7 @@ class WishFile:
         return _load(self._file)
 
     def save(self, wishes: Wishes) -> None:
-        """Have the file replaced as a whole; no disk hinders the command."""
+        """Have the file replaced as a whole; a slow or failing disk does not hold up the command."""
         self._file.save(wishes)
 
 
