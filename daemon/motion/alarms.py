@@ -5,16 +5,16 @@ from daemon.motion.reference import Doubts, fault_text
 from drivers.interfaces import PositionerIdentity, Telemetry
 
 _LASTS_S = 2.0
-# What the unit measures with no motor driven is below this; a motor that has been driven needs a moment to be still.
+# With no motor driven the unit measures less than this; a motor that was driven needs a moment to run out.
 _AT_REST_A = 0.3
 _RUN_OUT_S = 3.0
 # A motor that has just been switched on shows its current first and then its motion, which is judged elsewhere.
 _STARTS_WITHIN_S = 1.0
-# After a stop that has not ended the current: until the next one, and then twice as long each time.
+# Pause between a stop that has not ended the current and the next stop; it doubles each time.
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 2.0, 64.0
-# So long without a high current before the next one is told anew.
+# After so long without a high current, the next one is reported anew.
 _OVER_AFTER_S = 3600.0
-# What a person switches on at the unit the service has switched off by then.
+# By then the service has switched off a mode that a person switched on at the unit.
 _STAYS_ON_S = 15.0
 OWN_MODE = "a mode of the positioner's own is on: sun tracking, wind or snow"
 
@@ -32,8 +32,8 @@ class Currents:
     told
         What is wrong with them: a sentence for each axis, and when it was last so [s].
     wants_stop
-        A motor is on although its axis stands. The stop before may not have been heard, and an axis whose impulses are
-        lost stands as well by its count.
+        A motor is on although its axis stands. Perhaps the last stop was not heard; or the axis moves, and stands only
+        by a count that loses its impulses.
     """
 
     def __init__(self, alarm_a: float) -> None:
@@ -46,7 +46,7 @@ class Currents:
         self.wants_stop = False
 
     def update(self, telemetry: Telemetry, stands_since_s: float | None) -> None:
-        """Take in the newest telemetry; `told` has what is wrong, until an hour without it or `forget`."""
+        """Take in the newest telemetry; `told` keeps what is wrong until an hour has passed without it, or `forget`."""
         now_s = telemetry.time_monotonic_s
         standing = stands_since_s is not None and now_s - stands_since_s > _RUN_OUT_S
         driven = standing and any(current_a > _AT_REST_A for _, current_a in _by_name(telemetry))
@@ -65,7 +65,7 @@ class Currents:
 
     @property
     def judges(self) -> bool:
-        """Whether a current is high, and only has to last."""
+        """Whether a current is wrong at present, and will be told if it lasts."""
         return bool(self._since_s)
 
     @property
@@ -140,7 +140,7 @@ def show(
     alarms.set("deaf-to-stop", doubts.incident_of("deaf"))
     conflicts = identity.setup_conflicts if identity else ()
     alarms.set("positioner-setup", "; ".join(conflicts) or None, of=conflicts)
-    # That a fault which somebody has seen goes away is no news: it is told by its name in both sentences.
+    # It is no news that a fault goes away which somebody has seen: both sentences contain its name.
     vanished, own = doubts.vanished, () if own_mode.text is None else (own_mode.text,)
     faults = [*(fault_text(name) for name in telemetry.faults), *vanished.values(), *own]
     alarms.set("positioner-fault", "; ".join(faults) or None, of=(*telemetry.faults, *vanished, *own))

@@ -1,11 +1,11 @@
-"""Whether a positioner that is told to stop moves on."""
+"""Whether a positioner moves on although it was told to stop."""
 
 from collections.abc import Callable
 
 from drivers.interfaces import Telemetry
 
 _AFTER_S = 5.0
-# A host that was busy for seconds has seen nothing: it takes looks in a row that show motion.
+# A computer that was busy for seconds saw nothing meanwhile: so several looks in a row have to show motion.
 _LOOKS = 2
 _STILL_S = 3.0
 
@@ -13,15 +13,15 @@ _STILL_S = 3.0
 class Deafness:
     """Judges the looks at a positioner between a stop and its standstill.
 
-    Each is compared with the one that showed the axes elsewhere last, and not with the one before: from one look to the
-    next a slow axis whose position is coarse shows no motion.
+    Each look is compared with the last one that showed the axes elsewhere, not with the one before it: from one look to
+    the next, a slow axis with a coarse position shows no motion.
 
     Parameters
     ----------
     same_place
         Tells whether neither axis moved between two looks.
     still_s
-        Seconds in which the slowest motion that matters has left a place, by what positions are rounded to.
+        Time [s] after which even the slowest motion that matters shows in positions rounded as they are.
     """
 
     def __init__(self, same_place: Callable[[Telemetry, Telemetry], bool], still_s: float) -> None:

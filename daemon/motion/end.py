@@ -1,4 +1,4 @@
-"""The end of the service: nothing is said to stand that telemetry has not shown."""
+"""The end of the service: it reports that the axes stand only if telemetry has shown it."""
 
 import asyncio
 
@@ -32,8 +32,8 @@ async def finish(motion: Motion, clock: Clock, within_s: float) -> str | None:
                 unsent = f"stop could not be sent ({error})"
                 if motion.pose is None or motion.was_at_rest:
                     return _last_known(motion, clock, unsent)
-                # What was under way goes on, and is stopped as soon as the link is back.
-            while not _stands(motion, start_s):  # noqa: ASYNC110 - telemetry is polled, and nobody tells of it
+                # A move that was on goes on, and is stopped as soon as the link is back.
+            while not _stands(motion, start_s):  # noqa: ASYNC110 - telemetry is polled, and no event announces it
                 await asyncio.sleep(_LOOK_EVERY_S)
     except TimeoutError:
         sent = "stop was sent, and no telemetry has shown the axes standing since"

@@ -1,7 +1,7 @@
 """The one rule of motion, in its one place.
 
-What moves without an order of ours, or against a stop, is stopped until it stands, is told, and blocks every further
-move until a person has looked. Every look at the positioner goes through here and is judged here.
+An axis that moves without an order of ours, or against a stop, is stopped until it stands; this is reported, and blocks
+every further move until a person has looked. Every look at the positioner goes through here and is judged here.
 """
 
 import asyncio
@@ -31,12 +31,12 @@ T = TypeVar("T")
 LOOK_MOVING_S = 0.5
 # Pauses between the tries to stop a positioner that does not listen; they never end while it moves.
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 4.0
-# Within this time a positioner has told of buttons and restarts, however slow its status is.
+# Within this time a positioner reports buttons and restarts, however slow its status is.
 _STATUS_WITHIN_S = 4.0
 _STATUS_LATE_S = 1.0
 _POSE_EVERY_S = 5.0
 _POSE_CHANGED_DEG = 0.05
-# Time alone says no more about an axis that has stood for so long: no motor can still be running out.
+# Once an axis has stood for so long, time alone tells nothing new: no motor can still be running out.
 _JUDGED_AFTER_S = 5.0
 _TELL_BUTTONS_EVERY_S = 600.0
 
@@ -51,9 +51,9 @@ class Guard:
     expected
         What may be expected of the drive.
     doubts
-        What a person has to look at, kept.
+        What a person has to look at, kept over a restart.
     place
-        Where the axes rest, kept.
+        Where the axes rest, kept over a restart.
     clock, publish, alarms
         The service's time; where poses and events go; where alarms are raised.
     polled
@@ -62,9 +62,9 @@ class Guard:
     Attributes
     ----------
     rested
-        Where it stood when it was seen last with nothing ordered; None while something is.
+        Where the tracker stood when it was seen last with nothing ordered; None while something is ordered.
     identity
-        Of the unit that is or was connected last.
+        Identity of the unit that is or was connected last.
     frozen
         Why nothing may move at present, or None.
     halt_wanted
@@ -97,7 +97,7 @@ class Guard:
         self._alarms = alarms
         self._polled = polled
         self.watch = watch = Watch(expected)
-        # Three steps of a position that is rounded.
+        # As long as the slowest motion takes for three steps of a rounded position.
         self._deafness = Deafness(watch.same_place, 3.0 * expected.resolution() / expected.slowest_deg_per_s)
         self._currents = Currents(expected.current_alarm_a)
         self.own_mode = OwnMode()
@@ -115,9 +115,9 @@ class Guard:
         self._telemetry: Telemetry | None = None
         self._read: Telemetry | None = None
         self._pose: Pose | None = None
-        # Of a move, until the axes rest again.
+        # Target of a move, until the axes rest again.
         self._target: Target | None = None
-        # Monotonic and UTC seconds.
+        # Time of the last glance, monotonic and UTC [s].
         self._repeated: tuple[float, float] | None = None
         self.rested: Pose | None = None
         self.identity: PositionerIdentity | None = None
@@ -135,7 +135,7 @@ class Guard:
 
     @property
     def judged(self) -> Telemetry | None:
-        """The newest look as it was read: it shows what `telemetry` does, and its times may be 5 s older."""
+        """The newest look as it was read: it shows the same as `telemetry`, but its times may be 5 s older."""
         return self._telemetry
 
     @property
@@ -145,9 +145,9 @@ class Guard:
         return self._pose
 
     def glance(self) -> bool:
-        """Look at what rests; return False where it has to be read and judged: something may be new, or is to be told.
+        """Glance at axes at rest; return False where telemetry has to be read and judged, or a pose is to be published.
 
-        What it showed last and shows again was judged before, and time alone makes nothing of it.
+        Telemetry that only repeats the last look was judged before, and time alone changes nothing about it.
         """
         told, since_s, now_s = self._reported_pose, self.watch.stands_since_s, self._clock.monotonic()
         if self.rested is None or told is None or now_s - told.time_monotonic_s >= _POSE_EVERY_S:
@@ -161,7 +161,7 @@ class Guard:
         return True
 
     def _take_over(self) -> None:
-        """Give the last look the time of the last glance: whoever asks is to see that somebody looks."""
+        """Give the last look the time of the last glance, so that its age shows that the positioner is watched."""
         repeated, telemetry, pose = self._repeated, self._telemetry, self._pose
         if repeated is None or telemetry is None or pose is None:
             return
@@ -177,7 +177,7 @@ class Guard:
 
     @property
     def must_halt(self) -> bool:
-        """Whether somebody wants it, a fault has come up, or a motor is on that should be off.
+        """Whether somebody wants a halt, a fault has come up, or a motor is on that should be off.
 
         With a fault on one axis the other may be moving, or about to.
         """
@@ -191,7 +191,7 @@ class Guard:
         return None if self.halt_wanted else self.watch.stands_since_s
 
     def lost(self) -> None:
-        """Know nothing until the link is back, but for motion that was seen and that no button explains."""
+        """Know nothing until the link is back, but keep motion that was seen and that no button explains."""
         stray = self.stray
         if stray is not None and self._pressed_s <= stray.seen_s - _STATUS_WITHIN_S:
             self.doubts.note("motion", stray.incident(self.frozen))
@@ -200,12 +200,12 @@ class Guard:
         self.watch.forget()
 
     def forget(self) -> None:
-        """Forget what was told, and where an axis would stand if a doubt were right: a person has looked."""
+        """Forget the currents told of, and where an axis would stand if a doubt were right: a person has looked."""
         self._currents.forget()
         self._place.leaves(None)
 
     def departs(self, target: Target | None) -> None:
-        """Take note that the axes are about to be sent off: they go there whatever becomes of us; None is homing."""
+        """Take note that the axes are about to be sent off (None: to home): they go there even if the service dies."""
         self.rested, self._target = None, target
         self._place.leaves(target)
 
@@ -251,16 +251,16 @@ class Guard:
                 pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
         self.halt_wanted = False
         self._currents.stopped(self._clock.monotonic())
-        # What this look shows may have been before the stop.
+        # The next look may still show a status from before the stop.
         self._judged_s = self._clock.monotonic()
         telemetry = await self.poll(moving=False)
         self.watch.rest(telemetry)
         self._halted_for = telemetry.faults
 
     async def quell(self) -> bool:
-        """Stop what strays until it stands, and find out what it was; return whether a person or a restart explains it.
+        """Stop stray motion until the axes stand; return whether a person or a restart explains it.
 
-        What nothing explains is told and blocks every move.
+        Motion that nothing explains is reported and blocks every move.
         """
         stray, seen = self.stray, self._strayed_at
         assert stray is not None and seen is not None  # noqa: S101, PT018 - narrowing for the type checker
@@ -280,15 +280,15 @@ class Guard:
 
     async def _poll_halt(self, start_s: float) -> None:
         telemetry = await self.poll(moving=True)
-        # Whoever presses a button moves the axis against any stop.
+        # A person who presses a button moves the axis against any stop.
         if self._deafness.shows(telemetry, max(start_s, self._pressed_s)):
             text = "the positioner does not obey stop: switch off the supply of its motors"
             self.doubts.note("deaf", f"{text}; {CLEAR}")
 
     async def attended(self, call: Coroutine[Any, Any, T], ends: Callable[[], bool] = lambda: False) -> T:
-        """Return what a call of the driver returns; look while it takes its time, and stop what strays.
+        """Return what a call of the driver returns; meanwhile poll the positioner and stop stray motion.
 
-        Where `ends` says that it is to end, a stop ends it: the call is refused then.
+        When `ends` returns True, a stop is sent to end the call, which is then refused.
         """
 
         async def poll_and_quell() -> None:
@@ -310,16 +310,16 @@ class Guard:
                 await poll()
         finally:
             task.cancel()
-            # Of one that has just failed while this is cancelled the reason is taken too: nobody else would.
+            # Also collect the error of a call that failed just as this is cancelled: nobody else would.
             with contextlib.suppress(asyncio.CancelledError, DeviceError):
                 await task
 
     def _judge(self, before: Telemetry | None, telemetry: Telemetry) -> None:
         stray = self.watch.update(telemetry, self._clock.monotonic() + self._sleeps.take_s())
         told = telemetry.homing and telemetry.status_monotonic_s > self._judged_s + _STATUS_LATE_S
-        # On the way of a move of ours the bit alone says nothing: it may be that of the other axis' motion.
+        # During a move of ours the homing bit alone says nothing: it may come from the other axis' motion.
         own_run = told and not self.watch.on_its_way
-        # A run that ends on its switch before the next look has set its count anew, and shows as a jump alone.
+        # A run that ends at its switch before the next look has set the count anew, and shows only as a jump.
         ended = stray is not None and stray.jump and before is not None and before.aims_home
         if not self.homing and (own_run or ended or (stray is not None and (told or telemetry.aims_home))):
             text = "the positioner made a reference run of its own"
@@ -354,7 +354,7 @@ class Guard:
             await asyncio.sleep(LOOK_MOVING_S)
 
     def _note_own_moves(self, telemetry: Telemetry) -> None:
-        # It may be known only some seconds after the connection.
+        # The drive's own moves may be known only some seconds after the connection.
         if telemetry.own_moves and telemetry.own_moves != self._own_moves:
             self._own_moves = telemetry.own_moves
             text = f"the positioner may move by itself: {', '.join(telemetry.own_moves)}"

@@ -2,8 +2,8 @@
 
 One task talks to the positioner, so one target is in flight by construction; only `stop` goes past it. After every
 (re)connection nothing moves before the unit has been identified, halted, freed of its own tracking, found referenced,
-and given a new target by control: what was wanted before the loss is forgotten. What moves by itself is the business
-of `daemon.motion.guard`.
+and given a new target by control: what was wanted before the loss is forgotten. Motion that nobody has ordered is
+dealt with by `daemon.motion.guard`.
 """
 
 import asyncio
@@ -61,7 +61,7 @@ class Motion(MotionState):
     folder
         Where doubts, and where the axes rest, are kept over a restart.
     polling, begins_anew
-        How often to look at the positioner; whether where it rested before says nothing.
+        How often to look at the positioner; whether its earlier place of rest tells nothing.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class Motion(MotionState):
 
     @property
     def looks_every_s(self) -> float:
-        """The longest time from one look at a positioner that answers to the next [s]."""
+        """The longest time [s] between two looks at a positioner that answers."""
         return self._polling.idle_s
 
     @property
@@ -172,7 +172,7 @@ class Motion(MotionState):
         unseen = None if self.connected else "no telemetry"
         obstacle = self.unexplained or conflicts or unseen or self._guard.own_mode.text
         if obstacle:
-            # What is cleared goes to work, by whatever count it has.
+            # Once cleared, the tracker goes to work, however wrong its count is.
             wait = "; 'heliocube hold' before it lets the tracker wait to be homed" if self.unexplained else ""
             raise RefusedError("positioner", f"cannot be homed: {obstacle}{wait}")
         self._home_wanted = True
@@ -183,7 +183,7 @@ class Motion(MotionState):
     def clear_faults(self, shown: tuple[str, ...] | None = None) -> None:
         """Ask the unit to clear its marks without a reference run, and forgive what a person was shown.
 
-        That is the `concerns` that the person has seen; None for those of this moment. Raises `RefusedError` without
+        `shown` is the `concerns` that the person has seen; None means the present ones. Raises `RefusedError` without
         telemetry.
         """
         if not self.connected:
@@ -192,13 +192,13 @@ class Motion(MotionState):
         self._wake.set()
 
     def forget_waiting(self) -> None:
-        """Drop an order that has not been taken up: it comes next, or waits for the pause after a failure."""
+        """Drop an order that has not begun: it comes next, or waits for the pause after a failure."""
         if (order := self._due_order()) is not None:
             self._tell_obstacle(stow=order[1])
         self._wanted = None
 
     def forget_order(self) -> None:
-        """Drop what was ordered last, and stop a move to there; a reference run goes on."""
+        """Drop the last order, and stop the move to its target; a reference run goes on."""
         self._wanted = None
         if self.target is not None:
             self._runs.interrupt()
@@ -257,7 +257,7 @@ class Motion(MotionState):
     async def _leave(self) -> None:
         """Whatever ended this task, a cancellation or a defect, must not leave an axis running."""
         try:
-            # A move has forgotten its target by now; until a look shows it, what was sent off seems to stand.
+            # A move has forgotten its target by now, and an axis just sent off seems to stand until a look shows it.
             if self.connected and (self._guard.rested is None or self.stands_since_s is None):
                 await try_for(self._positioner.halt(), _HALT_AT_END_S)
         finally:
@@ -266,7 +266,7 @@ class Motion(MotionState):
     async def _connect(self) -> None:
         guard = self._guard
         guard.identity = identity = await self._positioner.open()
-        # A loss in the middle of what follows leaves it to be compared by the next connection.
+        # If the link is lost again before the comparison below, the next connection makes it.
         self._before_loss = guard.rested or self._before_loss
         # A move ordered before the loss, by us or by a program before us, may still be on.
         await guard.halt()
@@ -285,7 +285,7 @@ class Motion(MotionState):
             guard.doubts.doubt("jump", f"{text}: compare with the arms, then {how}")
 
     def _note_link(self, name: str = "") -> bool:
-        """Take note that the unit answers; return whether there was anything to tell of it."""
+        """Take note that the unit answers; return whether that was news."""
         if not self._was_connected:
             self._was_connected = True
             if not self.outage.is_down:
@@ -308,7 +308,7 @@ class Motion(MotionState):
     async def _close(self) -> None:
         self._note_readiness()
         if self._moved_at_loss:
-            # It may be its answers alone that are lost; whatever moves goes on to its target without it.
+            # Perhaps only its answers are lost; without this stop an axis that moves goes on to its target.
             await try_for(self._positioner.stop(), _STOP_AT_LOSS_S)
         await self._positioner.close()
 
@@ -347,7 +347,7 @@ class Motion(MotionState):
             await self._runs.clear(shown, self._stow_can_go)
         elif telemetry.autonomous:
             if self._home_wanted and guard.own_mode.text:
-                # Whoever switches it off stands at the unit.
+                # The mode can only be switched off at the unit, by a person who then stands there.
                 self._home_wanted = False
                 self._report(f"homing refused: {guard.own_mode.text}")
             await self._runs.free()
@@ -374,7 +374,7 @@ class Motion(MotionState):
         return order is not None and order[1] and not hindered
 
     def _tell_obstacle(self, *, stow: bool) -> bool:
-        """Tell what has come up after an order was taken, so that it cannot be carried out; return whether there is."""
+        """Tell what has come up since an order was taken and hinders it; return whether anything has."""
         obstacle = self.blocked or (None if stow else self._guard.doubts.reference)
         if obstacle is not None:
             self._report(f"no move: {obstacle}")

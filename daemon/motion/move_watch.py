@@ -13,11 +13,11 @@ from solar.frames import Limits
 # Longer than the pause between the two axes and the start-up ramp together.
 _STALLED_AFTER_S = 6.0
 _SPARE_S = 20.0
-# Telemetry comes several times a second: two looks closer than this may be of the same.
+# Telemetry comes several times a second: two looks closer than this may show the same.
 _STANDS_AFTER_S = 0.3
-# A position that is rounded stays what it is while an axis turns on: two steps of it show the slowest motion.
+# A rounded position may stay the same while an axis turns: within two steps even the slowest motion shows.
 _STANDS_STEPS, _STALLED_STEPS = 2.0, 3.0
-# An axis that is near enough may yet be taken up by the positioner after the other one, to go all the way.
+# The positioner may start an axis that is near enough only after the other one, to go the rest of the way.
 _TAKES_UP_S = 3.0
 
 
@@ -58,7 +58,7 @@ class MoveWatch:
         self._target = target
         self._tolerance_deg = settings.tolerance_deg
         self._slowest_deg_per_s = expected.slowest_deg_per_s
-        # Where the axes are others than A and B, their ways are known with the first look.
+        # If the drive's axes are not A and B, their ways are known only with the first look.
         self._ways: tuple[_Way, _Way] | None = None
         self._by_angles, self._axis_names = expected.axes_are_angles, expected.axis_names
         if self._by_angles:

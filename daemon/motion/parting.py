@@ -1,4 +1,4 @@
-"""The last word to a positioner whose link is given up."""
+"""A last call to a positioner whose link is given up."""
 
 import asyncio
 import contextlib
@@ -9,7 +9,7 @@ from drivers.errors import DeviceError
 
 
 async def try_for(call: Coroutine[Any, Any, None], within_s: float) -> None:
-    """Await a call of the driver for so long [s] at the most; whether it fails changes nothing for whoever parts."""
+    """Await a call of the driver for `within_s` at the most; if it fails, nothing changes: the link is given up."""
     with contextlib.suppress(DeviceError, TimeoutError):
         async with asyncio.timeout(within_s):
             await call

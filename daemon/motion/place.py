@@ -1,8 +1,8 @@
-"""Where the axes rest, kept over a restart: a reference run that ends too early shows by it.
+"""Where the axes rest, kept over a restart: it shows when a reference run ends too early.
 
-A positioner may lose its count while no service is there to see it. Then nobody else knows how long the way to the end
-switch has to be, and a switch that is stuck half-way would be believed. Of an axis that moves nothing is kept: it goes
-on by itself when the service dies.
+A positioner may lose its count while no service is there to see it. Then nothing else tells how far away the end switch
+must be, and a switch that is stuck half-way would be believed. While an axis moves, no place is kept for it: it goes on
+by itself when the service dies.
 """
 
 import logging
@@ -16,9 +16,9 @@ from drivers.interfaces import Positioner, Recalling
 log = logging.getLogger("heliocube.motion")
 
 FILE_NAME = "place.json"
-# Finer than a reference run is judged, and coarser than what an axis shows at rest.
+# Finer than a reference run is judged, and coarser than the changes that an axis at rest shows.
 _CHANGED_DEG = 0.2
-# Finer than an axis is expected after a restart: one that is sent no further stays where it rests, for our purposes.
+# Finer than the place of an axis is judged after a restart: an axis sent no further than this counts as staying.
 _STAYS_DEG = 1.0
 
 
@@ -35,13 +35,13 @@ class KeptPlace:
     Parameters
     ----------
     folder
-        Of the file.
+        Folder of the file.
     positioner
-        Not connected yet; for one that makes no use of it nothing is kept.
+        Not connected yet. Nothing is kept for a positioner that makes no use of it.
     doubt
         Why its reference has been in doubt since before the restart, or None.
     begins_anew
-        Where it rested before says nothing, and nothing is kept.
+        True where the earlier place of rest tells nothing; then nothing is kept.
     """
 
     def __init__(self, folder: StateFolder, positioner: Positioner, doubt: str | None, *, begins_anew: bool) -> None:
@@ -54,7 +54,7 @@ class KeptPlace:
             self._positioner.recall(kept.a, kept.b, doubt or "")
 
     def leaves(self, to: Target | None) -> None:
-        """Keep the place of an axis only if it stays there on the way to a target, and none if nobody knows the way."""
+        """Keep the place of an axis only if it stays there on the way to a target; keep none if there is no target."""
         rested = self._rested
         if rested is None:
             return

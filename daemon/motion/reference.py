@@ -39,7 +39,7 @@ class _Kept(BaseModel):
 
 
 def _said_once(texts: Iterable[str]) -> str:
-    """Return the sentences in one, without those that another one says as well."""
+    """Return the sentences joined into one, without those that another one contains."""
     parts = list(dict.fromkeys(part for text in texts for part in text.split("; ")))
     return "; ".join(part for part in parts if not any(part in other for other in parts if other != part))
 
@@ -58,11 +58,11 @@ def _load(file: StateFile[_Kept], remedy: str) -> _Kept:
 
 
 def kept_doubts(folder: StateFolder, seen: Telemetry | None = None) -> tuple[str, ...]:
-    """Return what is in doubt in a folder of which no service is at work, a sentence each; nothing is written there.
+    """Return what is in doubt in a folder that no service is using, a sentence each; nothing is written there.
 
-    With a look at the positioner of today, also which fault has gone since.
+    With telemetry `seen` today, also tell which faults have gone since.
     """
-    # Whose drive it was, and whether that can be homed, is not known.
+    # It is not known which drive it was, and whether that one can be homed.
     remedy = "compare it with where it points"
     kept = _load(_file_in(folder), remedy)
     gone = () if seen is None else tuple(_vanished(name, remedy) for name in kept.faults if name not in seen.faults)
@@ -82,7 +82,7 @@ class Doubts:
     Parameters
     ----------
     folder
-        Of the file.
+        Folder of the file.
     remedy
         What ends a doubt about the count, see `remedy_of`.
 
@@ -91,7 +91,7 @@ class Doubts:
     reference
         Why the reference is in doubt, or None.
     lost
-        The same without what `vanished` has, which is an alarm of its own.
+        The same without the doubts of `vanished`, which have an alarm of their own.
     incident
         What moved without an order or did not stop, or None.
     changes
@@ -119,7 +119,7 @@ class Doubts:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """All of it, a sentence each."""
+        """All incidents and doubts, a sentence each."""
         return (*self._incidents.values(), *self._doubts.values())
 
     def incident_of(self, kind: str) -> str | None:
@@ -150,7 +150,7 @@ class Doubts:
         self._save()
 
     def forgive(self, shown: Collection[str], before: Telemetry) -> None:
-        """Forget what a person was shown; keep what the unit has cleared although nobody had seen it.
+        """Forget what a person was shown; keep faults that the unit has cleared although nobody had seen them.
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ class Doubts:
         self._save()
 
     def homing_ends(self, doubt: str | None) -> None:
-        """Keep the doubt that a reference run has left, or none."""
+        """Note the end of a reference run, and keep the doubt that it has left, if any."""
         self._homing = False
         if doubt is None:
             self._save()
@@ -198,7 +198,7 @@ class Doubts:
             self._save()
 
     def _sum_up(self) -> None:
-        # Asked for at every look at the positioner, some 200,000 times a day, and the same for most of it.
+        # These are read at every look at the positioner, some 200,000 times a day, and seldom change.
         self.reference = _said_once(self._doubts.values()) or None
         self.lost = _said_once(text for kind, text in self._doubts.items() if not kind.startswith(_FAULT)) or None
         self.incident = "; ".join(self._incidents.values()) or None

@@ -26,8 +26,8 @@ class Rehoming:
             if now_s >= self._due_s:
                 self._runs = 0
             return False
-        # A doubt that comes after the first run had ended the one before has a cause of its own; more of them are a
-        # unit that cannot keep its count.
+        # A new doubt after a first run that ended the last one has a cause of its own. Still more doubts mean that the
+        # unit cannot keep its count.
         another = self._settled and self._runs == 1
         return self.enabled and (now_s >= self._due_s or another)
 

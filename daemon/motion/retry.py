@@ -6,7 +6,7 @@ from daemon.base.alarms.alarms import Alarms
 
 _STOW_PAUSES_S = (60.0, 120.0, 300.0, 600.0)
 _OTHER_FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0)
-# Of moves that end with the link, in a row: a cable that is pulled once or twice is no failure of the move.
+# So many moves in a row have to end by a loss of the link: a cable pulled once or twice is no failure of the move.
 _LOSSES = 3
 
 
@@ -43,7 +43,7 @@ class Retries:
         return count & (count - 1) == 0
 
     def lost(self, text: str, *, stow: bool) -> None:
-        """Take note of a move that ended with the link: the third in a row is told; the next has no pause for it."""
+        """Take note of a move that ended because the link was lost; the third in a row is told. No pause follows."""
         self._losses += 1
         if self._losses >= _LOSSES:
             self._tell(text, stow=stow)

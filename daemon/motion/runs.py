@@ -29,9 +29,9 @@ T = TypeVar("T")
 _BETWEEN_ATTEMPTS_S = 1.0
 # As old as readings may be; a shorter sleep is no reason to end anything.
 _SLEPT_S = 15.0
-# A positioner gives up a run by itself before that, and says why.
+# A positioner gives up a reference run by itself before that, and says why.
 _HOMING_WITHIN_S = 900.0
-# No unit takes so long to tell that an axis which stands has ended its run; a motor that is blocked gets hot.
+# No unit takes so long to report the end of a run after its axis stands; and a blocked motor gets hot.
 _HOMING_STANDS_S = 60.0
 _AXES: tuple[AxisName, AxisName] = ("a", "b")
 
@@ -46,7 +46,7 @@ class Runs:
     Parameters
     ----------
     positioner, guard
-        The instrument, and who looks at it and stops it.
+        The instrument, and the guard that looks at it and stops it.
     limits, settings, expected
         As for `Motion`.
     retries
@@ -54,7 +54,7 @@ class Runs:
     clock, publish, changed
         As for `Motion`.
     wake
-        Set by whoever wants a look at once.
+        Set to ask for a look at once.
     poll_every_s
         Interval between looks at what moves.
     """
@@ -94,14 +94,14 @@ class Runs:
         self.last_homed_started_s = -math.inf
 
     def interrupt(self) -> None:
-        """End the run that is on, if there is one, with a halt; whatever comes next is asked for now."""
+        """End the run that is on, if any, with a halt; for what is asked for next, only later sleeps count."""
         self._interrupted = self.target is not None or self._guard.homing
         self._sleeps = SleepGauge(self._clock)
 
     def is_interrupted(self) -> bool:
         """Whether the run that is on is being ended; a sleep of the machine ends a reference run.
 
-        Hours later whoever asked for it may not stand there any more.
+        Hours later the person who asked for it may no longer be there.
         """
         if self._guard.homing and self._sleeps.take_s() > _SLEPT_S:
             self._interrupted = self._slept = True
@@ -151,7 +151,7 @@ class Runs:
             text = f"the last move failed ({outcome}): {why}"
             level = logging.DEBUG
             if outcome is MoveOutcome.LINK_LOST:
-                # The outage has its own line.
+                # The outage has its own line in the log.
                 self._retries.lost(text, stow=self._stow)
             elif self._retries.failed(self._clock.monotonic(), text, stow=self._stow):
                 level = logging.WARNING
@@ -167,20 +167,20 @@ class Runs:
                     self._report(f"{why}; it was stopped")
                 await self._pause()
                 if guard.doubts.reference is not None:
-                    # The count may have begun anew: what it was before would put the axes beyond their targets.
+                    # The count may have begun anew: seen from the old start, the axes would be beyond their targets.
                     start = guard.pose or start
             if guard.stray is not None:
                 return await self._quell()
             if not guard.watch.settled:
-                # What is left of the last move begins any moment, and a target that finds an axis turning is lost.
+                # The rest of the last move may begin at any moment, and a target that reaches a turning axis is lost.
                 await guard.halt()
             if self.is_interrupted():
                 return MoveOutcome.INTERRUPTED, target.why
             if not self._stow and self._sleeps.take_s() > _SLEPT_S:
-                # Whoever wants it still decides it anew, by what is true now.
+                # The machine has slept: if the move is still wanted, control decides it anew by what is true now.
                 break
             guard.departs(target)
-            # It may sleep between the targets of the two axes.
+            # The machine may sleep between the targets of the two axes.
             sleeps = SleepGauge(self._clock)
             try:
                 # A tilted module catches the wind, so a stow lays it flat before it turns it.
@@ -206,14 +206,14 @@ class Runs:
                 await self._clear_marks()
 
     async def _pause(self) -> None:
-        """Let time pass between two attempts and watch meanwhile: what stands may begin to move by itself."""
+        """Let time pass between two attempts and watch meanwhile: an axis may begin to move by itself."""
         until_s = self._clock.monotonic() + _BETWEEN_ATTEMPTS_S
         while self._clock.monotonic() < until_s and self._guard.stray is None and not self.is_interrupted():
             await wait_at_most(self._wake, min(self._poll_every_s, _BETWEEN_ATTEMPTS_S))
             await self._guard.poll(moving=True)
 
     async def _quell(self) -> tuple[MoveOutcome, str]:
-        """Stop what strays and return how the move ends with it."""
+        """Stop stray motion and return how it ends the move."""
         stray = self._guard.stray
         assert stray is not None  # noqa: S101 - narrowing for the type checker
         return MoveOutcome.INTERRUPTED if await self._guard.quell() else MoveOutcome.OVERSHOT, stray.text
@@ -234,7 +234,7 @@ class Runs:
         while True:
             telemetry = await guard.poll(moving=True)
             if sleeps.take_s() > _SLEPT_S:
-                # Whoever wants it may not want it any more.
+                # After a sleep control may not want the move any more.
                 self._changed()
             if self._interrupted or telemetry.button_pressed:
                 await guard.halt()
@@ -254,7 +254,7 @@ class Runs:
             await wait_at_most(self._wake, self._poll_every_s)
 
     async def free(self) -> None:
-        """Switch off what moves the axes of the positioner's own accord; that alone does not stop a motor."""
+        """Switch off the modes in which the positioner moves by itself, then halt it: the first stops no motor."""
         try:
             await self._guard.attended(self._positioner.disable_autonomy())
         except RefusedError as error:
@@ -262,13 +262,13 @@ class Runs:
         await self._guard.halt()
 
     async def clear(self, shown: tuple[str, ...], gives_way: Callable[[], bool]) -> None:
-        """Clear the positioner's marks, and forgive what a person was shown of them and of the doubts.
+        """Clear the positioner's marks, and forgive the marks and doubts that a person was shown.
 
-        A unit may tell only after seconds that it has cleared them; where `gives_way` says so that is not waited for.
+        A unit may take seconds to report that it has cleared them; the wait ends when `gives_way` returns True.
         """
         guard = self._guard
         doubt = "" if guard.telemetry is None else guard.telemetry.reference_doubt
-        # One that came while the person's order waited was not shown, and steers the next reference run.
+        # A doubt that came while the person's order waited was not shown, and still steers the next reference run.
         clear = partial(self._positioner.clear_faults, forgive=not doubt or doubt in shown)
         guard.clearing = True
         try:
@@ -285,9 +285,9 @@ class Runs:
         self._changed()
 
     async def home(self, *, anew: bool = False) -> None:
-        """Make a reference run of both axes; only a good one of each ends the doubts about the reference.
+        """Make a reference run of both axes; only a good run of each ends the doubts about the reference.
 
-        `anew`: it was decided just now, and not when something was last asked for.
+        `anew`: the run was decided just now, so that no earlier sleep of the machine ends it.
         """
         guard, doubts = self._guard, self._guard.doubts
         # The run clears the unit's faults, and with them what they said about the count.
@@ -380,7 +380,7 @@ class Runs:
             raise _HomingFailedError(trouble or "the positioner has restarted")
 
     async def _unless_interrupted(self, call: Callable[[], Coroutine[Any, Any, T]]) -> T:
-        """Return what the driver's call returns; it is looked at with the call itself, for a stop may come any time."""
+        """Make a call of the driver and return its result; refuse after a stop, which may come until the very call."""
         self._refuse_to_go_on()
         return await call()
 

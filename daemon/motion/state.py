@@ -40,17 +40,17 @@ class MotionState:
 
     @property
     def identity(self) -> PositionerIdentity | None:
-        """Of the unit that is or was connected last."""
+        """Identity of the unit that is or was connected last."""
         return self._guard.identity
 
     @property
     def target(self) -> Target | None:
-        """Of the move that is on."""
+        """Target of the move that is on."""
         return self._runs.target
 
     @property
     def heading(self) -> Target | None:
-        """Of the move that is on and goes on; None for one that is being ended."""
+        """Target of the move that is on; None while that move is being ended."""
         return None if self._runs.is_interrupted() else self._runs.target
 
     @property
@@ -105,7 +105,7 @@ class MotionState:
 
     @property
     def concerns(self) -> tuple[str, ...]:
-        """Every fault and doubt that is shown at present; `clear_faults` forgives what of it a person was shown."""
+        """Every fault and doubt that is shown at present; `clear_faults` forgives those that a person was shown."""
         telemetry = self._guard.judged
         faults = telemetry.faults if telemetry else ()
         failed = (self._retries.text,) if self._retries.text else ()
@@ -124,7 +124,7 @@ class MotionState:
 
     @property
     def was_at_rest(self) -> bool:
-        """Whether it stood, with nothing ordered, when it was seen last."""
+        """Whether the tracker stood, with nothing ordered, when it was seen last."""
         return self._guard.rested is not None
 
     @property

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from drivers.interfaces import AxisName, Telemetry
 from drivers.settings import PositionerSettings
 
-# In what the drive counts in. Two counts and a shake by the wind are no motion; what adds up to more than
-# the second number from where an axis came to rest is, however slowly.
+# In the drive's own unit. Two counts, or a shake by the wind, are no motion; a distance above the second
+# number from where an axis came to rest is motion, however slow.
 _JITTER = {"mm": 0.15, "deg": 0.035, "impulse": 2.0}
 _STRAY = {"mm": 0.4, "deg": 0.1, "impulse": 6.0}
-# In what positions are rounded to, where that is coarse: one step is none, and two are little.
+# In steps of a position that is coarsely rounded: one step is no motion, and two are not elsewhere yet.
 _FLICKER, _STEPS = 1.2, 2.5
-# A second look as late as this makes a standstill.
+# A second look at the same place, at least this much later, shows a standstill.
 _SHOWN_AFTER_S = 0.25
-# The positioner may take up the second axis so long after the first stands near enough to count as arrived.
+# The positioner may start the second axis so long after the first one stands near enough to count as arrived.
 _SETTLES_S = 10.0
 # No drive of this kind turns so fast [deg/s]: the count has changed, and not the tracker.
 _JUMP_DEG_PER_S = 10.0
@@ -26,12 +26,12 @@ CLEAR = "nothing moves before a person has looked and said 'heliocube clear'"
 
 
 def jitter(expected: PositionerSettings) -> float:
-    """Return how far a position, in its unit, may differ from the last with the axis standing."""
+    """Return how far a position, in its unit, may differ from the last one while the axis stands."""
     return max(_JITTER[expected.position_unit], _FLICKER * expected.resolution())
 
 
 def elsewhere(expected: PositionerSettings) -> float:
-    """Return how far a position, in its unit, is from a place at least to be elsewhere."""
+    """Return from what distance to a place, in its unit, a position counts as elsewhere."""
     return max(_STRAY[expected.position_unit], _STEPS * expected.resolution())
 
 
@@ -73,7 +73,7 @@ class Watch:
         self._stray = elsewhere(expected)
         self._axes_are_angles = expected.axes_are_angles
         self._names = expected.axis_names
-        # Another drive tells by itself that it may have lost its count.
+        # A drive with a reference run tells by itself that it may have lost its count.
         self._keeps_way = not expected.has_reference_run
         self._lost_way: tuple[tuple[float, float], tuple[float, float]] | None = None
         self._last: Telemetry | None = None
@@ -81,7 +81,7 @@ class Watch:
         self.forget()
 
     def forget(self) -> None:
-        """Know nothing, as after the loss of the link: the next look counts as rest once `rest` has said so."""
+        """Know nothing, as after the loss of the link, until `rest` says that a look shows the place of rest."""
         if self._keeps_way and self._aim is not None and self._last is not None:
             self._lost_way = _positions(self._last), self._aim
         self._last = None
@@ -89,7 +89,7 @@ class Watch:
         self._since_s = 0.0
         self._shown = False
         self._rest: Telemetry | None = None
-        # Where the axes were sent; until when they may still get there: for ever while the move is on.
+        # Where the axes were sent, and until when (`_settled_s`) they may still get there: for ever during the move.
         self._aim = None
         self._gaps = [0.0, 0.0]
         self._settled_s = -math.inf
@@ -98,7 +98,7 @@ class Watch:
     def off_its_way(self, telemetry: Telemetry, tolerance_deg: float) -> str:
         """Return in words that the move on which the link was lost does not lead to this place; empty where it does.
 
-        Told once, and of a drive without a reference run alone. After the loss a rotator may count from another turn.
+        Told once, and only for a drive without a reference run: after the loss a rotator may count from another turn.
         """
         lost, self._lost_way = self._lost_way, None
         if lost is None:
@@ -125,7 +125,7 @@ class Watch:
         self._rest = None
 
     def rest(self, telemetry: Telemetry) -> None:
-        """Take this for the place of rest, seen to be one: from now on nothing explains any motion."""
+        """Take this look for the place of rest: from now on nothing explains any motion."""
         self._rest = self._last = telemetry
         self._aim, self._settled_s, self._homing = None, -math.inf, frozenset()
         here, anchor = _positions(telemetry), self._anchor
@@ -133,7 +133,7 @@ class Watch:
             self._anchor, self._since_s, self._shown = here, telemetry.time_monotonic_s, True
 
     def repeated(self, telemetry: Telemetry) -> None:
-        """Take this for the last look: it shows what that did, later."""
+        """Take this for the last look: it shows the same at a later time."""
         self._last = telemetry
 
     def same_place(self, one: Telemetry, other: Telemetry) -> bool:
@@ -142,8 +142,8 @@ class Watch:
 
     def expect(self, telemetry: Telemetry) -> None:
         """Let the axes go to the destinations that telemetry shows, and nowhere else: a move was confirmed."""
-        # It may have been on its way for a second: the way is judged from where it stood.
-        # What was made up since the last arrival was allowed, and is no part of this way.
+        # The axes may have moved for a second already: their way is judged from where they stood before.
+        # Motion since the last arrival was allowed, and is no part of this way.
         settling = self._aim is not None and self._settled_s != math.inf
         self._rest = (self._last if settling else self._rest) or telemetry
         self._last = telemetry
@@ -152,7 +152,7 @@ class Watch:
         self._settled_s = math.inf
 
     def arrived(self, telemetry: Telemetry) -> None:
-        """End the move; what is left to the destinations may still be made up within a few seconds."""
+        """End the move; for a few seconds the axes may still go the rest of the way to their destinations."""
         self._rest = telemetry
         self._settled_s = telemetry.time_monotonic_s + _SETTLES_S
 
@@ -174,7 +174,7 @@ class Watch:
     def update(self, telemetry: Telemetry, known_s: float | None = None) -> Stray | None:
         """Take in the newest telemetry; return what it shows that no order explains.
 
-        `known_s` is when it had come [s], None for its own time: a drive that is asked may show where it is by then.
+        `known_s` is when the telemetry had arrived [s], None for its own time: it may show a position as late as that.
         """
         self._note_standstill(telemetry)
         before, self._last = self._last, telemetry
