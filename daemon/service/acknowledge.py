@@ -10,14 +10,14 @@ from daemon.service.operator import Answer, CommandError, Seen
 
 
 def acknowledge(alarms: Mapping[str, Alarms], tracker: str | None, name: str | None, by: str, why: str) -> Answer:
-    """Note that a person has seen one alarm, or all that are shown; what somebody has seen already, say so.
+    """Note that a person has seen one alarm, or all that are shown; say so if it was acknowledged before.
 
     Parameters
     ----------
     alarms
-        Of each tracker by its name, and of the cube by the empty one.
+        The alarms of each tracker by its name, and of the cube by the empty name.
     tracker, name
-        Whose, and which; None for all.
+        Whose alarms, and which one; None for all.
     by, why
         Who, and a reason for the records.
 

@@ -32,18 +32,18 @@ def _printable(text: str) -> str:
 
 
 def _one_line(value: object) -> str:
-    """Return what was said as one line that is not too long; nothing for what is no text."""
+    """Return a text as one line that is not too long; empty for anything but text."""
     text = value if isinstance(value, str) else ""
     return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())[:_LONGEST_LINE]
 
 
 def _degrees(value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError("not a number")  # noqa: TRY004 - pydantic's validators raise no other
+        raise ValueError("not a number")  # noqa: TRY004 - pydantic takes no TypeError from a validator
     try:
         return float(value)
     except OverflowError:
-        # Whatever its digits, it is for the limits to refuse.
+        # An integer that no float can hold: the limits refuse it.
         return math.inf
 
 
@@ -122,14 +122,14 @@ def body_of(name: str) -> type[CommandBody]:
 def check(name: str, found: dict[str, Any], more: tuple[str, ...] = ()) -> CommandBody:
     """Return the body of a command; raises `ValueError` with one sentence for one that is not understood.
 
-    A stop is never refused for its body: what is not understood of it counts as left out.
+    A stop is never refused for its body: keys that are not understood count as left out.
 
     Parameters
     ----------
     name, found
         The command, and the object that came with it.
     more
-        Keys for lines of text that the way of the command has besides, such as ``time`` over a broker.
+        Further keys, each with a line of text, that commands may have on this way, such as ``time`` over a broker.
     """
     model = body_of(name)
     own = {key: value for key, value in found.items() if key not in more}

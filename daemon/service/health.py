@@ -1,7 +1,7 @@
 """The service manager's watchdog, answered only while the work itself goes on.
 
-A device that is down is a declared state and no reason to be killed; a control loop that no longer ticks, a scan that
-does not end or an event loop that runs late is.
+A device that is down is a declared state and no reason to kill the service. A control loop that no longer ticks, a scan
+that does not end or an event loop that runs late is a reason.
 """
 
 import asyncio
@@ -48,16 +48,16 @@ class LoopState:
 
 
 class LoopWatch:
-    """Measures how late the event loop runs what is due, ten times a second; a reader or a disk that holds it up shows.
+    """Measures how late the event loop runs what is due, ten times a second: it shows a reader or disk that blocks it.
 
     Parameters
     ----------
     clock
         The service's time.
     speed
-        How many times as fast as the machine's it runs.
+        Speed of that clock relative to the machine's.
     look
-        Called each time, for what has to be seen soon.
+        Called at each measurement, for what has to be noticed soon.
     """
 
     def __init__(self, clock: Clock, speed: float, look: Callable[[], object] = lambda: None) -> None:
@@ -100,11 +100,11 @@ class Watchdog:
     clock
         The service's time.
     notifier
-        To the service manager.
+        Talks to the service manager.
     trackers, acquisition
-        The work that must go on; none where the role has it not.
+        The work that must go on; none where the role has none.
     speed
-        How many times as fast as the machine's the clock runs.
+        Speed of the clock relative to the machine's.
     """
 
     def __init__(

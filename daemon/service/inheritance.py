@@ -1,9 +1,9 @@
 """What a tracker without a name has kept, handed on when the configuration names trackers.
 
-A stop, a storm or a doubt must not be forgotten because a file has got a new line: it holds for every tracker that has
-kept nothing of its own yet, until a person releases it. Where a tracker has got another name, or its table is gone, or
-comes back after one without a name, the service itself holds every tracker that was not at work beside it or after it:
-that may be the same one.
+A stop, a storm or a doubt must not be forgotten because the configuration has got a new line: it holds for every
+tracker that has kept nothing of its own yet, until a person releases it. If a tracker gets another name, or its table
+is gone or comes back after a time without a name, the service itself holds every tracker that was not at work beside
+it or after it: each may be that tracker.
 """
 
 import logging
@@ -41,7 +41,7 @@ class Started(BaseModel):
     number: int = Field(default=0, ge=0)
 
 
-# The trackers of one service write it one after the other.
+# The trackers of one service write their files of the start one after the other, within this time.
 _STARTED_TOGETHER_S = 30.0
 _FILES = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference, budget, law_file, kept, today))
 _IN_FORCE: tuple[str, ...] = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference))
@@ -61,13 +61,13 @@ def last_start_utc_s(folder: StateFolder) -> float:
 
 
 def next_number(directory: Path | None) -> int:
-    """Return the number of a start with the folder of a service, which is higher than any before in it or below it."""
+    """Return the number of a new start, which is higher than any that is kept in a service's folder or below it."""
     paths = () if directory is None else (directory, *directory.glob("*/"))
     return 1 + max((_number(path) for path in paths), default=0)
 
 
 def _number(folder: Path) -> int:
-    # Nothing is to be written there, and so no room kept.
+    # Nothing will be written there, so no room is kept for it.
     kept = _last_start(StateFolder(folder, reserve=lambda _path: None))
     return 0 if kept is None else kept.number
 
@@ -80,15 +80,15 @@ def _last_start(folder: StateFolder) -> Started | None:
 
 
 def hand_on(directory: Path, trackers: Sequence[str]) -> None:
-    """Copy each kept file of a folder into those of the trackers that have none, and give it another name.
+    """Copy each kept file of a folder to the trackers that have no such file, and give the original another name.
 
-    Where the axes rest is handed on to one tracker alone: of several nobody knows which of them rested there, and the
-    others would be in doubt for it.
+    The place where the axes rest is handed on only to a single tracker: of several, nobody knows which one rested
+    there, and the others would be in doubt because of it.
 
     Raises
     ------
     UserError
-        The disk does not let it: a service that goes on would have forgotten what is in force.
+        The disk fails: a service that went on would have forgotten what is in force.
     """
     for name in (*_FILES, place.FILE_NAME):
         before = directory / name
@@ -96,12 +96,12 @@ def hand_on(directory: Path, trackers: Sequence[str]) -> None:
             continue
         heirs = trackers if name != place.FILE_NAME or len(trackers) == 1 else ()
         try:
-            # What somebody has damaged is handed on too: whoever reads it says what that means.
+            # A damaged file is handed on too: its reader decides what that means.
             content = before.read_text(encoding="utf-8", errors="replace")
             for tracker in heirs:
                 own = directory / tracker / name
                 if not own.exists():
-                    # As a whole or not at all: half a file would pass for one of its own, and count as a stop.
+                    # As a whole or not at all: half a file would pass for the tracker's own, and count as a stop.
                     replace_file(own, content)
             before.replace(before.with_name(f"{name}.before"))
         except OSError as error:
@@ -113,7 +113,7 @@ def hand_on(directory: Path, trackers: Sequence[str]) -> None:
 def left_behind(directory: Path, trackers: Sequence[str], own: Path) -> str | None:
     """Return what is in force in folders of trackers that are not in the configuration any more, in words, or None.
 
-    To be asked before `hand_on`, which leaves nothing in the folder of a tracker without a name.
+    Call this before `hand_on`, which leaves nothing in the folder of a tracker without a name.
 
     Parameters
     ----------
@@ -122,16 +122,16 @@ def left_behind(directory: Path, trackers: Sequence[str], own: Path) -> str | No
     trackers
         The names in the tables.
     own
-        The folder of one of the trackers. Those that are gone since it was last started count only: beside the others
-        it was another one, and whoever started it without them knew of them.
+        The folder of one of the trackers. Only trackers that have gone since its last start count: one that ran beside
+        it is not the same tracker, and the person who started it without an older one knew of that one.
     """
     found = []
     for folder in sorted({path.parent for name in _IN_FORCE for path in directory.glob(f"*/{name}")}):
-        # Another service may have its folder here: it is at work there itself.
+        # A folder here may be that of another service which is at work in it.
         if folder.name not in trackers and _is_newer(folder, own) and not is_claimed(folder, "tracker"):
             found += _in_force(folder, f"'{folder.name}'")
     told = [f"no tracker is named so any more, but {'; '.join(found)}: {_REMEDY}"] if found else []
-    # Of what it has kept nothing of, it is given a copy.
+    # Only files that both have: where the tracker has none, `hand_on` gives it a copy.
     both = [name for name in _IN_FORCE if trackers and (directory / name).exists() and (own / name).exists()]
     if both and _is_newer(directory, own) and (found := _in_force(directory, "it", both)):
         told.append(f"a tracker without a table [[tracker]] has been started since, and {'; '.join(found)}: {_LOOK}")
@@ -139,23 +139,24 @@ def left_behind(directory: Path, trackers: Sequence[str], own: Path) -> str | No
 
 
 def _is_newer(gone: Path, own: Path) -> bool:
-    """Whether a tracker that is gone was started after the last start with the other one."""
+    """Whether a tracker that is gone was started after the last start of the other one."""
     if not (own / STARTED_NAME).exists():
         return True
     numbers = _number(gone), _number(own)
     if all(numbers):
         return numbers[0] > numbers[1]
-    # By their times, which are wrong after a clock was set: folders of an older release have no number or no such file.
+    # Folders of an older release have no number or no such file: go by times, though these are wrong after a clock was
+    # set.
     lasts = [gone / name for name in (STARTED_NAME, *_IN_FORCE) if (gone / name).exists()]
     return lasts[0].stat().st_mtime > (own / STARTED_NAME).stat().st_mtime + _STARTED_TOGETHER_S
 
 
 def _in_force(folder: Path, called: str, names: Sequence[str] = _IN_FORCE) -> list[str]:
-    # Nothing is to be written there, and so no room kept.
+    # Nothing will be written there, so no room is kept for it.
     state = StateFolder(folder, reserve=lambda _path: None)
     asked = WishFile(state).load() if wishes.FILE_NAME in names else Wishes()
     if asked.held_by_program:
-        # Its own reason may name such folders, and would be told once more with each name.
+        # The kept reason may itself name such folders, and would be told again with each name.
         asked = asked.model_copy(update={"hold": Wish(why="nobody has looked yet", by=PROGRAM)})
     storm = SafetyFile(state).load() if stow_watch.FILE_NAME in names else None
     doubts = reference.kept_doubts(state) if reference.FILE_NAME in names else ()

@@ -28,7 +28,7 @@ class ModeTimes:
     clock
         The service's time.
     longitude_deg
-        Of the site, east positive: a day is the sun's, from midnight to midnight, as that of the laws' moves.
+        Of the site, east positive. A day is the solar day there, from midnight to midnight, as for the laws' moves.
     """
 
     def __init__(self, clock: Clock, longitude_deg: float) -> None:
@@ -52,10 +52,10 @@ class ModeTimes:
         midnight_utc_s = math.floor((utc_s + self._east_s) / DAY_S) * DAY_S - self._east_s
         since_utc_s = self._since_utc_s
         if since_utc_s > utc_s:
-            # The clock was ahead and has been set back: by its time of now it began so long ago.
+            # The clock was ahead and has been set back: count back from its present time to the beginning.
             since_utc_s = utc_s - lasted_s - self._before.total()
         if since_utc_s >= midnight_utc_s:
             return ModesOfDay(since_utc_s, {**self._before, self._mode: self._before[self._mode] + lasted_s})
-        # What lasted until midnight is yesterday's.
+        # The time before midnight is yesterday's.
         today = Counter({self._mode: min(lasted_s, utc_s - midnight_utc_s)})
         return ModesOfDay(midnight_utc_s, today)

@@ -1,4 +1,4 @@
-"""The operator's commands, and what the tracker did upon them, from its own telemetry."""
+"""The operator's commands, and what the tracker then did, by its own telemetry."""
 
 import asyncio
 import logging
@@ -19,8 +19,8 @@ log = logging.getLogger("heliocube.operator")
 # A stop shows at once; a move in another direction is first stopped, and turns round.
 _WAIT_S = 3.0
 _WAIT_FOR_MOTION_S = 6.0
-# A unit that tells its status every 3.24 s shows only with the second one that it has cleared it, which a reference run
-# does first; the command line and the dashboard wait 15 s for an answer.
+# A unit that sends its status every 3.24 s shows only in the second one that its marks are cleared, which a reference
+# run does first. The command line and the dashboard wait 15 s for an answer.
 _WAIT_FOR_STATUS_S = 12.0
 _LOOK_EVERY_S = 0.02
 # A disk at work takes milliseconds; a person is not kept waiting for a bad one.
@@ -33,7 +33,7 @@ _REASONS = 2
 
 
 class CommandError(Exception):
-    """A command was not carried out; the message is one sentence; of several trackers a line each behind it.
+    """A command was not carried out; the message is one sentence, and for several trackers a line each after it.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Answer:
     seen
         ``done``: it has arrived, or stands; ``under-way``: it is seen to move there, or to home; ``not-seen``: neither.
     text
-        What the tracker did, in a sentence; of several trackers at once a line each, what went wrong first.
+        What the tracker did, in a sentence; for several trackers at once a line each, failures first.
     """
 
     seen: Seen
@@ -86,9 +86,9 @@ class Operator:
     Parameters
     ----------
     tracker
-        Which is commanded.
+        The tracker that is commanded.
     speed
-        How many times as fast as the machine's the service's clock runs: nobody at a terminal waits longer for it.
+        Speed of the service's clock relative to the machine's: a person waits by the machine's clock.
     """
 
     def __init__(self, tracker: Tracker, speed: float) -> None:
@@ -121,14 +121,14 @@ class Operator:
     async def _stand_still(
         self, name: str, command: Awaitable[None], heading: Target | None, why: str, by: str
     ) -> Answer:
-        """Let the packet go first, and write and tell afterwards."""
+        """Send the stop first; write and report it afterwards."""
         control, motion = self._control, self._motion
         asked_s, before, lost = self._clock.monotonic(), control.wishes, None
         try:
             await command
             self._stop_sent_s = asked_s
         except DeviceError as error:
-            # Of a link that is down the last try to reopen it says why; the command itself says only that it is.
+            # If the link is down, the last try to reopen it tells why; the command's own error tells only that it is.
             lost = motion.outage.reason if motion.outage.is_down else str(error)
         self._note(name, why, by)
         control.tick()
@@ -232,7 +232,7 @@ class Operator:
                 return Seen.DONE
             telemetry, pose = motion.telemetry, motion.pose
             if not motion.homing or telemetry is None or pose is None or telemetry.time_monotonic_s < asked_s:
-                # What was under way is stopped before a run begins.
+                # A move that is on is stopped before the run begins.
                 begin = pose
                 return None
             # An axis that stands at its end switch first leaves it, which the unit calls a move.
@@ -244,7 +244,7 @@ class Operator:
     async def clear(self, why: str, by: str = "") -> Answer:
         """Clear the faults and doubts that are shown now; what came unseen or comes later stays.
 
-        Whoever clears has looked: the alarms that wait for that are acknowledged.
+        A person who clears has looked: the alarms that wait for that are acknowledged.
         """
         control, motion = self._control, self._motion
         with _refusals():
@@ -368,7 +368,7 @@ def _refusals() -> Iterator[None]:
 
 
 async def _try_to_stop(motion: Motion) -> None:
-    """Send stop at once; a link that is lost is motion's to tell, and no reason to give the command up."""
+    """Send stop at once. Motion reports a link that is lost; that is no reason to give the command up."""
     try:
         await motion.stop()
     except DeviceError as error:
@@ -389,7 +389,7 @@ def _furthest_off(pose: Pose, place: Target | Pose) -> float:
 
 
 def _obstacle(motion: Motion) -> str:
-    """Return why it cannot move, empty if it can: the first reasons of many, which nobody would read in a sentence."""
+    """Return why it cannot move, empty if it can; only the first reasons, for nobody reads many in a sentence."""
     if not motion.connected:
         return motion.outage.reason or "the positioner has not answered yet"
     reasons = (motion.blocked or motion.doubt or "").split("; ")

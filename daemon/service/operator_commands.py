@@ -1,6 +1,6 @@
 """An operator's command as text: one parser with one set of sentences, and one answer, whatever way it came.
 
-The command line and other programs come over HTTP, the rest over MQTT; both hand on what they got, and no more.
+The command line and other programs give commands over HTTP, the rest over MQTT; both hand on just what they got.
 """
 
 import asyncio
@@ -39,11 +39,11 @@ NAMES = (
 URGENT = ("stop", "stow", "maintenance")
 LONGEST_BODY = 4096
 
-# A command over HTTP is under way for as long as its connection lasts.
+# Only over MQTT may a command arrive late, and so tell its time: over HTTP it lasts no longer than its connection.
 _LINES_OF = {"MQTT": ("time",)}
 # What may be asked of all trackers at once: nobody in a hurry has to remember names.
 OF_ALL = ("stop", "stow")
-# How many of the others a way may give: so many at once, and so many a second. A stop is never refused.
+# How many commands one way may give at once, and then how many a second. A stop is never refused.
 _AT_ONCE = 20
 _PER_S, _URGENT_PER_S = 2.0, 5.0
 
@@ -56,12 +56,12 @@ class BodyError(CommandError):
 
 
 class TooManyError(CommandError):
-    """More commands came one way than are carried out."""
+    """More commands came over one way than are carried out."""
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One command that can be meant.
+    """One command that was understood.
 
     Attributes
     ----------
@@ -76,15 +76,15 @@ class Command:
     identifier
         What the answer repeats, or None.
     time_utc_s
-        When it was given, where the body says; only what comes over a broker may be old.
+        When it was given, where the body says; only a command that comes over a broker may be old.
     tracker
         Which is meant, or None where it is not said.
     a_deg, b_deg
-        Of a goto; NaN of others.
+        The position of a goto; NaN for other commands.
     alarm
         Which is acknowledged, or None for all.
     shown
-        Since when each wish stood that whoever says auto was shown; None where that is not said.
+        For auto: the `latest` of each wish that the person was shown; None where that is not said.
     """
 
     name: str
@@ -124,7 +124,7 @@ class Command:
         return answer
 
     def _later(self, wishes: Wishes) -> str | None:
-        """Return in words what came after this was given, or after what whoever gave it was shown; or None."""
+        """Return in words a wish that came after this command was given, or that its giver was not shown; or None."""
         later = None if self.time_utc_s is None else wishes.later_than(self.time_utc_s)
         return later or (None if self.shown is None else wishes.not_in(self.shown))
 
@@ -135,13 +135,13 @@ class Operators:
     Parameters
     ----------
     trackers
-        Those of the process; none in that of a cube.
+        The trackers of the process; none in a cube's process.
     speed
-        How many times as fast as the machine's the service's clock runs.
+        Speed of the service's clock relative to the machine's.
     cube_alarms
-        Those of no tracker, to be acknowledged as well; or None.
+        The alarms of no tracker, to be acknowledged as well; or None.
     beside
-        Other trackers of the process, to which no command of this way is but a stop that names one.
+        Other trackers of the process: of the commands that come this way, only a stop that names one reaches them.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class Operators:
     async def carry_out(self, command: Command) -> dict[str, Any]:
         """Return the answer as JSON; raises `CommandError` where the command is refused, by one tracker or by all.
 
-        More than twenty at once, and then two a second (five of the urgent ones), are `TooManyError`, counted for each
+        Raises `TooManyError` beyond twenty commands at once and then two a second (five if urgent), counted for each
         way on its own; a stop always passes.
         """
         if command.wanted == "acknowledge":
@@ -180,7 +180,7 @@ class Operators:
         return answer_json(command.name, command.identifier, await self._by_each(self._of, command))
 
     def stopped_already(self, command: Command) -> dict[str, Any] | None:
-        """Return the answer to a stop that changes nothing, as all whom it is for are stopped; None where one is not.
+        """Return the answer to a stop for trackers that are all stopped already; None where one is not.
 
         Raises `CommandError` as `carry_out` does.
         """
@@ -221,7 +221,7 @@ class Operators:
         return f"there is no tracker {meant}; the trackers are {', '.join(self._all)}"
 
     async def _stop_all(self, command: Command) -> NoReturn:
-        """Stop all trackers for a stop of another one than it came to, and say so: nobody can tell which was meant."""
+        """Stop all trackers after a stop for one that is unknown here, and say so: nobody can tell which was meant."""
         try:
             found = (await self._by_each(self._all, command)).text
         except CommandError as error:
@@ -238,7 +238,7 @@ class Operators:
             raise TooManyError(f"more than {per_s:g} commands a second came over {command.way}; ask again in a second")
 
     async def _by_each(self, chosen: Mapping[str, Operator], command: Command) -> Answer:
-        """Return what several trackers did at once; what one refuses is no reason for the others not to."""
+        """Return what several trackers did at once; a refusal by one does not keep the others from doing it."""
         outcomes = await asyncio.gather(
             *(_by(operator, command) for operator in chosen.values()), return_exceptions=True
         )
@@ -260,7 +260,7 @@ class Operators:
 
 
 async def _by(operator: Operator, command: Command) -> Answer:
-    """Let an operator carry out a command; what the log says meanwhile is said of its tracker, and so is the answer."""
+    """Let an operator carry out a command; log lines, and commands named in the answer, bear its tracker's name."""
     before, tracker = TRACKER.set(operator.log_name), operator.log_name or None
     try:
         answer = await command.carry_out(operator)
@@ -272,7 +272,7 @@ async def _by(operator: Operator, command: Command) -> Answer:
 
 
 def _a_line_each(by_name: Mapping[str, Answer | BaseException], first: Sequence[str]) -> str:
-    """Return what came of a command as lines by tracker, those that somebody has to look at before the others."""
+    """Return what came of a command, a line for each tracker; `first` are those that somebody has to look at."""
     width = max(map(len, by_name)) + 1
     named = [*first, *(name for name in by_name if name not in first)]
     return "".join(f"\n  {f'{name}:':<{width}}  {_sentence(by_name[name])}" for name in named)
@@ -316,7 +316,7 @@ def parse(name: str, content: bytes, way: str) -> Command:
     content
         Empty, or a JSON object; for ``mode`` also the bare name of one; for ``stop`` anything.
     way
-        Over which it came, such as ``HTTP``: who asked, where the body does not say.
+        Over which it came, such as ``HTTP``; it stands for the person where the body names nobody.
 
     Raises
     ------
@@ -326,7 +326,7 @@ def parse(name: str, content: bytes, way: str) -> Command:
     try:
         found = _object(name, content)
     except BodyError:
-        # Of several trackers all stand still then: nobody can tell which was meant.
+        # Such a stop is for all trackers: nobody can tell which was meant.
         if name != "stop":
             raise
         found = {}
@@ -371,7 +371,7 @@ def _object(name: str, content: bytes) -> dict[str, Any]:
 
 
 def _as_meant(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    # What no encoding has, half a letter, is for nobody to check.
+    # Half a letter (a lone surrogate) has no encoding: escape it, so that no check meets one.
     return once_each([(name.encode("utf-8", "backslashreplace").decode(), value) for name, value in pairs])
 
 

@@ -23,7 +23,7 @@ class Recent:
     Parameters
     ----------
     several
-        Whether there are several trackers: then each line of news begins with the name of its own.
+        Whether there are several trackers: then each line of news begins with the name of its tracker.
     """
 
     def __init__(self, *, several: bool = False) -> None:
@@ -48,7 +48,7 @@ class Recent:
         if text is not None:
             if self._several and not isinstance(record, Scan) and record.tracker:
                 text = f"{record.tracker}: {text}"
-            # A move is recorded by its beginning, and is news when it has ended.
+            # A move is recorded with the time of its beginning, and is news when it has ended.
             lasted_s = record.duration_s if isinstance(record, Move) else 0.0
             self.news.append(News(record.time_utc_s + lasted_s, text))
         for follower in self._followers:

@@ -15,7 +15,7 @@ class Role(StrEnum):
     BOTH = "both"
 
     def known_as(self, name: str | None) -> str:
-        """Return what its only tracker, or the cube of a process without one, is known by; `name` is that of [mqtt]."""
+        """Return the name of the only tracker, or of the cube in a process without one; `name` is that of [mqtt]."""
         return name or (Role.CUBE if self is Role.CUBE else Role.TRACKER).value
 
 
@@ -28,10 +28,10 @@ class TrackerInstruments:
     positioner
         Its drive.
     load
-        On its module, or None.
+        The electronic load on its module, or None.
     begins_anew
-        The positioner is a simulated one that begins at one and the same place whenever it is started: where it rested
-        before says nothing.
+        The positioner is a simulated one that begins at one and the same place whenever it is started: its earlier
+        place of rest tells nothing.
     """
 
     positioner: Positioner
@@ -48,17 +48,17 @@ class Rig:
     cube
         None where the role has no cube.
     trackers
-        Those of each tracker, in the order of the settings' trackers; empty where the role has none.
+        The instruments of each tracker, in the order of the settings' trackers; empty where the role has none.
     wind_speed_m_s
         Latest wind speed [m/s]; None where there is no wind sensor at all.
     simulated
-        True if any of it is a simulation, in this process or at a bench: all its records are marked by it.
+        True if any instrument is simulated, in this process or at a bench: all records are marked as simulated then.
     sky_text
         One line about the simulated sky for displays, or None.
     clock_synchronised
         Whether anything has synchronised the machine's clock; None where that is not known or there is no such clock.
     clock_lasts
-        The clock goes on while no service runs, as a simulated one does not.
+        Whether the clock goes on while no service runs; a simulated clock does not.
     """
 
     cube: Cube | None

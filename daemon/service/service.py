@@ -53,13 +53,13 @@ class Service:
     bus
         Where records go.
     key
-        Of the bridge; None for an insecure one.
+        The bridge's key; None for an insecure bridge.
     notifier
-        To the service manager.
+        Talks to the service manager.
     speed
-        How many times as fast as the machine's the clock runs, for the watchdog.
+        Speed of the clock relative to the machine's, for the watchdog.
     calibration
-        Of the cube; None for the gains of the settings.
+        The cube's calibration; None for the gains of the settings.
     polling
         How often to poll the positioner.
     stow_sources
@@ -128,7 +128,7 @@ class Service:
         if rig.cube is None:
             raise ValueError("the cube's role needs a cube")
         cube = calibrated_cube(settings.cube, self.calibration) if self.calibration else settings.cube
-        # Beside trackers it is they who tell of the clock that they share.
+        # In a process with trackers, these raise the alarm about the clock that they share with the cube.
         alarms = self.cube_alarms if self.role is Role.CUBE else None
         ran_utc_s = max((tracker.ran_utc_s for tracker in self.trackers), default=-math.inf)
         clock_watch = ClockWatch(self.clock, alarms, rig.clock_synchronised, ran_utc_s)
@@ -199,12 +199,12 @@ class Service:
         return "" if self.receiver is None else self.receiver.deaf_why or self.receiver.refused_since_accepted
 
     def _mute_cube(self) -> None:
-        """Keep the cube's alarms silent while nobody is left who would want to hear them: all trackers are muted."""
+        """Keep the cube's alarms silent while all trackers are muted: nobody is left who would want to hear them."""
         self.cube_alarms.mute(muted=all(tracker.alarms.muted for tracker in self.trackers))
 
     def _receive(self, scan: Scan) -> None:
         """Hand a scan of the bridge to every tracker, and to the bus."""
-        # One instant for all: what they know alike is worked out once.
+        # One instant for all trackers, so that what they know alike is worked out only once.
         utc_s = self.clock.utc()
         for tracker in self.trackers:
             tracker.receive(scan, utc_s)
@@ -214,10 +214,10 @@ class Service:
         self.bus.publish(scan)
 
     async def open(self) -> None:
-        """Take the bridge's address, before anything is begun that another service would have to share.
+        """Take the bridge's address, before anything begins that would collide with another service.
 
-        Raises `UserError` if it cannot be used; one that is not on this machine now is waited for. `run` does it too,
-        where it has not been done.
+        Raises `UserError` if the address cannot be used; one that is not on this machine now is waited for. `run` calls
+        this if nobody has.
         """
         if not self._is_open:
             await self._open_bridge()
@@ -244,7 +244,7 @@ class Service:
             for tracker in self.trackers:
                 tracker.check()
             if self._listens and self.receiver is not None:
-                # Not before whoever keeps records listens too.
+                # Not earlier: by now those who keep the records listen, too.
                 await self.receiver.open()
             try:
                 async with asyncio.TaskGroup() as group:
@@ -296,7 +296,7 @@ class Service:
         if self.sender is not None:
             self.sender.send(scan)
         if self.receiver is not None and self.receiver.deaf_why is not None:
-            # What this machine has in itself needs no address of its network.
+            # A scan that stays in this process needs no address of the network.
             self.receiver.take_own(pack(scan, self._key))
         if self._send_beyond is not None:
             self._send_beyond(pack(scan, self._key))

@@ -37,7 +37,7 @@ POSE_STALE_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class PositionerState:
-    """How a positioner is, as motion and its telemetry have it; None for what is not known or not so."""
+    """How a positioner is, by motion and its telemetry; None for what is not known or is not the case."""
 
     connected: bool
     down_why: str | None
@@ -86,11 +86,11 @@ class TrackerState:
     Attributes
     ----------
     typed_for
-        Its name where commands need one, as the process has other trackers; None of the only one.
+        Its name where commands need one, because the process has other trackers; None for the only tracker.
     control
         Mode, reason, decision and means.
     next
-        What the next decision would be by the readings of now, or None; None at a glance.
+        What the next decision would be by the present readings, or None; None at a glance.
     silent_s
         Time since control's last tick.
     law, law_shown
@@ -100,9 +100,9 @@ class TrackerState:
     at_stow
         Whether it surely stands at the stow position.
     today
-        Of the laws' moves.
+        What the laws have moved today and may still move.
     received
-        What its plane has received today, beside a chronometric tracker's, by the light on the cube's faces; at a
+        What its plane has received today, next to a chronometric tracker's, by the light on the cube's faces; at a
         glance without the latest quarter of an hour.
     shadow
         The law in its shadow; None where there is none, and at a glance.
@@ -111,11 +111,11 @@ class TrackerState:
     wind
         How each source of stow stands.
     alarms
-        Its own that are on, or that wait for a person to look.
+        Its own alarms that are on, or that wait for a person to look.
     load
-        None where there is none.
+        None where there is no load.
     decisions, moves
-        How many, the moves by their outcome.
+        How many there were, the moves by their outcome.
     """
 
     name: str
@@ -146,7 +146,7 @@ class TrackerState:
 
     @property
     def stow_release_in_s(self) -> float:
-        """How long all sources must go on being calm before none stows; NaN while none does, or one does not tell."""
+        """How much longer all sources must be calm until none stows; NaN while none stows, or one does not tell."""
         missing_s = [source.release_in_s for source in self.wind if source.why is not None]
         return max(missing_s) if missing_s and all(map(math.isfinite, missing_s)) else math.nan
 
@@ -158,25 +158,25 @@ class Snapshot:
     Attributes
     ----------
     speed
-        How many times as fast as the machine's the clock runs.
+        Speed of the clock relative to the machine's.
     time_utc_s, time_monotonic_s
-        When it was taken.
+        When the snapshot was taken.
     sleeps
-        Of the machine, until then.
+        The sleeps of the machine until then.
     sun_elevation_deg
         By ephemeris, at the site.
     sky
         One line about a simulated sky, or None.
     scan, scan_stale_s, scans
-        The newest, the age from which it is not used, and how many there were.
+        The newest scan, the age from which it is not used, and how many scans there were.
     fallback_after_s
-        Without scans for so long the sun is followed by the ephemeris.
+        After so long without scans, trackers follow the sun by the ephemeris.
     has_cube, cube_down_why
         Whether this process reads a cube, and why it does not answer, or None.
     calibration
-        Of the cube, or None.
+        The cube's calibration, or None.
     cube_alarms
-        Those of no tracker.
+        The alarms of no tracker.
     trackers
         In the order of the settings; none in the cube's process.
     bridge, bridge_down_why
@@ -184,7 +184,7 @@ class Snapshot:
     store
         None where no records are kept.
     links
-        To the broker, by the tracker that has it; by the empty name that of the cube's process.
+        The links to the broker by their trackers; that of the cube's process by the empty name.
     news
         What happened lately, the latest last.
     loop
@@ -230,7 +230,7 @@ class Snapshot:
     def cube_trouble(self) -> str | None:
         """Why there are no readings: the cube's own reason, or that none come from the process that reads it.
 
-        Where the bridge is down, that is not for the cube to explain.
+        Nothing is said of missing scans while the bridge is down: that is not the cube's trouble.
         """
         if self.has_cube or self.bridge_down_why or not self.trackers:
             return self.cube_down_why
@@ -265,15 +265,15 @@ def snapshot(
     service, recent
         What is seen, and what has come over its bus lately.
     speed
-        How many times as fast as the machine's the service's clock runs.
+        Speed of the service's clock relative to the machine's.
     store
         How the store is, or None where there is none.
     links
         How the links to the broker are, by tracker.
     tracker
-        The only one that is looked at, or None for all.
+        The only tracker that is looked at, or None for all.
     glance
-        Whether what takes longest to find out is left out: hundreds of trackers are looked at in one go.
+        Whether to leave out what takes longest to find out: hundreds of trackers are looked at in one go.
     """
     settings, acquisition = service.settings, service.acquisition
     utc_s, sleeps = service.clock.utc(), service.sleeps.look()
@@ -311,7 +311,7 @@ def snapshot(
 
 @cache
 def _version() -> str:
-    """Return the program's version; where it is kept is a file, which is not read again and again."""
+    """Return the program's version; it comes from a file, which is read only once."""
     return version("heliocube")
 
 
@@ -329,7 +329,7 @@ def _tracker(tracker: Tracker, recent: Recent, sleeps: tuple[Sleep, ...], *, gla
     control, now_s = tracker.control, tracker.clock.monotonic()
     budget, shadow = control.budget, None if tracker.shadow is None or glance else tracker.shadow.state
     received, day = tracker.received.counted if glance else tracker.received.today, budget.used.day
-    # A count ends with the first scan of the next day, and nobody knows when that comes.
+    # A count ends with the first scan of the next day, and that may come late: show none of yesterday's until then.
     if received.day != day:
         received = Insolation(day=day)
     if shadow is not None and shadow.received.day != day:

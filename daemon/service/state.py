@@ -30,7 +30,7 @@ _ASKED = {
     Mode.STOW: ("stow",),
     Mode.SNOW: ("snow",),
 }
-# What belongs to one tracker. A process of one tracker has it at the top too, as scripts and dashboards know it.
+# The keys of one tracker. A process with one tracker has them at the top too, where scripts and dashboards know them.
 _OF_A_TRACKER = (
     "mode",
     "wishes",
@@ -90,7 +90,7 @@ def tracker_state_json(seen: Snapshot, name: str) -> dict[str, Any]:
 
 
 def _common(seen: Snapshot, alarms: Iterable[tuple[Alarm, TrackerState | None]]) -> dict[str, Any]:
-    """Return what is not of one tracker."""
+    """Return the keys that do not belong to one tracker."""
     ordered = sorted(alarms, key=lambda item: item[0].order)
     return {
         "version": seen.version,
@@ -262,7 +262,7 @@ def _alarm(alarm: Alarm, tracker: str | None) -> dict[str, Any]:
 
 
 def _asked(mode: Mode, wishes: Wishes) -> str | None:
-    """Return which wish of a person makes it this mode, or None: a stop and a hold are one mode."""
+    """Return which wish of a person leads to this mode, or None: a stop and a hold lead to the same mode."""
     return next((name for name in _ASKED.get(mode, ()) if getattr(wishes, name) is not None), None)
 
 

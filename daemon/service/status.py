@@ -1,4 +1,4 @@
-"""What is shown of the link and of what is heard over it."""
+"""What is shown of the link to the broker and of the safety inputs that come over it."""
 
 from dataclasses import dataclass
 
@@ -32,9 +32,9 @@ class LinkStatus:
     broker
         Host and port.
     connected, since_utc_s
-        Whether there is a connection now, and since when there is or is not.
+        Whether there is a connection now, and since when that has been so.
     down_why
-        Why not, or None.
+        Why there is no connection, or None.
     connections
         How many there have been; every one but the first is a reconnection.
     waiting, sent, received, dropped

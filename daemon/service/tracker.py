@@ -41,21 +41,21 @@ from solar.ephemeris import SunElevation
 log = logging.getLogger("heliocube.service")
 _commands_log = logging.getLogger("heliocube.operator")
 
-# Of the ground, where the law learns none; the same as that of laws that are told one.
+# Of the ground, where the law learns no albedo; the same as the default of laws that are told one.
 _ALBEDO = 0.2
 _NO_WIND_SOURCE = "no wind source: nothing stows the tracker in a storm"
 _NOTHING_KEPT = (
     "store.directory is not set: a restart forgets what persons asked for, a storm and what is in doubt, and no records"
     " are kept"
 )
-# So that all connect, and are then looked at, one after the other.
+# All positioners connect within this time, and are then looked at, one after the other.
 _CONNECT_WITHIN_S = 0.5
-# Drivers answer or fail within seconds; one that does neither would never be missed.
+# Drivers answer or fail within seconds; without this limit nobody would notice one that does neither.
 _HUNG_AFTER_S = 120.0
 _LOOKS_MISSED = 3.0
-# The unit needs a second or two; systemd waits 15 s for the whole of it.
+# The unit needs a second or two; systemd waits 15 s for the whole service to end.
 _STAND_WITHIN_S = 8.0
-# Persons do not give more commands within half a day; a program's are logged by their number from there on.
+# Persons do not give more commands within half a day; of a program's further ones only the number is logged.
 _COMMANDS_LOGGED = 50
 _SETTLE_EVERY_S = 60.0
 
@@ -78,7 +78,7 @@ class Tracker:
     publish
         Takes its records, which bear its name.
     sun_elevation_deg
-        Of UTC [s], where it stands.
+        Returns the sun's elevation at a UTC [s], where the tracker stands.
     polling
         How often to poll the positioner.
     stow_sources
@@ -86,10 +86,10 @@ class Tracker:
     folder
         Where its state is kept over a restart.
     phase
-        When its turn is among the trackers of the process. A driver of the only one that hangs for good ends the
+        When its turn is among the trackers of the process. For the only tracker, a driver that hangs for good ends the
         process.
     common
-        What it knows alike with others by the same cube.
+        What all trackers of the same cube know alike.
     unheard
         Returns why the bridge hears nothing, or what it has refused since the last scan, in words; empty for nothing.
     muted
@@ -97,7 +97,7 @@ class Tracker:
     hold_why
         Why it is to be held from the start where nobody has asked for anything, or None.
     start_number
-        Of this start among all of the service.
+        Number of this start among all starts of the service.
     """
 
     def __init__(
@@ -189,7 +189,7 @@ class Tracker:
 
     @property
     def log_name(self) -> str:
-        """What lines of the log call it: nothing where there is no other."""
+        """Its name in lines of the log; empty where there is no other tracker."""
         return "" if self.alone else self.name
 
     def _as_typed(self, record: Record) -> Record:
@@ -260,11 +260,11 @@ class Tracker:
 
     @property
     def _harmless(self) -> bool:
-        """Whether this process simulates the instruments itself. A file may say by mistake that it is a bench's."""
+        """Whether this process itself simulates the instruments; not a bench, for that key may be set by mistake."""
         return self._rig.simulated and not self.settings.instruments.bench
 
     def check(self) -> None:
-        """Raise the alarms for which the settings alone are a reason: no source of stow, nowhere to keep anything."""
+        """Raise the alarms that follow from the settings alone: no source of stow, nowhere to keep anything."""
         before = TRACKER.set(self.log_name)
         try:
             self._check_wind_source()
@@ -275,7 +275,7 @@ class Tracker:
     def _check_folder(self) -> None:
         """Raise an alarm where a restart would forget all that a real tracker has to keep, and note the start.
 
-        Whether the disk takes it is known before the first stop: the folder reports what it could not write.
+        The note shows before the first stop whether the disk works: the folder reports what it could not write.
         """
         self.alarms.set("nothing-kept", self.forgets)
         this = Started(started_utc_s=self.clock.utc(), version=version("heliocube"), number=self._start_number)
@@ -298,7 +298,7 @@ class Tracker:
             yield "load", self._named(self.curves.run())
 
     def log_command(self, text: str) -> None:
-        """Log a command that was given, whichever way it came; of very many only their number."""
+        """Log a command, whichever way it came; if there are very many, only their number."""
         self._log_commands(self._commands.spend(self.clock.monotonic(), text))
 
     async def _settle_commands(self) -> None:
