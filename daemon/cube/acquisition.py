@@ -46,13 +46,14 @@ class Acquisition:
     publish
         Called with events worth telling.
     sun_elevation_deg
-        Of UTC [s], NaN where it is not known; dark offsets are learnt only when the sun is well below the horizon.
+        Returns the sun's elevation at a UTC [s], NaN where it is not known; dark offsets are learnt only when the sun
+        is well below the horizon.
     simulated, calibration
         Mark every scan; the identifier is empty where the gains are the settings' own.
     face_watch
         Finds faces that cannot be true, or None.
     alarms
-        Takes what the instruments have against themselves, or None.
+        Told of faults that the sensors report of themselves; or None.
     """
 
     def __init__(
@@ -83,7 +84,7 @@ class Acquisition:
         self._faces = tuple(getattr(settings, name) for name in FACES)
         self._dark = DarkOffsets(sun_elevation_deg) if settings.dark_correction else None
         self._repeats = Repeats(settings.scan_every_s)
-        # As read in the present scan, for the watch over the faces.
+        # As read in the present scan, for `FaceWatch`.
         self._read_mv = [math.nan] * len(FACES)
         self._read_w_m2 = [math.nan] * len(FACES)
         self.outage = Outage(log, "the cube")
@@ -163,14 +164,14 @@ class Acquisition:
             quality = Quality.MISSING
         else:
             irradiance = self._irradiance(index, sample, reading)
-            # What is infinite is implausible by itself, and has no mean.
+            # An infinite value is implausible in any case, and has no mean.
             self._read_w_m2[index] = irradiance if math.isfinite(irradiance) else math.nan
             quality = self._judge(index, sample.value, irradiance, reading)
         return FaceReading(irradiance, quality, sample.time_utc_s, sample.time_monotonic_s)
 
     def _irradiance(self, index: int, sample: FaceSample, reading: CubeReading) -> float:
-        """Return an irradiance [W/m2]; dark offset, gain and voltage are of sensors that give volts."""
-        # A number of numpy, which a driver may well have, goes into no message.
+        """Return an irradiance [W/m2]; dark offset, gain and voltage are only for sensors that give volts."""
+        # A driver may well give a number of numpy, which no message can carry.
         value = float(sample.value)
         if reading.unit == "W/m2":
             return value

@@ -156,7 +156,7 @@ class ExpiryWatch:
     Parameters
     ----------
     calibration
-        What is in force; None never expires.
+        The calibration in force; None never expires.
     publish
         Takes the events.
     """
@@ -191,11 +191,11 @@ def _identifier(calibration: CubeCalibration) -> str:
 
 
 def _unsaid(calibration: CubeCalibration) -> set[str]:
-    """Return what the file of a real cube leaves out, as do those that were written before there was a mark."""
+    """Return the keys that a real cube's file leaves out, as do files from before there was a mark for simulation."""
     return set() if calibration.simulated else {"simulated"}
 
 
-# The whole night of civil twilight and darker is dark to a sensor of 0.1 mV per W/m2.
+# From the end of civil twilight on, a sensor of 0.1 mV per W/m2 sees darkness.
 _DARK_BELOW_DEG = -6.0
 # About 25 minutes at one scan every 5 s: slow against noise, quick against the night.
 _LEARNING_RATE = 1 / 300
@@ -213,7 +213,7 @@ class DarkOffsets:
     Parameters
     ----------
     sun_elevation_deg
-        Of UTC [s]; NaN where it is not known, and then nothing is learnt.
+        Returns the sun's elevation at a UTC [s]; NaN where it is not known, and then nothing is learnt.
     """
 
     def __init__(self, sun_elevation_deg: Callable[[float], float]) -> None:

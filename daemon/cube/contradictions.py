@@ -1,4 +1,4 @@
-"""Faces that contradict each other for half an hour, and who is not believed for it until they agree."""
+"""Faces that contradict each other for half an hour, and which of them are not believed until they agree."""
 
 from collections.abc import Sequence
 
@@ -12,9 +12,9 @@ MINUTES = 30
 _EVERY_MINUTES = 5
 _PUZZLED_LOOKS = 2
 _OF_MISFITS = (Doubt.ODD, Doubt.SWAPPED, Doubt.TORN)
-# What these say of one face leaves the others open: they may contradict each other for a reason of their own.
+# These doubts about one face leave the others open: they may contradict each other for a reason of their own.
 _OPEN = (Doubt.NONE, Doubt.OVER, *_OF_MISFITS)
-# A face that was told by what the others say it should read: one of these may be the wrong one.
+# This doubt comes from what the other faces predict, and one of those may be the wrong one.
 _BY_THE_OTHERS = Doubt.FROZEN
 
 
@@ -24,7 +24,7 @@ class Contradictions:
     Attributes
     ----------
     acquitted
-        The face that was taken for frozen in place of the one that was found; None for none.
+        The face that was taken for frozen although the fault is in the one found now; None for none.
     """
 
     def __init__(self) -> None:
@@ -37,14 +37,14 @@ class Contradictions:
         self._found = [Doubt.NONE] * len(FACES)
 
     def look(self, faces_w_m2: Array, sun: Array, whys: Sequence[Doubt]) -> list[Doubt]:
-        """Return what contradicts in each of the four faces.
+        """Return the doubt that each of the four faces raises by contradicting others.
 
         Parameters
         ----------
         faces_w_m2, sun
-            Of the minutes so far, the last half hour at the most, as for :func:`solar.faces.contradiction.misfits`.
+            The minutes so far, at most the last half hour, as for :func:`solar.faces.contradiction.misfits`.
         whys
-            What is said against each face already.
+            The doubt that each face is already under.
         """
         frozen = [face for face, why in enumerate(whys) if why is _BY_THE_OTHERS]
         if len(faces_w_m2) < MINUTES or any(why not in (*_OPEN, _BY_THE_OTHERS) for why in whys):
@@ -56,18 +56,18 @@ class Contradictions:
         return self._found
 
     def agrees(self, face: int, whys: Sequence[Doubt]) -> bool:
-        """Tell whether what was found last says that a face doubted for this can be used again."""
+        """Tell whether the last look allows a face to be used again, given the doubt that it is under."""
         if whys[face] not in (*_OF_MISFITS, _BY_THE_OTHERS):
             return True
         if self._fit is None:
             return False
         if whys[face] is Doubt.SWAPPED:
             return self._fit.in_order([place for place, why in enumerate(whys) if why is Doubt.SWAPPED])
-        # All four are needed again soon, whatever lies on the ground; one can be done without.
+        # All four faces are needed again soon, whatever ground explains them; one face alone can be done without.
         return self._fit.whole < AGREEMENT if whys[face] is Doubt.TORN else self._fit.in_full(face)
 
     def _judged_beside(self, frozen: Sequence[int]) -> list[Doubt]:
-        """Accuse another face than the frozen one only where the others contradict each other without it as well."""
+        """Accuse another face than the frozen one only if the others contradict each other even without that one."""
         self._puzzled = 0
         found = [Doubt.NONE] * len(FACES)
         other = self._fit.instead_of(frozen[0]) if self._fit is not None and len(frozen) == 1 else None
@@ -91,6 +91,6 @@ class Contradictions:
 
 
 def _agreed(by_readings: tuple[int, ...], by_changes: tuple[int, ...]) -> tuple[int, ...]:
-    """Return whom the one or the other accuses; nobody where they accuse different faces."""
+    """Return the faces that readings or changes accuse; none if the two accuse different faces."""
     differ = bool(by_readings and by_changes) and by_readings != by_changes
     return () if differ else by_readings or by_changes

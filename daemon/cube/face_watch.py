@@ -1,4 +1,4 @@
-"""Finding faces of the cube that cannot be true, without a self-test: against each other, the sun and a clear sky."""
+"""Finding faces that cannot be true, without a self-test: each is compared with the others, the sun, a clear sky."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -21,14 +21,14 @@ from solar.frames import FACE_NORMALS, Array
 from solar.skies.sky import normal_from_tilt
 
 _BLOCK_S = 60.0
-# A cube that is read once a minute, now and then a little early, makes its block of two readings.
+# A cube that is read once a minute, and now and then a little early, fills a block with two readings.
 _LONGEST_BLOCK_S = 150.0
 BLOCKS = 5
 """Minutes whose mean is judged: a passing shadow and the edge of a cloud are no faults."""
 _NO_BLOCKS = np.empty((0, 3, len(FACES)))
 BAD_LOOKS = 3
 _GOOD_LOOKS = 10
-# A face that is found wrong again so soon after it was used again has to agree for twice as long each time.
+# A face that is found wrong again within this time after it was used again has to agree for twice as long each time.
 _RELAPSE_S = 86400.0
 _MOST_GOOD_LOOKS = 160
 _UPRIGHT = 0.05
@@ -59,10 +59,10 @@ _CHECK = {
     Doubt.TORN: "all four, and the clock",
     Doubt.LOOSE: "plug, cable and multiplexer input of {} for a loose contact",
 }
-# A face that stood still is no better for reading, for a while, what could be true.
+# A face under one of these doubts is not cleared by plausible readings alone: these may come by chance for a while.
 _MUST_FOLLOW = (Doubt.FROZEN, Doubt.NIGHT, Doubt.ODD)
 _HARD_TO_FORGIVE = (*_MUST_FOLLOW, Doubt.SWAPPED)
-# Between its jumps a loose face shows the light, and of four that are torn no one is known to be wrong.
+# Between its jumps a loose face shows the light, and of four torn faces none is known to be wrong.
 _SHOW_CLOUDS = (Doubt.NONE, Doubt.LOOSE, Doubt.TORN)
 
 
@@ -77,14 +77,14 @@ def face_normals(cube: CubeSettings, latitude_deg: float) -> Array:
 
 
 def _means(sums: Array) -> Array:
-    """Return means, shape (2, 4), of the sums and their counts, shape (3, 4); NaN of nothing."""
+    """Return means, shape (2, 4), from the sums and their counts, shape (3, 4); NaN where nothing was counted."""
     with np.errstate(invalid="ignore"):
         means: Array = sums[:2] / sums[2]
     return means
 
 
 def _followed_by(kept: Array, newest: Array, most: int) -> Array:
-    """Return what is kept with the newest behind it, the last so many of them."""
+    """Return the kept rows with the newest one behind them: of all, the last `most`."""
     return np.concatenate([kept[1 - most :], newest[None]])
 
 
@@ -92,7 +92,8 @@ class FaceWatch:
     """Judges the faces every minute of daylight, on the mean of the last five.
 
     A face in doubt three times, one after another, is not believed until it has been lit and without doubts ten times.
-    The night, and a clock in doubt, change nothing; a clock that was put right lets all be judged anew.
+    At night only light on one face alone counts. A clock in doubt changes nothing; after a clock was put right, all
+    faces are judged anew.
 
     Parameters
     ----------
@@ -121,7 +122,7 @@ class FaceWatch:
         self._sleeps = SleepGauge(clock)
         self._alarms = alarms
         self._since: dict[str, str] = {}
-        # Of each its sums [W/m2] and [mV] and their counts, shape (n, 3, 4).
+        # For each block its sums [W/m2] and [mV] and their counts, shape (n, 3, 4).
         self._blocks = _NO_BLOCKS
         # The light is known from the faces of an upright cube only.
         self._is_upright = bool(np.abs(self._normals - FACE_NORMALS).max() < _UPRIGHT)
@@ -158,7 +159,7 @@ class FaceWatch:
             self._judge()
 
     def _forget(self) -> None:
-        """Judge from the beginning: what was found until now was found by a sun that stood elsewhere."""
+        """Judge from the beginning: the findings until now assumed a sun that stood elsewhere."""
         self._corrections = self._clock_watch.corrections
         self._bad, self._good = [0] * len(FACES), [0] * len(FACES)
         self._good_needed, self._forgiven_s = [_GOOD_LOOKS] * len(FACES), [-math.inf] * len(FACES)
@@ -191,12 +192,12 @@ class FaceWatch:
     def _judge_day(self, faces: Sequence[float], voltages: Sequence[float], sun: Array) -> None:
         found = doubts(faces, voltages, sun, self._normals)
         if self.implausible(_ZENITH):
-            # What is too much for a vertical face is judged by the zenith face.
+            # What is too much for a vertical face is judged by the zenith face, which is not believed now.
             found[:_ZENITH] = [Doubt.NONE if doubt is Doubt.OVER else doubt for doubt in found[:_ZENITH]]
         light = lit(faces, sun)
         self._add_minute()
         jumped = jumps(self._faces)
-        # Of jumps close together some are left when they have been settled: who jumps is no witness against others.
+        # `settled` still has some jumps that were close together: so a face that jumps is no witness against others.
         jumping = np.logical_or.reduce(jumped.sure, axis=0).tolist()
         followed = self._responses(jumped.settled, jumping)
         against = self._contradicted(jumped.settled, jumping)
@@ -205,7 +206,7 @@ class FaceWatch:
             loose = jumped.repeated(self._suns, [why in _SHOW_CLOUDS for why in self._whys]).tolist()
         for face, (seen, contradicts) in enumerate(zip(found, against, strict=True)):
             doubt = seen if contradicts is Doubt.NONE else contradicts
-            # To stand still is the plainer word for the same face; of two that are swapped one may seem to.
+            # Frozen is the plainer name for the same fault; but of two swapped faces, one may only seem frozen.
             if followed[face] is Response.STAYS and doubt is not Doubt.SWAPPED:
                 doubt = Doubt.FROZEN
             if loose[face]:
@@ -217,7 +218,7 @@ class FaceWatch:
         self._acquit()
 
     def _agrees(self, face: int, response: Response) -> bool:
-        """Tell whether a face has done what is asked of it after what was said against it."""
+        """Tell whether a face has done what the doubt that it is under demands before it is believed again."""
         why = self._whys[face]
         followed = why not in _MUST_FOLLOW or response is Response.FOLLOWS
         return followed and self._contradictions.agrees(face, self._whys)
@@ -249,7 +250,7 @@ class FaceWatch:
         accused = jumping if any(jumping) else [True] * len(FACES)
         still = (np.ptp(faces, axis=0) == 0.0).tolist()
         if len(faces) == MINUTES and any(still):
-            # What repeats itself to the last digit lies, and beside it sound faces may seem to be swapped.
+            # A face that repeats itself to the last digit is wrong, and beside it sound faces may seem to be swapped.
             accused = [one and other for one, other in zip(accused, still, strict=True)]
         return [doubt if is_one else Doubt.NONE for doubt, is_one in zip(against, accused, strict=True)]
 
@@ -257,13 +258,13 @@ class FaceWatch:
         """Tell of each face whether it has followed the light of the last half hour."""
         if not self._is_upright or len(faces) < MINUTES:
             return [Response.UNKNOWN] * len(FACES)
-        # Among faces that nobody can tell apart, one that stands still tells.
+        # Torn faces are included: if one of them stands still, that tells which one is wrong.
         believed = [why in (Doubt.NONE, Doubt.TORN) and not jumping[face] for face, why in enumerate(self._whys)]
         found = responses(faces, self._suns, believed)
         if Response.STAYS in found:
             face, fit = found.index(Response.STAYS), misfits(faces, self._suns)
             if fit is not None and not fit.bears(face):
-                # Where the others contradict each other, what they predict accuses nobody.
+                # If the others contradict each other, their prediction accuses nobody.
                 found[face] = Response.UNKNOWN
         return found
 
@@ -271,7 +272,7 @@ class FaceWatch:
         if doubt is not Doubt.NONE:
             self._bad[face] += 1
             self._good[face] = 0
-            # What has to follow the light again, or to stand in order, does so whatever else it reads meanwhile.
+            # A face that must follow the light or be in order again has to do so whatever else is found meanwhile.
             stands = self._whys[face] in _HARD_TO_FORGIVE and doubt not in _HARD_TO_FORGIVE
             if self._bad[face] >= BAD_LOOKS and not stands:
                 if self._whys[face] is Doubt.NONE:
@@ -292,7 +293,7 @@ class FaceWatch:
     def _report(self) -> None:
         whys = {name: why for name, why in zip(FACES, self._whys, strict=True) if why is not Doubt.NONE}
         if not whys and not self._since:
-            # Not 'it is over': what was acknowledged before a restart takes its time to be found again.
+            # Do not end the alarm: a fault that was acknowledged before a restart takes its time to be found again.
             return
         self._since = kept_since(self._since, whys, self._clock)
         self._alarms.set("cube-face", self._told(whys) if whys else None, of=whys)

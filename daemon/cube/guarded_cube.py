@@ -16,18 +16,18 @@ log = logging.getLogger("heliocube.acquisition")
 Answer = TypeVar("Answer")
 
 _UNITS = ("V", "W/m2")
-# All but a few are the first of them, which is told at once.
+# Nearly all values are of the first type, which `isinstance` finds at once.
 _NUMBERS = (float, Real)
 _FLAWS = get_args(FaceFlaw)
 
 
 class GuardedCube:
-    """A `drivers.interfaces.Cube` that raises `DeviceError` alone, and `UserError` where simulated weather has ended.
+    """A `drivers.interfaces.Cube` that raises only `DeviceError`, and `UserError` when simulated weather has ended.
 
     Parameters
     ----------
     cube
-        Whose driver anybody may have written.
+        The cube, whose driver anybody may have written.
     """
 
     def __init__(self, cube: Cube) -> None:
@@ -39,7 +39,7 @@ class GuardedCube:
         return await self._ask(self._cube.open)
 
     async def read(self) -> CubeReading:
-        """Return a reading of all faces; what is none counts as an error."""
+        """Return a reading of all faces; an invalid reading counts as an error."""
 
         async def checked() -> CubeReading:
             return _checked(await self._cube.read())
@@ -71,7 +71,7 @@ class GuardedCube:
 
 
 def _checked(reading: object) -> CubeReading:
-    """Return the reading; `TypeError` or `ValueError` for what is none."""
+    """Return the reading; `TypeError` or `ValueError` for an invalid one."""
     if not isinstance(reading, CubeReading):
         raise TypeError(f"what it read is {reading!r}, no CubeReading")
     if reading.unit not in _UNITS:
@@ -83,7 +83,7 @@ def _checked(reading: object) -> CubeReading:
         for value in values:
             if not isinstance(value, _NUMBERS):
                 raise TypeError(f"{value!r} of a face is no number")
-        # NaN, and what no date can be, would end whatever takes the scan.
+        # NaN, or a time that is no date, would end the parts of the service that take the scan.
         if not FIRST_UTC_S <= face.time_utc_s < END_UTC_S:
             raise ValueError(f"{face.time_utc_s!r} of a face is no time")
         if not math.isfinite(face.time_monotonic_s):

@@ -12,7 +12,7 @@ _ROUNDED_STUCK_ABOVE_W_M2 = 20.0
 
 
 class Repeats:
-    """Counts how often each face has given the same value one after another; 0 counts for nothing.
+    """Counts how often each face has given the same value one after another; a value of 0 does not count.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Repeats:
         self._last[face] = value
 
     def frozen(self, face: int, irradiance_w_m2: float, *, rounded: bool) -> bool:
-        """Tell whether a face of this irradiance stands still for too long; `rounded` is what comes in coarse steps."""
+        """Tell whether a face has stood still for too long at an irradiance; `rounded` values come in coarse steps."""
         if not rounded:
             return self._count[face] >= _STUCK_AFTER
         stood_s = self._count[face] * self._scan_every_s

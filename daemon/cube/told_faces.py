@@ -1,4 +1,4 @@
-"""Which faces are not believed, or not read, said where the tracker is operated, and what their sensors say of it."""
+"""Alarms for faces that are not believed or not read, and for what their sensors report of themselves."""
 
 import math
 from abc import ABC, abstractmethod
@@ -10,7 +10,7 @@ from daemon.base.clock import Clock, minute_utc
 from daemon.base.records import FACES, Quality, Scan
 from drivers.interfaces import CubeReading
 
-# At 5 s a scan not quite a minute: a reading out of range now and then is no sensor that lies, or is lost.
+# Not quite a minute at 5 s a scan: a reading out of range now and then does not show a wrong or lost sensor.
 _SCANS = 10
 
 
@@ -20,30 +20,30 @@ def in_a_row(names: Sequence[str]) -> str:
 
 
 def reads(names: Sequence[str]) -> str:
-    """Return the words behind the names of faces that tell what they read."""
+    """Return the words between the names of faces and what they read."""
     return "faces read" if len(names) > 1 else "face reads"
 
 
 def kept_since(since: Mapping[str, str], names: Iterable[str], clock: Clock) -> dict[str, str]:
-    """Return since when each of the names is told: as before where it was, from now on where it was not."""
+    """Return since when each of the names has been told: as in `since`, or from now on for a new name."""
     now = minute_utc(clock.utc())
     return {name: since.get(name, now) for name in names}
 
 
 def since_each(since: Mapping[str, str]) -> str:
-    """Return since when, with the names of faces only where it is not the same of all."""
+    """Return since when, with the names of faces only if the times differ."""
     if len(set(since.values())) == 1:
         return next(iter(since.values()))
     return in_a_row([f"{at} ({name})" for name, at in since.items()])
 
 
 class _FaceAlarm(ABC):
-    """Raises an alarm for faces that have been of some qualities for ten scans, until they have been of others for ten.
+    """Raises an alarm for faces that have had certain qualities for ten scans, until they have had others for ten.
 
     Parameters
     ----------
     alarms
-        Of what belongs to no tracker.
+        The alarms of no tracker.
     clock
         The service's time: a second face raises the alarm anew, and each has a time of its own.
     """
@@ -57,9 +57,9 @@ class _FaceAlarm(ABC):
         self._since: dict[str, str] = {}
 
     def note(self, scan: Scan) -> None:
-        """Take in a scan: ten that name a face raise the alarm, ten more that do not end it."""
+        """Take in a scan: ten that name a face raise the alarm, and ten that do not name it end the alarm."""
         named = [face.quality in self._qualities for face in scan.faces]
-        # Nearly every scan of a year names no face, and comes after others that did not.
+        # Nearly every scan of a year names no face and follows others that named none: it needs no counting.
         if any(named) or any(self._counts):
             steps = zip(self._counts, named, strict=True)
             self._counts = [min(count + 1, _SCANS) if is_named else max(count - 1, 0) for count, is_named in steps]
@@ -94,7 +94,7 @@ class ToldSensors:
     Parameters
     ----------
     alarms
-        Of what belongs to no tracker.
+        The alarms of no tracker.
     clock
         The process' time: each sensor has a time of its own.
     """
@@ -108,9 +108,9 @@ class ToldSensors:
         self._told_unread = [False] * len(FACES)
 
     def note(self, reading: CubeReading) -> None:
-        """Take in a reading: a note is told at once, and ended late, since a bad cable comes and goes.
+        """Take in a reading: a note is told at once, and its end is told late, since a bad cable comes and goes.
 
-        A face that had a note and gave readings, and gives none for another reason now, is told anew.
+        If a face that had a note but gave readings now gives none, for another reason, the alarm is raised anew.
         """
         if not (reading.notes or self._since):
             self._alarms.set("cube-sensor", None)
