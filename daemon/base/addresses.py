@@ -34,7 +34,7 @@ class Address:
 
     @property
     def reachable(self) -> "Address":
-        """Where this machine reaches what listens here: loopback for an address that stands for all networks."""
+        """The address by which this machine reaches a listener here: loopback if it listens on all networks."""
         if not self.ip.is_unspecified:
             return self
         return Address("::1" if self.ip.version == 6 else "127.0.0.1", self.port)
@@ -77,7 +77,7 @@ def parse_address(text: str) -> Address:
 
 
 def is_here(address: Address) -> bool:
-    """Return whether something can listen on an address of this machine now, whatever its ports are used for."""
+    """Return whether an address is on this machine now, so that one can listen on it; its ports are not looked at."""
     try:
         with socket.socket(address.family, socket.SOCK_DGRAM) as asking:
             asking.bind((address.host, 0))
@@ -93,7 +93,7 @@ def without_mapping(host: str) -> str:
 
 
 def require_key(key: bytes | None, *, insecure: bool) -> None:
-    """Raise `BridgeError` when there is no key and the settings do not say that none is wanted."""
+    """Raise `BridgeError` when there is no key, unless the settings say that none is wanted."""
     if key is None and not insecure:
         raise BridgeError(
             "bridge.key_file is not set: make a key with 'heliocube config init', or, in a closed lab only, set"

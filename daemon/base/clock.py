@@ -24,7 +24,7 @@ class Clock(Protocol):
         """Return seconds since 1970-01-01T00:00Z; may step when the machine's clock is set."""
 
     def asleep_s(self) -> float | None:
-        """Return for how long the machine has slept since any fixed instant [s], or None where nothing tells.
+        """Return for how long the machine has slept since some fixed instant [s], or None where nothing tells.
 
         `monotonic` stood still meanwhile.
         """
@@ -42,10 +42,10 @@ class SystemClock:
         return time.time()
 
     def asleep_s(self) -> float | None:
-        """Return for how long the machine has slept [s] by its battery-backed clock; None but on Linux."""
+        """Return for how long the machine has slept [s], by a clock that goes on in a sleep; None except on Linux."""
         if not sys.platform.startswith("linux"):
             return None
-        # clock_gettime(2): it goes on in a sleep, and nobody can set it.
+        # clock_gettime(2): CLOCK_BOOTTIME goes on in a sleep, and nobody can set it.
         return time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic()
 
 
@@ -66,7 +66,7 @@ class LoopClock:
     """
 
     def __init__(self, loop_time: Callable[[], float], start_utc_s: float) -> None:
-        # No method around it: a simulated day asks two million times.
+        # Not wrapped in a method: a simulated day asks for it two million times.
         self.monotonic = loop_time
         self._offset_s = start_utc_s - loop_time()
 
@@ -75,7 +75,7 @@ class LoopClock:
         return self.monotonic() + self._offset_s
 
     def asleep_s(self) -> float:
-        """Return 0: all its time stands still together."""
+        """Return 0: its monotonic time and its UTC always run together."""
         return 0.0
 
 
@@ -92,9 +92,10 @@ def minute_utc(utc_s: float) -> str:
 
 
 def local_time(utc_s: float, zone: tzinfo | None = None) -> datetime:
-    """Return an instant [s] as the clocks of a zone say it, None being this machine's.
+    """Return an instant [s] as the clocks of a zone show it; None stands for this machine's zone.
 
-    UTC where the machine's zone is none: an offset of a day, as of ``TZ=UTC+25``, or one that has no such instant.
+    UTC where the machine's zone cannot be used: its offset is more than a day, as of ``TZ=UTC+25``, or it has no such
+    instant.
     """
     there = datetime.fromtimestamp(utc_s, UTC)
     try:

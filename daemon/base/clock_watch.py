@@ -8,9 +8,9 @@ from daemon.base.clock import Clock, minute_utc
 
 _STEP_S = 2.0
 _DISTRUST_S = 30.0
-# Smaller steps count together for so long: what a daily correction adds in a year is no doubt.
+# Smaller steps are added up for so long only: what daily corrections add up to in a year is no reason for doubt.
 _ADD_UP_S = 3600.0
-# What synchronises the clock needs some time after a start of the machine, and to notice that somebody has set it.
+# A program that synchronises the clock needs some time after a start of the machine, or after somebody has set it.
 _SYNCHRONISE_WITHIN_S = 120.0
 _ASK_EVERY_S = 60.0
 
@@ -23,7 +23,7 @@ _NEVER = (
 class ClockWatch:
     """Compares UTC with time that nobody sets: monotonic time, and the sleeps of the machine.
 
-    Where the clock does not tell of its sleeps, one is a step forward.
+    Where the clock does not tell of sleeps, a sleep counts as a step forward.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class ClockWatch:
     trusted
         Whether the time of day may be used to find the sun, by the last look.
     corrections
-        How many times another time was believed than until then: what was found by the sun before is worth nothing.
+        How many times a new time was believed in place of the old one: findings by the sun until then are void.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class ClockWatch:
         self._never: bool | None = None
         self.trusted = True
         self.corrections = 0
-        # In words; None once a time has been believed.
+        # Why the time of the start is doubted; None once a time has been believed.
         self._wrong_start: str | None = None
         if ran_utc_s - clock.utc() > _DISTRUST_S and synchronised() is not True:
             self.trusted, self._never = False, False
@@ -72,8 +72,8 @@ class ClockWatch:
         """Return by how much UTC has stepped since the last call [s], or None if it has not.
 
         Slow corrections (slewing) add up unnoticed; a step of more than 30 s, or steps that make as much within an
-        hour, make the sun's position doubtful. That a clock has run on since proves nothing: it is trusted again when
-        it is back where it would be without the step, or synchronised.
+        hour, make the sun's position doubtful. That the clock has run on since then proves nothing: it is trusted again
+        when it is back where it would be without the step, or synchronised.
         """
         now_s = self._clock.monotonic()
         offset_s = self._clock.utc() - self._ran_s()
@@ -92,12 +92,12 @@ class ClockWatch:
 
     @property
     def believed_utc_s(self) -> float:
-        """UTC [s] as it was believed last: what the clock would show had nobody set it, within 30 s if undoubted."""
+        """UTC [s] as last believed: what the clock would show if nobody had set it, within 30 s while not in doubt."""
         return self._ran_s() + self._believed_s
 
     @property
     def trusted_now(self) -> bool:
-        """Whether the time of day is right for all that is known at this instant, and not only at the last look."""
+        """Whether the time of day is right as far as is known at this instant, and not only at the last look."""
         return self.trusted and abs(self._clock.utc() - self.believed_utc_s) <= _DISTRUST_S
 
     def _ran_s(self) -> float:

@@ -16,7 +16,7 @@ from daemon.base.errors import UserError
 _MOST_TOML_BYTES = 131072
 _MOST_TOML_VALUES = 2000
 _DEEPEST_TOML = 20
-# What parses a key takes the square of its parts.
+# The time to parse a key grows with the square of its parts.
 _MOST_POINTS = 200
 _LONGEST_TOML_TEXT = 4096
 
@@ -40,16 +40,16 @@ def part_of(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def whole_file(path: Path, errors: str = "strict") -> Iterator[TextIO]:
-    """Give a text file that is in the place of `path` once all has been written; an error leaves what was there.
+    """Give a text file that takes the place of `path` once all has been written; an error leaves what was there.
 
-    `errors` is what becomes of letters that UTF-8 does not have, as for `open`.
+    `errors` tells what becomes of letters that UTF-8 does not have, as for `open`.
     """
     with part_of(path) as part, part.open("w", encoding="utf-8", errors=errors, newline="") as file:
         yield file
 
 
 def replace_file(path: Path, text: str) -> None:
-    """Write `text` to `path` by way of a file beside it, and make its folder; raises `OSError` and leaves nothing."""
+    """Write `text` to `path` by way of a file beside it, and make its folder; an `OSError` leaves no part of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as file:
         _fill(file, text)
@@ -62,7 +62,7 @@ def rewrite_file(path: Path, text: str) -> None:
     Raises
     ------
     OSError
-        It cannot be written, on a full disk for one. The file is what it was.
+        The file cannot be written, for example on a full disk. It stays as it was.
     """
     with whole_file(path) as file:
         _fill(file, text, path.stat())
@@ -75,7 +75,7 @@ def write_new(path: Path, text: str, like: os.stat_result | None = None) -> None
     Raises
     ------
     OSError
-        It is there, or cannot be written. Nothing that is not whole is left.
+        The file is there, or cannot be written. No part of it is left.
     """
     file = path.open("x", encoding="utf-8", newline="\n")
     try:
@@ -92,7 +92,7 @@ def _fill(file: TextIO, text: str, like: os.stat_result | None = None) -> None:
     if like is not None:
         Path(file.name).chmod(stat.S_IMODE(like.st_mode))
     if like is not None and sys.platform != "win32":
-        # Refused where it would make somebody else's file one's own.
+        # This fails rather than make somebody else's file our own.
         os.chown(file.name, like.st_uid, like.st_gid)
     file.write(text)
     file.flush()
@@ -111,7 +111,7 @@ def first_free(path: Path) -> Path:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder, and those above it, for whom the folder belongs to that is there already."""
+    """Make a folder, and those above it; what root makes is given to the owner of the folder that is there already."""
     if folder.is_dir():
         return
     if not folder.parent.exists():
@@ -121,7 +121,7 @@ def make_folder(folder: Path) -> None:
 
 
 def give(path: Path) -> None:
-    """Give what root has made to whom the folder that it is in belongs."""
+    """Give a path that root has made to the owner of the folder that it is in."""
     if sys.platform == "win32" or os.geteuid() != 0:
         return
     owner = path.parent.stat()
@@ -129,9 +129,9 @@ def give(path: Path) -> None:
 
 
 def sync_names(folder: Path) -> None:
-    """Have the names in a folder on the disk when this returns: a file that was renamed may lose its new one till then.
+    """Have the names in a folder on the disk when this returns: until then a renamed file may lose its new name.
 
-    Windows, and file systems that cannot, leave it as it is.
+    Does nothing on Windows and on file systems that cannot do this.
     """
     if sys.platform == "win32":
         return
@@ -151,7 +151,7 @@ def toml_text(path: Path) -> str:
     OSError
         It cannot be read; `FileNotFoundError` among them.
     ValueError
-        It is none: the message is one sentence without the file's name.
+        It is not worth parsing: the message is one sentence without the file's name.
     """
     if not path.is_file() and path.exists() and not path.is_dir():
         raise ValueError("the file is not an ordinary one, but a device or a pipe")
@@ -173,7 +173,7 @@ def toml_text(path: Path) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return the values of a TOML text; raises `tomllib.TOMLDecodeError`, and `ValueError` with a sentence as above."""
+    """Return the values of a TOML text; raises `tomllib.TOMLDecodeError`, and `ValueError` as `toml_text` does."""
     try:
         values = tomllib.loads(text)
     except tomllib.TOMLDecodeError:
@@ -211,7 +211,7 @@ def _check_bounds(values: dict[str, Any]) -> None:
 
 
 def _unusable(value: Any) -> str | None:
-    """Return what makes a single value one that nobody can mean, or None."""
+    """Return why nobody can mean a single value, or None."""
     if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
         return "the number has more than the 64 bits that TOML gives it"
     if isinstance(value, str) and len(value) > _LONGEST_TOML_TEXT:
@@ -222,7 +222,7 @@ def _unusable(value: Any) -> str | None:
 
 
 def write_secret(path: Path, content: bytes, called: str, error: type[UserError]) -> None:
-    """Write a new file that only its owner can read; never overwrites, and leaves nothing that is not whole.
+    """Write a new file that only its owner can read; never overwrites, and leaves no part of a file.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def write_secret(path: Path, content: bytes, called: str, error: type[UserError]
             file.flush()
             os.fsync(descriptor)
     except OSError as failure:
-        # Whoever finds a file of this name takes it for the secret.
+        # A part of the file would be taken for the secret.
         path.unlink(missing_ok=True)
         raise error(f"{called} cannot be written: {failure.strerror}") from None
     sync_names(path.parent)
@@ -254,7 +254,7 @@ def read_secret(
 ) -> bytes:
     """Return the first `most_bytes` of a file that is open to its owner only, or also to its group's readers.
 
-    Windows has no such file modes; there they are not looked at.
+    Windows has no such file modes; there nothing is checked.
 
     Parameters
     ----------

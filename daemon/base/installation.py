@@ -1,7 +1,7 @@
 """Whether the packages that Python finds under our names are ours (docs/decisions/0001).
 
-Other distributions install packages of the same names: python-daemon has a `daemon`. Installed into one environment
-the later one overwrites files of the earlier, and nothing says so.
+Other distributions install packages of the same names: python-daemon has a `daemon`. In one environment, the one that
+is installed later overwrites files of the earlier one, and nothing says so.
 """
 
 import hashlib
@@ -20,8 +20,8 @@ _REMEDY = "give heliocube an environment of its own (python -m venv, or pipx) an
 def damage() -> str | None:
     """Return one sentence on the first of our packages that another one has taken, with the remedy, or None.
 
-    Each package has to stand beside the one that this module was loaded from, and its first file has to be the one that
-    was installed.
+    Each package has to stand beside the one that this module was loaded from, and its `__init__.py` has to be the one
+    that was installed.
     """
     home = Path(__file__).resolve().parents[2]
     recorded = _recorded(home, sys.path)

@@ -3,8 +3,8 @@
 import ctypes
 import sys
 
-# Setting the clock raises the bound of its error to this; what synchronises it lowers it, even a chrony that leaves the
-# flag for unsynchronised clocks alone (without `rtcsync`). `timedatectl` goes by it too.
+# Setting the clock raises the bound of its error to this. A program that synchronises it lowers the bound, even a
+# chrony that leaves the flag for unsynchronised clocks alone (without `rtcsync`). `timedatectl` goes by the bound, too.
 _UNKNOWN_US = 16_000_000
 
 

@@ -1,4 +1,4 @@
-"""Connections to our HTTP servers, of each of which little is looked at in one go."""
+"""Connections to our HTTP servers, which take in only a little of each at one turn of the loop."""
 
 import asyncio
 import os
@@ -15,14 +15,14 @@ at once, and hundreds of small parts of a body would be taken apart in one go.""
 LONGEST_HEAD = 16 << 10
 """Of a request [bytes]."""
 TOO_LONG = f"the head of this request is longer than {LONGEST_HEAD} bytes; a browser sends fewer without its cookies"
-# What comes at once with a head that is too long: three times as much, and more.
+# Room for what comes at once with a head that is too long: three times as much, and more.
 _MOST_UNREAD = 1 << 16
-# The kernel would grow it to megabytes for one who does not read.
+# Otherwise the kernel would grow this buffer to megabytes for a client that does not read.
 _SEND_BUFFER = 1 << 16
 
 
 class PiecewiseProtocol(H11Protocol, asyncio.BufferedProtocol):
-    """The server's own connection, which takes in what was sent by `READ_AT_ONCE`."""
+    """The server's own connection, which takes in what was sent in parts of `READ_AT_ONCE`."""
 
     def __init__(self, *args: Any, **server: Any) -> None:
         super().__init__(*args, **server)
@@ -33,7 +33,7 @@ class PiecewiseProtocol(H11Protocol, asyncio.BufferedProtocol):
         super().connection_made(transport)
         transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
 
-    def get_buffer(self, sizehint: int) -> bytearray:  # noqa: ARG002 - the event loop's
+    def get_buffer(self, sizehint: int) -> bytearray:  # noqa: ARG002 - the event loop passes it
         """Return what the next bytes are to be read into."""
         return self._read
 
@@ -43,15 +43,15 @@ class PiecewiseProtocol(H11Protocol, asyncio.BufferedProtocol):
 
     @property
     def head_is_too_long(self) -> bool:
-        """Whether what was refused is a head of more than `LONGEST_HEAD`, and else it is not HTTP."""
+        """Whether a head longer than `LONGEST_HEAD` was refused; otherwise what was refused is not HTTP."""
         return len(self.conn.trailing_data[0]) > LONGEST_HEAD
 
     def drop_unread(self) -> None:
-        """Drop what has been sent and is not read: the kernel would take the answer back for it at the end."""
+        """Drop what has been sent and not read: at the close the kernel would discard our answer because of it."""
         with suppress(OSError):
             os.read(self.transport.get_extra_info("socket").fileno(), _MOST_UNREAD)
 
     def send_400_response(self, msg: str) -> None:
-        """Answer what cannot be read, and close."""
+        """Answer a request that cannot be read, and close."""
         self.drop_unread()
         super().send_400_response(TOO_LONG if self.head_is_too_long else msg)

@@ -1,4 +1,4 @@
-"""Places that are taken for long, as by those who listen to events."""
+"""A limited number of places for clients that stay long, such as those that listen to events."""
 
 import ipaddress
 from collections import Counter
@@ -12,9 +12,9 @@ from daemon.base.addresses import without_mapping
 
 
 class Places:
-    """Places that are taken for long, of which one far address gets no more than half.
+    """Places that are taken for long, of which one remote address gets no more than half.
 
-    All that comes through a tunnel or a proxy on this machine may come from loopback, which may have all.
+    Loopback may have all places: all clients may come from there, through a tunnel or a proxy on this machine.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Places:
         self._taken: Counter[str] = Counter()
 
     def are_free_for(self, host: str) -> bool:
-        """Return whether one who comes from there may take a place; what a proxy says of that may be any text."""
+        """Return whether a client from this host may take a place; a proxy may give any text as its host."""
         try:
             near = ipaddress.ip_address(without_mapping(host)).is_loopback
         except ValueError:
@@ -45,15 +45,15 @@ class Places:
 
 
 class EventStream(StreamingResponse):
-    """Events for one who listens, with a place of his own.
+    """Events for one client, which holds a place of its own meanwhile.
 
     Parameters
     ----------
     events
         As they are sent.
     place
-        What `Places.taken_by` has given. It is taken as soon as the answer begins, while its first event may wait: of
-        many who come at once each would find it free.
+        What `Places.taken_by` has given. It is taken when the answer begins and not with the first event, which may be
+        late: of many clients that come at once, each would find the place free.
     """
 
     def __init__(self, events: AsyncIterable[str | bytes], place: AbstractContextManager[None]) -> None:
@@ -61,6 +61,6 @@ class EventStream(StreamingResponse):
         self._place = place
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send them to their end, or until nobody listens."""
+        """Send the events to their end, or until nobody listens."""
         with self._place:
             await super().__call__(scope, receive, send)

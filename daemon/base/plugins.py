@@ -24,7 +24,7 @@ def names(group: str) -> tuple[str, ...]:
 
 
 def load(group: str, name: str) -> ModuleType:
-    """Import what stands under a name in a group, and nothing else.
+    """Import the module that is offered under a name in a group, and nothing else.
 
     Parameters
     ----------
@@ -35,12 +35,12 @@ def load(group: str, name: str) -> ModuleType:
 
     Returns
     -------
-    A module with ``SETTINGS``, a class made from that of its kind, and ``build``, which makes the thing of them.
+    A module with ``SETTINGS``, a class made from that of its kind, and ``build``, which makes the law or driver.
 
     Raises
     ------
     PluginError
-        Nobody offers the name, two packages do, or what they offer cannot be imported or has no such contents, or a key
+        Nobody offers the name, or two packages do; or the module cannot be imported, lacks these contents, or has a key
         without a default.
     """
     kind = group.rpartition(".")[2]
@@ -53,12 +53,12 @@ def load(group: str, name: str) -> ModuleType:
         raise PluginError(f'the {kind} "{name}" is offered by {owners}; remove one of the packages')
 
     def wrong(what: str) -> PluginError:
-        # Whose it is takes reading all that its package says of itself: only where somebody is to be told.
+        # To find the owner, all the metadata of its package is read: do so only for a message.
         return PluginError(f'the {kind} "{name}" of {_owner(found[0])} {what}')
 
     try:
         module = found[0].load()
-    # One that leaves must not take with it whoever only looks for names.
+    # A plug-in that exits must not end a program that only looks for names.
     except (Exception, SystemExit) as error:
         raise wrong(f"cannot be imported: {error}") from error
     if not (hasattr(module, "SETTINGS") and callable(getattr(module, "build", None))):

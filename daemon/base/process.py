@@ -1,4 +1,4 @@
-"""What a process owes its keeper: log lines of a sentence and its fields, signals, word to the service manager."""
+"""What every process needs: log lines of a sentence and its fields, signals, messages to the service manager."""
 
 import asyncio
 import contextlib
@@ -55,7 +55,7 @@ def configure(stream: "SupportsWrite[str]", journal: bool, level: int = logging.
 
 @contextlib.contextmanager
 def simulated_time_in_log(clock: Clock) -> Iterator[None]:
-    """Let each warning of a process without `configure` begin with the clock's time and, of several, the tracker."""
+    """Begin each warning of a process without `configure` with the clock's time, and with the tracker if several."""
     handler = logging.lastResort
     if handler is None:
         yield
@@ -69,7 +69,7 @@ def simulated_time_in_log(clock: Clock) -> Iterator[None]:
 
 
 def keep_start() -> None:
-    """Leave what the start has made out of all later garbage collections: it stays, and each held the loop 0.2 s."""
+    """Exclude what the start has made from garbage collection: it stays, and each collection blocked the loop 0.2 s."""
     gc.collect()
     gc.freeze()
 
@@ -196,15 +196,15 @@ class Notifier:
         name
             By which the next process finds it; letters, digits, hyphens.
         opened
-            Stays the caller's too.
+            The socket; the caller keeps it as well.
         """
         self._send(f"FDSTORE=1\nFDNAME={name}", opened)
 
     def take_kept(self, name: str) -> socket.socket | None:
         """Return the socket that a process before this one gave the manager under a name, or None.
 
-        All others that it gave are closed, and the manager has let go of them when this returns: nobody would read what
-        comes to them, and one may have the port that is wanted now.
+        All other sockets that it gave are closed, and the manager has let go of them when this returns: nobody would
+        read from them, and one may have the port that is wanted now.
         """
         found, handed, self._kept = None, self._kept, []
         for other, number in handed:
@@ -266,8 +266,9 @@ def _handed(environment: Mapping[str, str], pid: int) -> list[tuple[str, int]]:
 def on_signals(stop: Callable[[], object]) -> Iterator[Callable[[], None]]:
     """Call `stop` on SIGINT, SIGTERM and SIGHUP; works on Windows too, where event loops know no signal handlers.
 
-    Once one has come, the end of the process has begun: after the block all of them are ignored. What the block is
-    given begins the end without one. A SIGHUP that is ignored at the start, as under nohup, stays ignored.
+    Once a signal has come, the end of the process has begun: after the block all of them are ignored. The block is
+    given a function that begins the end without a signal. A SIGHUP that is ignored at the start, as under nohup, stays
+    ignored.
     """
     numbers = [signal.SIGINT, signal.SIGTERM]
     if sys.platform != "win32" and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
@@ -289,7 +290,7 @@ def on_signals(stop: Callable[[], object]) -> Iterator[Callable[[], None]]:
 
 @contextlib.contextmanager
 def as_ctrl_c() -> Iterator[None]:
-    """Take SIGTERM, and the SIGHUP of a lost connection, for Ctrl-C, after which what was begun is put in order.
+    """Treat SIGTERM, and the SIGHUP of a lost connection, as Ctrl-C, so that work in progress ends in order.
 
     A signal that is ignored at the start, as under nohup, stays ignored. The same signal counts once.
     """
@@ -304,14 +305,14 @@ def as_ctrl_c() -> Iterator[None]:
 
 
 def _ctrl_c(number: int, frame: FrameType | None) -> None:
-    # Once: `timeout` sends it to the process and to its group, and the second would end what the first has begun.
+    # Only once: `timeout` signals the process and its group, and the second signal would cut short the orderly end.
     signal.signal(number, signal.SIG_IGN)
     handler = signal.getsignal(signal.SIGINT)
     if callable(handler):
-        # An event loop that runs has taken it over, to end its tasks in order.
+        # A running event loop sets a handler of its own, which ends its tasks in order.
         handler(signal.SIGINT, frame)
         return
-    # Where it was ignored at the start, as in the background of a script, none has.
+    # If SIGINT was ignored at the start, as in the background of a script, no event loop has set one.
     with contextlib.suppress(RuntimeError):
         asyncio.get_running_loop().call_soon_threadsafe(_end_all, frame)
         return
@@ -319,7 +320,7 @@ def _ctrl_c(number: int, frame: FrameType | None) -> None:
 
 
 def _end_all(frame: FrameType | None) -> None:
-    """Leave the loop that runs this: raised inside of a task, an interruption would be raised again at its end."""
+    """Leave the running loop from outside of any task: raised in one, KeyboardInterrupt would come again at its end."""
     for task in asyncio.all_tasks():
         task.cancel()
     signal.default_int_handler(signal.SIGINT, frame)

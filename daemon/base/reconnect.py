@@ -1,7 +1,7 @@
 """The one way to keep a device in use, and the one policy of reporting an outage.
 
-An outage is reported once when it begins, seldom while it lasts, once with its length at its end. What comes and goes
-is reported as that: the first few times each for itself, then by number (`daemon.base.recurrence`).
+An outage is reported once when it begins, seldom while it lasts, once with its length at its end. A device that comes
+and goes is reported as such: the first few times one by one, then by number (`daemon.base.recurrence`).
 """
 
 import asyncio
@@ -12,9 +12,9 @@ from random import Random
 
 from daemon.base.recurrence import REMIND_AFTER_S, Recurrence, Wording
 
-# Persons plug in and out some times in a row.
+# People may plug a device in and out several times in a row.
 _FEW = 6
-# A true outage in the middle of coming and going.
+# An outage this long counts as a true one, even in the middle of coming and going.
 _LONG_S = 3600.0
 
 
@@ -43,7 +43,7 @@ class Outage:
         self.repeats = 0
         said = self._recurrence.note(now_s)
         self._reported_plainly = said is Wording.PLAINLY
-        # The second reminder of an outage comes after as long as a true one has to last in the middle of others.
+        # In the middle of coming and going, skip the reminders that come before an outage counts as a true one.
         self._reminders = 0 if self._reported_plainly else REMIND_AFTER_S.index(_LONG_S)
         self._remind_s = now_s + REMIND_AFTER_S[self._reminders]
         if said is Wording.PLAINLY:
@@ -62,9 +62,9 @@ class Outage:
     def down(self, now_s: float, reason: str) -> str:
         """Take note of one failure at a monotonic time [s]; return the sentence of a warning, empty without one.
 
-        The first failure is worth one, and so is a reminder after 10 min, 1 h, 6 h and every 6 h from then on. All
-        others are debug lines. What has come and gone more than six times within twelve hours is told by its number, at
-        the same pauses; an outage in the middle of that is told by itself once it has lasted for an hour.
+        The first failure is worth a warning, and so is a reminder after 10 min, 1 h, 6 h and every 6 h from then on.
+        All others are debug lines. More than six outages within twelve hours are told by their number, at the same
+        pauses; one of these is told by itself once it has lasted for an hour.
         """
         self.reason = reason
         if self.since is None:
@@ -81,13 +81,13 @@ class Outage:
     def up(self, now_s: float, how: str = "") -> str:
         """Take note that it works at a monotonic time [s]; return the sentence that ends an outage, empty without one.
 
-        To be called as long as it works, and not only when it works again: after coming and going, it is said only once
-        it has worked for half an hour.
+        To be called as long as it works, and not only when it works again: after coming and going, the end is told only
+        once it has worked for half an hour.
 
         Parameters
         ----------
         how
-            What is to be known of it when it is back.
+            What to tell of it when it is back.
         """
         if self.since is None:
             return self._steady(now_s)
@@ -166,11 +166,11 @@ class Rhythm:
         self.skipped = 0
 
     def start(self, now_s: float) -> None:
-        """Let the first beat be now; those of before are no longer waited for."""
+        """Let the first beat be now; earlier ones are no longer waited for."""
         self._due_s = now_s
 
     def wait_s(self, now_s: float) -> float:
-        """Return how long it is to the next beat; what is due already is left out and counted."""
+        """Return how long it is to the next beat; beats that are due already are left out and counted."""
         self._due_s += self._period_s
         if self._due_s <= now_s:
             missed = math.floor((now_s - self._due_s) / self._period_s) + 1
@@ -230,7 +230,7 @@ class Reconnection:
         close
             Releases it, after every loss.
         forget
-            Called at every loss before it is reported: what was wanted of the device is no longer.
+            Called at every loss before it is reported: what was wanted of the device is wanted no longer.
         """
         while True:
             try:
@@ -244,12 +244,12 @@ class Reconnection:
                 await asyncio.sleep(self._backoff.next_s())
 
     def works(self, how: str = "") -> bool:
-        """Take note that the device works, as long as it does; return whether that was worth a notification.
+        """Take note that the device works, to be called as long as it does; return whether that was worth telling.
 
         Parameters
         ----------
         how
-            What is to be known of it when it is back.
+            What to tell of it when it is back.
         """
         self._backoff.reset()
         text = self._outage.up(self._now_s(), how)

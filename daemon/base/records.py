@@ -254,9 +254,10 @@ class IvCurve:
     zenith_start_w_m2, zenith_end_w_m2
         What the cube's zenith face read last before the sweep and before its end.
     points
-        How many were measured.
+        How many points were measured.
     quality, why
-        ``ok``: the whole curve was measured and has a maximum; what is wrong otherwise. ``clock``: its time alone.
+        ``ok``: the whole curve was measured and has a maximum; otherwise what is wrong. ``clock``: only its time is
+        in doubt.
     curve
         The points, voltages and then currents, as base64 of little-endian 32-bit floats; empty unless kept.
     """
@@ -309,7 +310,7 @@ Subscriber = Callable[[Record], None]
 
 
 def stamped(publish: Subscriber, tracker: str) -> Subscriber:
-    """Return what hands records on to `publish` with the name of their tracker; a scan belongs to none."""
+    """Return a function that hands records on to `publish` with the name of their tracker; a scan belongs to none."""
 
     def publish_named(record: Record) -> None:
         publish(record if isinstance(record, Scan) or record.tracker == tracker else replace(record, tracker=tracker))
@@ -332,7 +333,7 @@ class Bus:
     def subscribe(self, subscriber: Subscriber, tracker: str = "") -> None:
         """Add a subscriber for all records from now on, or for those that concern one tracker: its own and nobody's.
 
-        With hundreds of trackers, each of which asked every record whose it is, the asking would be most of the work.
+        If each of hundreds of trackers asked every record whose it is, the asking would be most of the work.
         """
         if tracker:
             self._of_one.setdefault(tracker, []).append(subscriber)

@@ -1,4 +1,4 @@
-"""The one policy for what keeps happening: reported the first few times, then by its number; and how often it may."""
+"""The one policy for reporting what keeps happening: the first few times singly, then by number; and rate limits."""
 
 import math
 from collections import deque
@@ -13,7 +13,7 @@ _FIRST_CALM_S, _LONGEST_CALM_S = 1800.0, 21600.0
 
 
 class Wording(Enum):
-    """How to tell of one more time: by itself, as one of many, or not at all."""
+    """How to tell of one more occurrence: by itself, as one of many, or not at all."""
 
     PLAINLY = "plainly"
     OFTEN = "often"
@@ -23,14 +23,14 @@ class Wording(Enum):
 class Recurrence:
     """How often one thing has happened lately.
 
-    The first few in twelve hours are told each for itself. After that only the number is told: at once, 10 min, 1 h and
-    6 h later and then every 6 h, until it has been calm for half an hour; if it begins anew soon after that, for twice
-    as long, so that no rhythm gets round it.
+    The first few times in twelve hours are told one by one. After that only the number is told: at once, 10 min, 1 h
+    and 6 h later and then every 6 h, until it has been calm for half an hour. If it begins anew soon after that, the
+    calm has to last twice as long, so that no rhythm gets round the rule.
 
     Parameters
     ----------
     few
-        How many are told each for itself.
+        How many times are told one by one.
     reminds
         Whether the number is told again and again, and not only once.
     """
@@ -66,7 +66,7 @@ class Recurrence:
         return Wording.OFTEN
 
     def over(self, now_s: float, calm_since_s: float) -> int:
-        """Return how often it had happened, once it has been calm for long enough and if that was told, else 0.
+        """Return how often it had happened, once it has been calm for long enough; 0 before, or if nothing was told.
 
         The next time is told plainly again.
         """
@@ -109,7 +109,7 @@ class LogBudget:
     subject
         What comes from it, in the plural, as a sentence begins: ``requests that are not HTTP``.
     few
-        How many are logged each for itself.
+        How many are logged one by one.
     """
 
     def __init__(self, subject: str, few: int = 5) -> None:

@@ -1,4 +1,4 @@
-"""When the machine slept, for how long: its steady clock stands still meanwhile, and what is old seems fresh by it."""
+"""When and how long the machine slept: its monotonic clock stands still meanwhile, so that old values seem fresh."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 from daemon.base.clock import Clock
 
-# Below what a person would see in an age.
+# Shorter than what a person would notice in an age.
 _LEAST_S = 0.5
 _MOST = 1000
 
 
 class Sleep(NamedTuple):
-    """One sleep: the monotonic time [s] at which the steady clock stood, and how long that lasted [s]."""
+    """One sleep: the time [s] at which the monotonic clock stood still, and how long that lasted [s]."""
 
     at_s: float
     lasted_s: float
@@ -26,7 +26,7 @@ def slept_since(since_s: float, sleeps: Sequence[Sleep]) -> float:
 class SleepGauge:
     """Tells how long the machine has slept since somebody asked last.
 
-    Where the clock does not tell of its sleeps, UTC that was set forward counts as one: that looks the same.
+    Where the clock does not tell of sleeps, UTC that was set forward counts as a sleep: it looks the same.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class SleepWatch:
         self._sleeps: deque[Sleep] = deque(maxlen=_MOST)
 
     def look(self) -> tuple[Sleep, ...]:
-        """Return all sleeps until now; to be called often: what comes between two looks is taken to come after one."""
+        """Return all sleeps until now; to be called often, for a sleep is dated to the look before it."""
         slept_s = self._gauge.take_s()
         if slept_s > _LEAST_S:
             self._sleeps.append(Sleep(self._looked_s, slept_s))

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 from daemon.base.files import sync_names
 
 if TYPE_CHECKING:
-    # A stop reads its token by `daemon.base.files`, and waits for no large library.
+    # Not at run time: a program that imports this module need not wait for a large library.
     from pydantic import BaseModel
 
 log = logging.getLogger("heliocube.state")
 
 ROOM_BYTES = 4096
 """That a spare has from the beginning: a block of most file systems."""
-# Of kept state, many times what any of it can grow to.
+# Bytes of a kept file: many times what any can grow to.
 _LONGEST = 8 << 20
 _CLOSE_WITHIN_S = 3.0
 _SLOW_AFTER_S = 5.0
@@ -43,12 +43,13 @@ Counted = TypeVar("Counted", bound=OfDay)
 def turn_day(day: int, before: Counted, later: Counted | None, fresh: Counted) -> tuple[Counted, Counted | None]:
     """Return the count of a day that begins, and the count of a later day that is to be kept meanwhile, or None.
 
-    A machine whose battery is empty begins years ago, and is set then: the day that it is set to goes on.
+    A machine whose clock battery is empty starts with a date years ago, and its clock is set later: the count of the
+    day that it is set to goes on.
 
     Parameters
     ----------
     day
-        That begins.
+        The day that begins.
     before, later
         The count until now, and what was returned last as kept.
     fresh
@@ -72,20 +73,21 @@ def spare_of(path: Path) -> Path:
 
 
 def replace_kept(path: Path, text: str) -> None:
-    """Replace a file as a whole, in the room of the content before: a full disk has no other.
+    """Replace a file as a whole, in the room of its previous content: a full disk has no other.
 
-    The content before stays beside the file as its spare, and the next one is written over it. What fits into its
-    blocks needs none besides, on a file system that writes in place and lets a file have two names for a moment.
+    The previous content stays beside the file as its spare, and the next content is written over it. Content that fits
+    into the spare's blocks needs no others, on a file system that writes in place and lets a file have two names for a
+    moment.
 
     Raises
     ------
     OSError
-        It cannot be written. The file is what it was.
+        The file cannot be written. It stays as it was.
     """
     spare, before = spare_of(path), path.with_suffix(".before")
     path.parent.mkdir(parents=True, exist_ok=True)
     if not spare.exists() and before.exists() and not (path.exists() and before.samefile(path)):
-        # Whoever wrote last has died before it was the spare again.
+        # The last writer died before it had made this the spare again.
         before.replace(spare)
     _overwrite(spare, text)
     with contextlib.suppress(OSError):
@@ -102,7 +104,7 @@ def replace_kept(path: Path, text: str) -> None:
 
 
 def reserve_room(path: Path) -> None:
-    """Make the spare of a kept file, and one more where it has no content yet: the disk may be full by then."""
+    """Make the spare of a kept file, and a second one if the file is not there yet: the disk may be full later."""
     spare, first = spare_of(path), path.with_suffix(".before")
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -114,7 +116,7 @@ def reserve_room(path: Path) -> None:
 def _overwrite(path: Path, text: str) -> None:
     """Give a file another content in its own place; it is on the disk when this returns."""
     if path.exists() and not (path.is_file() and os.access(path, os.W_OK)):
-        # Somebody else's, who ran a command here as root, or a pipe.
+        # Somebody else's file, such as root's who ran a command here, or a pipe.
         path.unlink()
     with path.open("r+" if path.exists() else "w", encoding="utf-8", newline="\n") as file:
         file.write(text)
@@ -125,7 +127,7 @@ def _overwrite(path: Path, text: str) -> None:
 
 @dataclass(slots=True)
 class _Content:
-    """What one file is to hold, since when [s]; `tried` once it has been attempted."""
+    """What one file is to hold, and since when [s]; `tried` once writing it has been attempted."""
 
     text: str
     forgotten: str
@@ -135,14 +137,14 @@ class _Content:
 
 
 class StateFolder:
-    """The small files that one tracker keeps over a restart; nothing that moves it waits for their disk.
+    """The small files that one tracker keeps over a restart; nothing that moves the tracker waits for the disk.
 
-    Of each file the newest content counts. What cannot be written is kept in memory and tried again.
+    The newest content of each file counts. What cannot be written is kept in memory and tried again.
 
     Parameters
     ----------
     directory
-        Of the files, made if it is missing; None keeps everything in memory only.
+        Where the files are, made if it is missing; None keeps everything in memory only.
     behind
         Whether a thread writes, as a service in real time needs; without it, `put` writes before it returns.
     replace
@@ -150,7 +152,7 @@ class StateFolder:
     reserve
         Keeps room for a path that is to be replaced one day; a disk that fails is no error.
     now_s
-        The machine's own time [s], whatever the service's is: disks know no other.
+        The machine's own time [s], also where the service's is simulated: disks go by the machine's.
     """
 
     def __init__(
@@ -192,7 +194,7 @@ class StateFolder:
         self._write()
 
     def reserve(self, path: Path) -> None:
-        """Keep room on the disk for a file that may have to be written when there is no other."""
+        """Keep room on the disk for a file that may have to be written when no other room is left."""
         with self._changed:
             self._roomless.append(path)
         self._write()
@@ -246,12 +248,12 @@ class StateFolder:
                 return
             self._working = True
         if self._behind:
-            # Not waited for at the end of the process: a disk may never answer.
+            # A daemon thread, for which the end of the process does not wait: a disk may never answer.
             thread = threading.Thread(target=self._work, name="kept state", daemon=True)
             try:
                 thread.start()
             except RuntimeError:
-                # The machine has no room for one: what waits is tried again.
+                # The machine has no room for another thread: what waits is tried again.
                 with self._changed:
                     self._working = False
         else:
@@ -285,7 +287,7 @@ class StateFolder:
             self._replace(path, text)
         except OSError as error:
             return error.strerror or str(error)
-        except Exception as error:  # noqa: BLE001 - whatever it is, the other files are written, and this one tried again
+        except Exception as error:  # noqa: BLE001 - the other files are written all the same, this one is tried again
             return str(error) or repr(error)
         return None
 
@@ -304,10 +306,10 @@ class StateFolder:
         chosen = list(paths)
         if not chosen:
             return None
-        # A law in the shadow keeps a day of its own beside that of the law that points.
+        # Each wording once: a law in the shadow keeps a day of its own, in a file told in the same words.
         forgotten = " and ".join(dict.fromkeys(self._waiting[path].forgotten for path in chosen))
         reason = self._failed.get(chosen[0], "the disk has not answered yet")
-        # All files of a folder are beside each other.
+        # All files are in the same folder, which is named once.
         files = " and ".join([str(chosen[0]), *(path.name for path in chosen[1:])])
         return f"a restart would forget {forgotten}: {files} cannot be written ({reason})"
 
@@ -318,7 +320,7 @@ class StateFile(Generic[State]):
     Parameters
     ----------
     folder, name
-        Of the file; a folder without a directory, no file.
+        Folder and name of the file; a folder without a directory has no file.
     model
         What the file holds. A file with anything else in it is unreadable.
     logger
@@ -329,7 +331,7 @@ class StateFile(Generic[State]):
     Attributes
     ----------
     path
-        Of the file, or None.
+        Path of the file, or None.
     """
 
     def __init__(
@@ -347,13 +349,13 @@ class StateFile(Generic[State]):
         Raises
         ------
         UnreadableStateError
-            There is a file, and nobody knows what was kept in it: what that means is the caller's to say.
+            There is a file that cannot be used; the caller decides what that means.
         """
         if self.path is None:
             return None
         try:
             if not self.path.is_file() and (self.path.exists() or self.path.is_symlink()):
-                # Whoever opens a pipe waits for a writer, and a device may never end; and where a link leads nowhere, a
+                # To open a pipe is to wait for a writer, and a device may never end; and where a link leads nowhere, a
                 # disk may be missing.
                 raise UnreadableStateError(self.path)
             with self.path.open("rb") as file:
@@ -367,11 +369,11 @@ class StateFile(Generic[State]):
             raise UnreadableStateError(self.path) from error
 
     def reserve(self) -> None:
-        """Keep room for it on the disk, so that it is kept even on one that is full by then."""
+        """Keep room for the file on the disk, so that it can be written even if the disk is full by then."""
         if self.path is not None:
             self._folder.reserve(self.path)
 
     def save(self, state: State) -> None:
-        """Have the file replaced as a whole; whether that goes well is the folder's to say."""
+        """Have the file replaced as a whole; the folder tells whether that goes well."""
         if self.path is not None:
             self._folder.put(self.path, state.model_dump_json(exclude_none=True), self._forgotten, self._logger)

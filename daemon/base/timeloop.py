@@ -27,7 +27,7 @@ _RESOLUTION_S = 1e-9
 _LONGEST_TURN_S = 1.0
 _TIDY_TIMERS = 100
 _LOOK_FOR_GARBAGE_AFTER = (100_000, 20, 20)
-# What `asyncio.sleep` has called when its time is over, and nothing else has.
+# The callback that `asyncio.sleep`, and nothing else, sets for the end of its time.
 _WAKE_SLEEPER = getattr(asyncio.futures, "_set_result_unless_cancelled", None)
 
 
@@ -69,9 +69,9 @@ class _ScaledSelector(_DelegatingSelector):
 class ScaledTimeLoop(asyncio.SelectorEventLoop):
     """An event loop whose clock runs `speed` times as fast as the machine's.
 
-    A tenth of a second for which a busy machine lets the program wait would be six at 60 times real speed, longer than
-    a device may be silent. So such time does not pass in one leap: it is made up for as fast as the program can, from
-    timer to timer, and no turn of the loop takes more than a second of it.
+    If a busy machine lets the program wait for a tenth of a second, that is six seconds at 60 times real speed, longer
+    than a device may be silent. So such time does not pass in one leap: the loop catches up as fast as the program can,
+    from timer to timer, and no turn of the loop takes more than a second of it.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class ScaledTimeLoop(asyncio.SelectorEventLoop):
     def __init__(self, speed: float) -> None:
         self.speed = speed
         self._start_s = time.monotonic()
-        # Both in one, for threads ask for the time as well.
+        # Both numbers in one attribute, for threads ask for the time as well.
         self._turn = self._start_s, self._start_s
         super().__init__(_ScaledSelector(self))
 
@@ -96,7 +96,7 @@ class ScaledTimeLoop(asyncio.SelectorEventLoop):
         return self._start_s + (time.monotonic() - self._start_s) * self.speed
 
     def begin_turn(self, at_most_s: float) -> None:
-        """Let the time be what it should be, and no more than that of the timer that was waited for."""
+        """Set the time to what it should be, but not beyond the timer that was waited for."""
         self._turn = min(self.wanted_s(), at_most_s), time.monotonic()
 
 
@@ -106,7 +106,7 @@ class _Beat(NamedTuple):
 
 
 class _Timer:
-    """What stands for `asyncio.TimerHandle`; it is left out where it has no callback."""
+    """Stands in for `asyncio.TimerHandle`; it is cancelled if it has no callback."""
 
     __slots__ = ("_args", "_context", "_when_s", "callback")
 
@@ -121,11 +121,11 @@ class _Timer:
         return self._when_s
 
     def cancel(self) -> None:
-        """Leave it out."""
+        """Let the timer call nothing."""
         self.callback, self._args = None, ()
 
     def cancelled(self) -> bool:
-        """Tell whether it is left out."""
+        """Tell whether the timer was cancelled."""
         return self.callback is None
 
     def run(self, loop: AbstractEventLoop) -> None:
@@ -136,7 +136,7 @@ class _Timer:
             self._context.run(self.callback, *self._args)
         except (SystemExit, KeyboardInterrupt):
             raise
-        except BaseException as error:  # noqa: BLE001 - as asyncio does: what raises is told, and the loop goes on
+        except BaseException as error:  # noqa: BLE001 - as asyncio does: an error is reported, and the loop goes on
             loop.call_exception_handler({"message": f"Exception in timer {self.callback!r}", "exception": error})
 
 
@@ -147,10 +147,10 @@ _OVER.cancel()
 class _VirtualSelector(_DelegatingSelector):
     def __init__(self) -> None:
         super().__init__()
-        # Asked 200,000 times a day, nearly always in vain: the system's own poll tells that in half the time.
+        # Sockets are polled 200,000 times a day, nearly always in vain: the system's own poll takes half the time.
         poll = getattr(getattr(self._real, "_selector", None), "poll", self._real.select)
         self._has_events: Callable[[float], object] = poll
-        # Both in the order of their time, and of their setting where that is the same.
+        # Both are heaps ordered by time, and for the same time by which was set first.
         self._beats: list[tuple[float, int, _Beat]] = []
         self._beats_set = 0
         self._timers: list[tuple[float, int, _Timer]] = []
@@ -174,7 +174,7 @@ class _VirtualSelector(_DelegatingSelector):
         heapq.heappush(self._beats, (self.now_s + beat.every_s, number, beat))
 
         def end() -> None:
-            # In place: it may be a beat that ends one.
+            # Change the list in place: a beat may call this while `_pass_to` works on the same list.
             self._beats[:] = [entry for entry in self._beats if entry[1] != number]
             heapq.heapify(self._beats)
 
@@ -182,7 +182,7 @@ class _VirtualSelector(_DelegatingSelector):
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         if timeout == 0:
-            # Callbacks are waiting. Sockets are looked at before time moves, and now and then so that none starves.
+            # Callbacks are waiting. Sockets are polled before time moves, and now and then here, so that none starves.
             self._rounds += 1
             self._run_timers()
             return self._real.select(0) if self._rounds % _LOOK_EVERY_ROUNDS == 0 else []
@@ -202,7 +202,7 @@ class _VirtualSelector(_DelegatingSelector):
         return []
 
     def _pass_to(self, until_s: float) -> bool:
-        """Let time go on, with its beats; return False where one of them has set off what has to run before."""
+        """Let time go on, with its beats; return False if one of them has set off something that has to run first."""
         beats = self._beats
         while beats:
             due_s, number, beat = beats[0]
@@ -216,7 +216,7 @@ class _VirtualSelector(_DelegatingSelector):
         return True
 
     def pass_alone(self, when_s: float) -> bool:
-        """Let time go on to an instant before which nothing else is to happen; return False where something is."""
+        """Let time go on to an instant if nothing else is to happen before; return False if something is."""
         self._drop_cancelled()
         if self.jobs or (self._timers and self._timers[0][0] <= when_s + max(_RESOLUTION_S, math.ulp(when_s))):
             return False
@@ -227,8 +227,8 @@ class _VirtualSelector(_DelegatingSelector):
             heapq.heappop(self._timers)
 
     def _run_timers(self) -> None:
-        # By itself: through the loop's list of what is to be done each would take a second round. Those that are set
-        # meanwhile wait for the next one. Time is rounded to whole nanoseconds, and to what a number can hold.
+        # Called here: through the loop's own list of callbacks each would take a second round. Timers that are set
+        # meanwhile wait for the next round. Time is rounded to whole nanoseconds, and to what a float can hold.
         due_s, last = self.now_s + max(_RESOLUTION_S, math.ulp(self.now_s)), self._timers_set
         while self._timers and self._timers[0][0] < due_s and self._timers[0][1] <= last:
             heapq.heappop(self._timers)[2].run(self.loop)
@@ -280,9 +280,9 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         return cast("TimerHandle", timer)
 
     def _sleeps_alone(self, until_s: float) -> bool:
-        """Let time go on while the task that runs sleeps, if nothing else is to happen before: it sees no difference.
+        """Let time go on while the running task sleeps, if nothing else is to happen before: it sees no difference.
 
-        It goes on at once then, which costs a fifth of a timer, a waking and a round of the loop.
+        The task goes on at once then, at a fifth of the cost of a timer, a waking and a round of the loop.
         """
         task = asyncio.current_task(self)
         if task is None or task.cancelling() or getattr(self, "_ready", True):
@@ -290,7 +290,7 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         return self._virtual.pass_alone(until_s)
 
     def call_every(self, every_s: float, call: Callable[[], bool]) -> Callable[[], None]:
-        """Call back again and again, at a tenth of what a timer costs; return what ends that.
+        """Call back again and again, at a tenth of what a timer costs; return a function that ends this.
 
         Parameters
         ----------
@@ -330,7 +330,7 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
 
 @contextmanager
 def virtual_time() -> Iterator[asyncio.Runner]:
-    """Run in virtual time, looking for garbage seldom: a day makes hardly any circles, and saves a thirtieth."""
+    """Run in virtual time, seldom collecting garbage: a day makes hardly any cycles, and takes a thirtieth less."""
     often = gc.get_threshold()
     gc.set_threshold(*_LOOK_FOR_GARBAGE_AFTER)
     try:
@@ -341,7 +341,7 @@ def virtual_time() -> Iterator[asyncio.Runner]:
 
 
 def call_every(every_s: float, call: Callable[[], bool]) -> Callable[[], None]:
-    """Call back every `every_s` of the running loop's time, whatever loop it is; return what ends that."""
+    """Call back every `every_s` of the running loop's time, whatever loop it is; return a function that ends this."""
     loop = asyncio.get_running_loop()
     if isinstance(loop, VirtualTimeLoop):
         return loop.call_every(every_s, call)
@@ -360,7 +360,7 @@ def call_every(every_s: float, call: Callable[[], bool]) -> Callable[[], None]:
 
 
 async def call_until(every_s: float, call: Callable[[], bool]) -> None:
-    """Call back every `every_s` until that returns True: what a task costs that sleeps between, virtual time saves."""
+    """Call back every `every_s` until that returns True; in virtual time cheaper than a task that sleeps in between."""
     await look_until(asyncio.Event(), every_s, call)
 
 

@@ -14,7 +14,7 @@ class Alarm:
     Attributes
     ----------
     name
-        Of its kind, such as ``unexplained-motion``; at most one of a kind is on show.
+        Name of its kind, such as ``unexplained-motion``; at most one of a kind is on show.
     text
         What is wrong and what to do, in a sentence.
     raised_utc_s
@@ -22,7 +22,7 @@ class Alarm:
     acknowledged_utc_s, acknowledged_by
         When and by whom it was acknowledged; None and empty where nobody has.
     cleared_utc_s
-        When its cause ended, of one that is latched; None of one that is on.
+        When the cause of a latched alarm ended; None while the alarm is on.
     """
 
     name: str
@@ -34,7 +34,7 @@ class Alarm:
 
     @property
     def kind(self) -> AlarmKind:
-        """What is written of its kind."""
+        """Its kind: severity, cause, effect and remedy."""
         return kind_of_alarm(self.name)
 
     @property
@@ -51,5 +51,5 @@ class Alarm:
 
     @property
     def order(self) -> tuple[bool, int, float]:
-        """Sorts alarms as people are shown them: what is on, the most severe, the oldest first."""
+        """Sorts alarms as people are shown them: those that are on first, then the most severe, then the oldest."""
         return not self.on, _MOST_SEVERE_FIRST.index(self.kind.severity), self.raised_utc_s

@@ -12,8 +12,8 @@ from daemon.base.records import Event, Record
 
 log = logging.getLogger("heliocube.alarm")
 
-# What is raised anew within this time of a start is what was acknowledged before it, and not another one: that a face
-# of the cube stands still is found after half an hour.
+# An alarm that is raised within this time after a start counts as the one acknowledged before it, not as a new one: it
+# takes half an hour to find that a face of the cube stands still.
 _SAME_AFTER_START_S = 3600.0
 
 
@@ -30,7 +30,7 @@ class Alarms:
     publish
         Called with the events.
     changed
-        Called when they are muted or shown again.
+        Called when the alarms are muted or shown again.
     file
         Keeps over a restart what was acknowledged, and what is latched; None keeps nothing.
     """
@@ -47,7 +47,7 @@ class Alarms:
         self._publish = publish
         self._file = file
         self._shown: dict[str, Alarm] = {}
-        # By name, the last that was acknowledged: whoever does that once more is told of it.
+        # By name, the alarm that was acknowledged last: a person who acknowledges it once more is told so.
         self._acknowledged: dict[str, Alarm] = {}
         self._held: dict[str, tuple[str, Iterable[str]]] = {}
         self._muted = False
@@ -75,8 +75,8 @@ class Alarms:
     def set(self, name: str, text: str | None, *, of: Iterable[str] = (), worse: bool = False) -> None:
         """Raise the alarm `name`, or end it with None. A new text for one that is on replaces the old one silently.
 
-        Where the old text has not all the words or sentences `of`, or what it tells has become `worse`, the new one is
-        raised as another alarm would be: nobody has seen what it tells.
+        If the old text lacks any of the words or sentences `of`, or the cause has become `worse`, the new text is
+        raised like a new alarm: nobody has seen what it tells.
         """
         if self._muted:
             if text is None:
@@ -132,7 +132,7 @@ class Alarms:
         return None if found is None or found.acknowledged_utc_s is None else found
 
     def mute(self, *, muted: bool) -> None:
-        """Keep all alarms to itself, as in maintenance, or show again what is still on."""
+        """Keep all alarms silent, as in maintenance, or show again those that are still on."""
         if muted is self._muted:
             return
         self._muted = muted
@@ -152,7 +152,7 @@ class Alarms:
         if kept is not None:
             self._shown[name] = kept.alarm(name, text)
         else:
-            # Of one that came back before anybody had looked, the first time counts.
+            # If an alarm came back before anybody had looked, its first time counts.
             self._shown[name] = Alarm(name, text, now_utc_s if before is None else before.raised_utc_s)
         log.warning("%s", text, extra={"fields": {"alarm": name}})
         self._report(f"raised {name}: {text}")
@@ -168,7 +168,7 @@ class Alarms:
         self._save()
 
     def _resume(self, kept: dict[str, KeptAlarm]) -> None:
-        """Show again what waits for a person; what was acknowledged stays so if it is raised again at once."""
+        """Show again the alarms that wait for a person; an acknowledged one stays so if it is raised again soon."""
         now_utc_s = self._clock.utc()
         for name, found in kept.items():
             if found.acknowledged_utc_s is not None:
@@ -179,7 +179,7 @@ class Alarms:
         self._saved = kept
 
     def _forget(self, name: str, text: str | None, of: Iterable[str]) -> None:
-        """Forget of what was acknowledged before the start what is over or another, and after a while all."""
+        """Forget an acknowledgement from before the start if its alarm is over or another; after a while forget all."""
         if self._clock.monotonic() - self._started_s > _SAME_AFTER_START_S:
             self._before = {}
         elif text is None or (name in self._before and not tells(self._before[name].text, of)):

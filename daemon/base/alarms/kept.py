@@ -40,7 +40,7 @@ class KeptAlarm(BaseModel):
         )
 
     def alarm(self, name: str, text: str) -> Alarm:
-        """Return it as one that is on."""
+        """Return the alarm, as one that is on."""
         return Alarm(
             name=name,
             text=text,
@@ -64,14 +64,14 @@ class AlarmFile:
     Parameters
     ----------
     folder, name
-        Of the file.
+        Folder and name of the file.
     """
 
     def __init__(self, folder: StateFolder, name: str = FILE_NAME) -> None:
         self._file = StateFile(folder, name, KeptAlarms, log, "which alarms were acknowledged")
 
     def load(self) -> dict[str, KeptAlarm]:
-        """Return what was kept, by name; nothing of a file that cannot be read, which is logged."""
+        """Return what was kept, by name; nothing from a file that cannot be read, which is logged."""
         try:
             kept = self._file.load()
         except UnreadableStateError as error:

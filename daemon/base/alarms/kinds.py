@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
-# Those that need a name where there are several trackers, or are for all of them without one; not those that have one.
+# Commands that, where there are several trackers, need a name or are for all without one; not those that have a name.
 _COMMAND = re.compile(
     r"\bheliocube (?:stop|stow|auto|hold|snow|goto|maintenance|home|clear|relearn|alarms ack [\w-]+)\b(?! --tracker)"
 )
@@ -28,7 +28,7 @@ class AlarmKind:
     Attributes
     ----------
     name
-        By which it is known everywhere, such as ``unexplained-motion``.
+        The name by which it is known everywhere, such as ``unexplained-motion``.
     severity
         ``critical``: steel, people or the shelter from a storm are at stake, at any hour. ``warning``: data or safety
         suffer until somebody acts, by day. ``notice``: worth knowing.
@@ -309,12 +309,13 @@ KINDS: dict[str, AlarmKind] = {kind.name: kind for kind in _ALL}
 def as_typed(text: str, tracker: str | None) -> str:
     """Return a text with its commands as they are typed for one of several trackers; None for the only one.
 
-    Whatever shows people a text of a tracker passes it through here: where it is made nobody knows of other trackers.
+    Every part that shows people a text of a tracker passes it through here: the part that makes the text knows of no
+    other trackers.
     """
     return text if tracker is None else _COMMAND.sub(rf"\g<0> --tracker {tracker}", text)
 
 
 def kind_of_alarm(name: str) -> AlarmKind:
-    """Return the kind of a name; one that a plugged-in part has made up is a warning that its text must explain."""
+    """Return the kind of a name; a name that a plug-in has made up is a warning that its text must explain."""
     found = KINDS.get(name)
     return found or _kind(name, Severity.WARNING, "as the alarm's text says", "unknown", "as the alarm's text says")
