@@ -13,18 +13,18 @@ READ_EVERY_S = 5.0
 
 
 class KeyFileWatch:
-    """Hands on the keys of a file whenever they are others.
+    """Passes on the keys of a file whenever they have changed.
 
     Parameters
     ----------
     path
         The file.
     keys
-        What was read at the start.
+        The keys that were read at the start.
     take_keys
-        Called with the new keys, the one that signs first.
+        Called with the new keys; the first one signs.
     speed
-        How many times as fast as the machine's the event loop's clock runs.
+        The event loop's clock runs this many times as fast as the machine's.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class KeyFileWatch:
         self._trouble = ""
 
     async def run(self) -> None:
-        """Read until cancelled; a file that cannot be used is reported once, and the keys before it stay in force."""
+        """Read until cancelled; a file that cannot be used is reported once, and the earlier keys stay in force."""
         while True:
             await asyncio.sleep(READ_EVERY_S * self._speed)
             try:

@@ -1,6 +1,6 @@
-"""The bridge's UDP port: waited for where its network is not there yet, and read in batches.
+"""The bridge's UDP port. It waits for its network if that is not there yet, and is read in batches.
 
-Whoever sends true scans has a buffer of its own.
+On Linux a sender of authentic scans gets a receive buffer of its own.
 """
 
 import asyncio
@@ -27,19 +27,19 @@ _log = logging.getLogger("heliocube.bridge")
 Peer = tuple[Any, ...]
 """Host, port, and for IPv6 two numbers more."""
 
-# Other tasks of the loop wait for this many datagrams at the most, about a millisecond.
+# At most this many datagrams, about a millisecond, are read before the event loop's other tasks have their turn.
 _BATCH = 64
 _LARGEST_READ = 65536
-# The kernel grants what net.core.rmem_max lets it, on many machines 208 KiB.
+# The kernel grants no more than net.core.rmem_max, on many machines 208 KiB.
 _BUFFER_BYTES = 4 << 20
 _MOST_LINES = 4
 _LOOK_AGAIN_S = 5.0
-# Networks that come up with the machine, and cables that are put back, are there sooner; one that comes and goes is one
-# alarm.
+# A network that comes up with the machine, or a cable that is put back, is there sooner. A network that comes and goes
+# raises one alarm.
 _ALARM_AFTER_S = _OVER_AFTER_S = 60.0
-# Of an address, and of the network of a group: they are not there now, and may come.
+# These errors say that an address, or the network of a group, is not there now; it may come.
 _NOT_HERE = (errno.EADDRNOTAVAIL, errno.ENODEV)
-# Nobody loses a line for somebody else's sake within this time after the last scan that came over it.
+# No peer loses its line to another peer within this time after the last scan that came over it.
 _HELD_S = 60.0
 _NOT_ON_THIS_MACHINE = (
     "is not an address of this machine now, and is waited for; if it is wrong, set one of its own, or 0.0.0.0"
@@ -47,28 +47,28 @@ _NOT_ON_THIS_MACHINE = (
 # socket(7), <asm-generic/socket.h>: the kernel stamps each datagram with the system's time when it comes.
 _SO_TIMESTAMPNS = 35
 _STAMP = struct.Struct("@ll")
-# ip(7), <linux/in.h>: else a socket hears the groups that other programs of the machine have joined, too.
+# ip(7), <linux/in.h>: unless it is 0, a socket also hears the groups that other programs of the machine have joined.
 _IP_MULTICAST_ALL = 49
 # ip(7), the end of struct ip_mreqn: no address, and the index of the network's interface.
 _BY_INDEX = struct.Struct("@4xi")
-# Whatever waited while no process read: more than a buffer holds, and an end to it where somebody floods the port.
+# How many datagrams that waited are read at the start: more than a buffer holds, and a flood cannot prolong it.
 _MOST_WAITING = 8192
-# A longer wait is a clock that was set meanwhile.
+# A longer wait means that the clock was set meanwhile.
 _LONGEST_WAIT_S = 300.0
 
 
 class _NotHereError(BridgeError):
-    """What the settings name is not on this machine now, and may come."""
+    """An address or a network that the settings name is not on this machine now, and may come."""
 
 
 class UdpPort:
     """One bound port, and on Linux a line for each of a few peers: a second socket on the port, connected to the peer.
 
     The kernel hands a peer's datagrams to the socket that is connected to it. So a flood from anybody else fills
-    another buffer, and none of the peer's datagrams is dropped for it.
+    another buffer, and none of the peer's datagrams is dropped because of it.
 
-    An address that is not on this machine, or a group whose network is not, may come: it is looked for every few
-    seconds, and told as an outage and as an alarm.
+    An address that is not on this machine, or a group whose network is not, may come: the port looks for it every few
+    seconds, and reports its absence as an outage and as an alarm.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class UdpPort:
     def bind(self) -> None:
         """Take the port, kept or new, and join the group; reads nothing yet.
 
-        What is not on this machine now is left to `open`. Raises `BridgeError` for what no waiting mends.
+        An address or a network that is not there now is left to `open`. Raises `BridgeError` if waiting cannot help.
         """
         kept = self._keeper.take_kept(self._name_kept)
         if kept is not None:
@@ -137,7 +137,7 @@ class UdpPort:
         try:
             self._take()
         except _NotHereError:
-            # It is told once whoever keeps records listens.
+            # `open` tries again and reports it, once the service keeps records.
             return
         except BridgeError:
             if self._bound is not None:
@@ -146,9 +146,9 @@ class UdpPort:
             raise
 
     def open(self) -> bool:
-        """Read from now on in the running loop, first what waited; binds if that is not done. Raises `BridgeError`.
+        """Read from now on in the running loop, first the datagrams that waited; binds if `bind` has not.
 
-        Returns whether something may have waited.
+        Returns whether datagrams may have waited. Raises `BridgeError`.
         """
         if self._bound is None:
             self.bind()
@@ -176,11 +176,11 @@ class UdpPort:
             self._bound = None
 
     def favour(self, peer: Peer, now_s: float) -> None:
-        """Give whoever has sent a true scan, at a monotonic time [s], a line if there is one to give."""
+        """Give a peer that has sent an authentic scan, at a monotonic time [s], a line if one is free."""
         if peer in self._lines:
             self._proven_s[peer] = now_s
             return
-        # Copies of what comes to a group would go to all sockets.
+        # Each socket would get a copy of every datagram that is sent to the group.
         if self._bound is None or self._group is not None or sys.platform != "linux":
             return
         if len(self._lines) >= _MOST_LINES:
@@ -195,7 +195,7 @@ class UdpPort:
 
     @property
     def _name_kept(self) -> str:
-        """Another name for other settings, so that a port that was kept is never taken for one that it is not."""
+        """A name made of the settings, so that a port that was kept under other settings is never taken."""
         settings = f"{self._listen} {self._group} {self._interface}"
         return "bridge-" + hashlib.sha256(settings.encode()).hexdigest()[:16]
 
@@ -209,11 +209,11 @@ class UdpPort:
 
     @property
     def _may_go(self) -> bool:
-        """Whether what it listens on is of a network that can vanish."""
+        """Whether it listens on a network that can vanish."""
         return self._group is not None or not (self._listen.ip.is_loopback or self._listen.ip.is_unspecified)
 
     def _look(self) -> None:
-        """Take the port and the group once their network is there, or is there again, and say what is amiss."""
+        """Take the port and the group if their network is there, else report why not; look again in a few seconds."""
         now_s = self._clock.monotonic()
         try:
             self._take()
@@ -242,7 +242,7 @@ class UdpPort:
             raise _NotHereError(f"bridge.listen: {self._listen} {_NOT_ON_THIS_MACHINE}")
 
     def _stay_in(self, group: Address, bound: socket.socket) -> None:
-        """Join a group, anew where its network has gone and come back: with the network, the kernel forgets it."""
+        """Join a group; join it again after its network was gone, because the kernel then forgets the membership."""
         try:
             self._join(group, bound)
         except OSError as error:
@@ -255,7 +255,7 @@ class UdpPort:
                     f"bridge.multicast_group: {group} cannot be joined ({error.strerror}): {remedy}"
                 ) from None
             if self._interface == ANY_INTERFACE and self._has_joined:
-                # It may be heard without such a way, which only a new member needs.
+                # Only joining needs a route to the group; a member may hear it without one.
                 return
             known = f"{self._interface} is not an address of this machine"
             why = "no network of this machine leads to it" if self._interface == ANY_INTERFACE else known
@@ -271,14 +271,14 @@ class UdpPort:
         address = socket.inet_aton(group.host)
         bound.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, address + socket.inet_aton(self._interface))
         there = _networks()
-        # A membership in a network that has gone counts among the few that a socket may have (igmp_max_memberships).
+        # A membership in a network that has gone still counts among the few of a socket (igmp_max_memberships).
         for index in self._networks - there:
             with contextlib.suppress(OSError):
                 bound.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, address + _BY_INDEX.pack(index))
         self._networks = there
 
     def _drop(self, peer: Peer) -> None:
-        # What has come over it would be lost with it; read before it goes, it asks for no second line.
+        # Datagrams that the line still holds would be lost with it. While it is listed, its peer gets no second one.
         self._read(self._lines[peer])
         line = self._lines.pop(peer)
         del self._proven_s[peer]
@@ -295,7 +295,7 @@ class UdpPort:
             except BlockingIOError:
                 return
             except OSError as error:
-                # What it means, if anything, the missing scans will show.
+                # If the error matters, scans will be missing, and that is reported.
                 _log.debug("the bridge's port reports: %s", error)
                 return
             self._receive(data, peer, 0.0)
@@ -303,7 +303,7 @@ class UdpPort:
     def _connected(self, bound: socket.socket, peer: Peer) -> socket.socket | None:
         """Return a second socket on the port that hears one peer; None where the system does not let it."""
         line = socket.socket(bound.family, socket.SOCK_DGRAM)
-        # Each socket of the port has to agree, and for this instant only: nobody else shall share the port.
+        # Every socket of the port must allow sharing, and for this instant only: no other program may share the port.
         others = (bound, *self._lines.values())
         try:
             _prepare(line)
@@ -327,7 +327,7 @@ class UdpPort:
             bound = socket.socket(self._listen.family, socket.SOCK_DGRAM)
             _prepare(bound)
             if self._group is not None and sys.platform != "win32":
-                # Several processes of a machine hear one group, each with a copy of everything.
+                # Several processes of a machine may hear one group; each gets a copy of every datagram.
                 bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             bound.bind((self._listen.host, self._listen.port))
         except OSError as error:
@@ -348,9 +348,9 @@ def _prepare(opened: socket.socket) -> None:
 
 
 def _networks() -> set[int]:
-    """Return the indices of the interfaces that are there; an adapter that comes back has another one than before."""
+    """Return the indices of the interfaces that are there; an adapter that comes back has a new index."""
     found = set()
-    # The units let nobody open the netlink socket that the library's way needs. Elsewhere than on Linux there are none.
+    # `socket.if_nameindex` needs a netlink socket, which the tracker's systemd unit forbids. Only Linux has the files.
     for file in Path("/sys/class/net").glob("*/ifindex"):
         with contextlib.suppress(OSError, ValueError):
             found.add(int(file.read_text(encoding="ascii")))

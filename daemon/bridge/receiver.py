@@ -38,7 +38,7 @@ class BridgeReceiver:
     keeper
         The service manager, which holds the port while the process is restarted; None where there is none.
     alarm
-        Raises an alarm, or ends it with None: what the settings name is not on this machine now.
+        Raises the alarm that an address or a network of the settings is not on this machine now, or ends it with None.
 
     Raises
     ------
@@ -85,7 +85,7 @@ class BridgeReceiver:
 
     @property
     def deaf_why(self) -> str | None:
-        """Why nothing can be heard now: what the settings name is not on this machine; None where it is."""
+        """Why nothing can be heard now: an address or a network of the settings is not there. None if it is."""
         return self._port.deaf_why
 
     @property
@@ -96,18 +96,18 @@ class BridgeReceiver:
     def bind(self) -> None:
         """Take the port and join the group as far as they are on this machine now, and read nothing yet.
 
-        `BridgeError` says in one sentence what waiting does not mend.
+        Raises `BridgeError`, one sentence, if waiting cannot help.
         """
         self._port.bind()
 
     async def open(self) -> None:
-        """Bind the port if that is not done, and read from now on, first what came while no process did.
+        """Bind the port if that is not done, and read from now on, first the datagrams that came while no process read.
 
-        What is not on this machine now is looked for until it is. `BridgeError` says in one sentence what waiting does
-        not mend.
+        An address or a network that is not on this machine now is looked for until it is there. Raises `BridgeError`,
+        one sentence, if waiting cannot help.
         """
         if self._port.open():
-            # Waiting is no time on the way, and a clock may have been set meanwhile.
+            # The wait for this process is no delay of the network, and a clock may have been set meanwhile.
             self._guard.forget_delays()
 
     async def close(self) -> None:
@@ -115,7 +115,7 @@ class BridgeReceiver:
         self._port.close()
 
     def take_keys(self, keys: tuple[bytes, ...]) -> None:
-        """Accept what any of these keys has signed from now on; not for a receiver that was made without a key."""
+        """Accept scans signed with any of these keys from now on; not for a receiver that was made without a key."""
         self._keys = keys
 
     def datagram_received(self, data: bytes, addr: Peer, waited_s: float = 0.0) -> None:
@@ -127,11 +127,11 @@ class BridgeReceiver:
             self._port.favour(addr, self._clock.monotonic())
 
     def take(self, data: bytes, sender: str) -> None:
-        """Examine what came over a transport that knows no IP addresses, like a datagram."""
+        """Examine a scan that came over a transport without IP addresses, as a datagram is examined."""
         self._take(data, sender, None)
 
     def take_own(self, data: bytes) -> None:
-        """Examine what this process sends itself while its address is not there, as if it came from that address."""
+        """Examine a scan that this process sends itself while its address is not there, as if it came from there."""
         self._take(data, str(self._listen), self._listen.host)
 
     def _take(self, data: bytes, sender: str | Peer, host: str | None, waited_s: float = 0.0) -> bool:
@@ -161,7 +161,7 @@ class BridgeReceiver:
             )
         head = senml.peek(data)
         if head is not None:
-            # A replay costs a tenth of what reading the whole of it would.
+            # To refuse a replay by its head costs a tenth of decoding all of it.
             self._guard.screen(head, utc_s, now_s)
         return self._guard.admit(senml.decode(data), utc_s, now_s)
 

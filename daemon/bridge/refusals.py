@@ -158,7 +158,7 @@ class Tally:
 
     @property
     def _last_refusal(self) -> str:
-        """The latest refusal in one sentence; put into words only here, because a flood of them is not read."""
+        """The latest refusal in one sentence, put into words only when it is read: that keeps a flood cheap."""
         if self._last is None:
             return ""
         kind, sender, reason = self._last
@@ -166,7 +166,7 @@ class Tally:
         return f"{kind.replace('_', ' ')}: a datagram from {place} {reason}"
 
     def statistics(self, lost: int) -> Statistics:
-        """Return the counts so far; `lost` is counted where the order is known."""
+        """Return the counts so far; `lost` comes from the `SequenceGuard`, which knows the order."""
         counts = {kind.value: self._refused[kind] for kind in Refusal}
         return Statistics(
             accepted=self._accepted,

@@ -109,14 +109,14 @@ class BridgeSender:
 
 
 def pack(scan: "Scan", key: bytes | None) -> bytes:
-    """Return what travels of `scan`, over UDP or a broker: signed with `key`, or plain where it is None."""
+    """Return the message for `scan`, over UDP or a broker: signed with `key`, or plain if that is None."""
     payload = senml.encode(scan)
     return payload if key is None else signing.sign(payload, key)
 
 
 def _in_words(error: OSError) -> str:
     text = error.strerror or str(error)
-    # The system's word for an address that all machines of a network share, which only the network's mask tells.
+    # The system's error for a network's broadcast address; only the network's mask tells that an address is one.
     hint = "; for the broadcast address of a network: name each tracker, or set bridge.multicast_group"
     return f"{text}{hint}" if error.errno == errno.EACCES else text
 
@@ -151,14 +151,14 @@ class _Target:
             try:
                 self._connected().send(datagram)
             except ConnectionRefusedError as refused:
-                # The kernel reports the datagram before by failing this one, so this one goes again.
+                # The kernel reports that the previous datagram failed by failing this one, so this one is sent again.
                 error = refused
                 self._connected().send(datagram)
             self._sent += 1
         except OSError as failure:
             error = failure
             self._failed += 1
-            # A socket stays bound to the address that this machine had; a new one learns the new address.
+            # A socket stays bound to the address that this machine had; a new socket gets the new address.
             self.close()
         self._failing = error is not None
         if error is not None:

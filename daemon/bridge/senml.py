@@ -19,12 +19,12 @@ LARGEST_SEQUENCE = 2**53 - 1  # the largest count that every JSON library reads 
 
 _SOURCE = re.compile(r"([A-Za-z0-9][A-Za-z0-9_.-]{0,31})/", re.ASCII)
 _SESSION = re.compile(r"[A-Za-z0-9_-]{1,32}", re.ASCII)
-# How the reference sender begins a pack, and how it goes on behind the faces.
+# How the reference sender begins a pack, and how it goes on after the faces.
 _BEGINNING = re.compile(rb'\[\{"bn":"([A-Za-z0-9][A-Za-z0-9_.-]{0,31})/","bt":([0-9]{9,10}\.[0-9]{1,3}),"n":"')
 _COUNTED = re.compile(
     rb',\{"n":"sequence","u":"count","v":([0-9]{1,16})\},\{"n":"session","vs":"([A-Za-z0-9_-]{1,32})"\},'
 )
-# A tuple: `int | float` would be put together anew for each of ten numbers of a scan.
+# A tuple, because `int | float` would be made anew for each of the ten numbers of a scan.
 _NUMBERS = (int, float)
 _QUALITY_OF = {f"{face}/quality": face for face in FACES}
 _CALIBRATION = re.compile(r"[0-9]{8}-[0-9a-f]{8}", re.ASCII)
@@ -46,7 +46,7 @@ def encode(scan: Scan) -> bytes:
     """Return `scan` as one SenML pack.
 
     Irradiances are rounded to 0.001 W/m2 and times to 1 ms. A face whose irradiance is not a number, or larger than
-    any sun, is sent without one; its quality is then never ``ok``.
+    any sun, is sent without a number; its quality is then never ``ok``.
     """
     records: list[dict[str, Any]] = []
     for name, reading in zip(FACES, scan.faces, strict=True):
@@ -73,7 +73,7 @@ def encode(scan: Scan) -> bytes:
 
 
 def peek(payload: bytes) -> ScanHead | None:
-    """Return the head of a pack in the very form that `encode` gives it; None for any other, which may be as good."""
+    """Return the head of a pack in exactly the form that `encode` writes; None for any other form, valid or not."""
     beginning, counted = _BEGINNING.match(payload), _COUNTED.search(payload)
     if beginning is None or counted is None:
         return None
@@ -151,7 +151,7 @@ def _base(records: list[Any]) -> tuple[str, float]:
         raise _malformed(f"has a base name (bn) that is not the source and a slash: {_shown(base_name)}")
     base_time = records[0].pop("bt", None)
     if isinstance(base_time, _NUMBERS) and base_time < EARLIEST_UTC_S:
-        # One without a battery begins in 1970.
+        # A clock without a battery begins in 1970.
         unset = "the clock of the cube's machine is not set"
         raise _malformed(f"has a base time (bt) of before July 1978, {_shown(base_time)}: {unset}")
     return found[1], _number(base_time, EARLIEST_UTC_S, LATEST_UTC_S, "base time (bt)")

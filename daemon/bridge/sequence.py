@@ -6,36 +6,36 @@ from math import inf
 from daemon.base.records import FaceReading, Scan
 from daemon.bridge.refusals import Refusal, ScanRefusedError
 
-# A cube is there for so long after its last scan, and no other takes its place.
+# For this long after its last scan a cube counts as present, and no other takes its place.
 HELD_S = 60.0
 DELAY_WINDOW_S = 300.0
 SEQUENCE_WINDOW = 64
 SESSIONS_REMEMBERED = 64
-# What is no older by this machine's clock was not kept back while a cube started again, which takes seconds.
+# A scan no older than this by this machine's clock was not held back during a cube's restart, which takes seconds.
 _JUST_MADE_S = 0.25
 
 
 class SequenceGuard:
     """Follows one session of one source at a time and brings its scans to the receiver's monotonic clock.
 
-    A session that nobody knows is taken for the restart of the one that is followed. Should that one send again, it
-    was none but a second cube under the same name: then the elder is followed, and the other one only when the elder
-    has been silent for `HELD_S`. What comes back must be new: a higher number than its session's last, and a stamp that
-    is of now, or later than that of the last scan accepted.
+    A new session is taken for a restart of the followed one. If the old session sends again, the new one was no restart
+    but a second cube under the same name: then the older session is followed again, and the newer one only when the
+    older has been silent for `HELD_S`. A session that returns must send a new scan: with a higher number than its last,
+    and a stamp that is of now, or later than that of the last scan accepted.
 
     Parameters
     ----------
     clock_skew_s
         Largest difference between a scan's UTC and the receiver's on arrival.
     late_after_s
-        Longest a scan may have been under way beyond the fastest of the last five to ten minutes.
+        How much longer a scan may have been under way than the fastest of the last five to ten minutes.
     """
 
     def __init__(self, clock_skew_s: float, late_after_s: float) -> None:
         self._clock_skew_s = clock_skew_s
         self._late_after_s = late_after_s
         self._source: str | None = None
-        # The sessions of the source, by trust: the elder one first, and a restart next to what it replaced.
+        # The sessions of the source, by trust: the oldest first, and a restart right after the session it replaced.
         self._sessions: list[_Session] = []
         self._followed: _Session | None = None
         self._lost_before = 0
@@ -49,7 +49,7 @@ class SequenceGuard:
         return self._lost_before + sum(session.numbers.lost for session in self._sessions)
 
     def forget_delays(self) -> None:
-        """Learn anew how long a scan is under way at the least."""
+        """Forget the shortest time that a scan was under way, and learn it anew."""
         for session in self._sessions:
             session.delays = _SlidingMinimum(DELAY_WINDOW_S)
 
@@ -66,7 +66,7 @@ class SequenceGuard:
         self.screen(head, arrival_utc_s, arrival_monotonic_s)
         session = self._session(head)
         if session is not None:
-            # First of all, so that a number counts as having come even where its scan is then refused.
+            # Before the other checks, so that a number counts as having come even if its scan is then refused.
             session.numbers.note(scan.sequence)
             self._refuse_second(session, arrival_monotonic_s)
         self._check_skew(head, arrival_utc_s)
@@ -76,7 +76,7 @@ class SequenceGuard:
         return self._rebase(scan, session, arrival_monotonic_s)
 
     def screen(self, head: "ScanHead", arrival_utc_s: float, arrival_monotonic_s: float) -> None:
-        """Refuse what its head alone gives away, and change nothing; raises like `admit`, which does this first."""
+        """Refuse a scan if its head is reason enough; changes nothing. Raises like `admit`, which calls it first."""
         if head.source != self._source and arrival_monotonic_s - self._accepted_at_s < HELD_S:
             raise ScanRefusedError(
                 Refusal.OTHER_SOURCE,
@@ -104,7 +104,7 @@ class SequenceGuard:
         return None
 
     def _refuse_second(self, session: "_Session", now_s: float) -> None:
-        """Refuse a session while one that is elder is there."""
+        """Refuse a session while an older one is present."""
         followed = self._followed
         if followed is None or followed is session or not now_s - followed.accepted_at_s < HELD_S:
             return
@@ -126,9 +126,9 @@ class SequenceGuard:
             )
 
     def _check_stamp(self, head: "ScanHead", arrival_utc_s: float, does: str) -> None:
-        # A stamp beyond any that could be accepted now is from before this machine's clock was set back.
+        # If the last accepted stamp is later than any that could be accepted now, this machine's clock was set back.
         comparable = self._accepted_utc_s <= arrival_utc_s + self._clock_skew_s
-        # A stamp beyond now is of a clock that is ahead: whoever keeps the right time need not wait until it is past.
+        # If it is only later than now, its cube's clock is ahead: a cube with the right time need not wait until then.
         just_made = arrival_utc_s - head.time_utc_s <= _JUST_MADE_S
         if comparable and not just_made and not (head.time_utc_s > self._accepted_utc_s):
             raise ScanRefusedError(
@@ -193,7 +193,7 @@ class _Numbers:
         self.lost = 0
 
     def note(self, number: int) -> None:
-        """Take a higher number; raise `ScanRefusedError` for another, which `refuse_old` must have let pass."""
+        """Note that a number has come; raise `ScanRefusedError` if it is not higher. Call `refuse_old` before."""
         ahead = number - self.highest
         if ahead > 0:
             self.lost += ahead - 1
@@ -206,7 +206,7 @@ class _Numbers:
         raise ScanRefusedError(Refusal.REORDERED, f"has the number {number}, after {self.highest}")
 
     def refuse_old(self, number: int) -> None:
-        """Raise `ScanRefusedError` for a number that has come before, or is too far behind for anybody to know."""
+        """Raise `ScanRefusedError` for a number that has come before, or is too far behind to know."""
         behind = self.highest - number
         if behind >= SEQUENCE_WINDOW:
             raise ScanRefusedError(Refusal.REPLAYED, f"has the number {number}, long after {self.highest}")

@@ -31,7 +31,7 @@ class KeyFileError(BridgeError):
 
 
 def sign(payload: bytes, key: bytes) -> bytes:
-    """Return `payload` as a JWS in compact form, signed with `key`, byte for byte the library's."""
+    """Return `payload` as a JWS in compact form, signed with `key`, byte for byte as PyJWT makes it."""
     signed = _HEADER_PART + b"." + base64.urlsafe_b64encode(payload).rstrip(b"=")
     return signed + b"." + _signature(signed, key)
 
@@ -39,13 +39,13 @@ def sign(payload: bytes, key: bytes) -> bytes:
 def verify(datagram: bytes, *keys: bytes) -> bytes:
     """Return the payload of a JWS that was signed with one of `keys`.
 
-    What costs least comes first, and the whole a fifth of what the library takes that signs: a flood of forged
-    datagrams is to leave time for the true ones.
+    The cheapest checks come first, and all together take a fifth of PyJWT's time: a flood of forged datagrams must
+    leave time for the true ones.
 
     Raises
     ------
     ScanRefusedError
-        ``malformed`` for what is no complete JWS, ``forged`` for one that is not of this kind or not of this key.
+        ``malformed`` for an incomplete JWS, ``forged`` for one of another kind or another key.
     """
     if datagram[:1] == b"[":
         raise ScanRefusedError(
@@ -69,7 +69,7 @@ def verify(datagram: bytes, *keys: bytes) -> bytes:
 
 
 def _decoded(part: bytes) -> bytes:
-    # More padding than is needed is passed over.
+    # The decoder ignores surplus padding.
     return base64.urlsafe_b64decode(part + b"==")
 
 
