@@ -1,6 +1,7 @@
 """A store that cannot be used is moved aside, with its date and the reason in its name; nothing in it is touched.
 
-Where only the place of a file is taken that SQLite keeps beside it, that alone is moved, and the store goes on.
+If something is only in the place of a file that SQLite keeps beside the store, that alone is moved, and the store goes
+on.
 """
 
 import os
@@ -8,9 +9,9 @@ import stat
 from datetime import UTC, datetime
 from pathlib import Path
 
-# What SQLite keeps beside a database under its name: without them the latest records are lost.
+# The endings of the files that SQLite keeps beside a database: without these the latest records are lost.
 _COMPANIONS = ("-wal", "-shm", "-journal")
-# Why something was moved aside, as its name says it, and what it is, as a sentence begins.
+# The reasons to move something aside, as its new name has them, and how a sentence about it begins.
 KINDS = {
     "damaged": "a damaged store",
     "newer": "a store that was written by a newer heliocube",
@@ -30,7 +31,7 @@ def companions(path: Path) -> list[Path]:
 
 
 def in_the_way(path: Path) -> list[Path]:
-    """Return what is in the place of such a file and is none: a folder, a pipe, a link to nowhere."""
+    """Return what stands in the place of such a file and is no file: a folder, a pipe, a link to nowhere."""
     return [beside for beside in companions(path) if not _is_file(beside)]
 
 
@@ -43,7 +44,7 @@ def _is_file(path: Path) -> bool:
 
 
 def move_aside(path: Path, kind: str, utc_s: float) -> Path:
-    """Give a store and what belongs to it a new name in its folder, and return that; or what is in the way beside it.
+    """Give a store and the files beside it, or what is in the way beside it, a new name in its folder; return that.
 
     Parameters
     ----------
@@ -64,7 +65,7 @@ def move_aside(path: Path, kind: str, utc_s: float) -> Path:
             beside.rename(_free(path, kind, utc_s))
         return stores_aside(path)[-1]
     aside = _free(path, kind, utc_s)
-    # These first: a store that is still there without them would be used again, and lose what is in them.
+    # The files beside it go first: a store that still stood there without them would be used, and lose their records.
     for beside in companions(path):
         beside.rename(f"{aside}{str(beside).removeprefix(str(path))}")
     path.rename(aside)

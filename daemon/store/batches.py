@@ -1,6 +1,6 @@
 """Records of a store on their way to an archive: a page of one run at a time, as JSON.
 
-A record keeps the number that its store gave it; with the identifier of its run that is its key everywhere.
+A record keeps the number that its store gave it; this number and the identifier of its run are its key everywhere.
 """
 
 import json
@@ -42,7 +42,7 @@ class Batch:
     origin
         The run; its `id` is never empty.
     through
-        The page holds every record of the run that its store has, from the page before up to this number.
+        The page holds every record that its store has of the run, from the previous page up to this number.
     rows
         By the name of the table: the number and then the values of its columns, None for what is not known.
     damaged
@@ -66,7 +66,7 @@ class Batch:
 
 
 def identified(run: int, origin: Origin) -> Origin:
-    """Return a run's origin with an identifier; one of before there were any gets the same at each call."""
+    """Return a run's origin with an identifier; a run from before there were any gets the same one at each call."""
     if origin.id:
         return origin
     known = "/".join(str(value) for value in (run, *asdict(origin).values()))
@@ -83,13 +83,13 @@ def next_batch(
     connection
         To the store, for reading.
     run, origin
-        Of `runs_of`.
+        As `runs_of` returns them.
     after
         The number of the last record that is not wanted any more, -1 for none.
     """
     connection.text_factory = _decoded
-    # In one transaction: what a service writes between two tables would be passed over in the first one, and never be
-    # asked for again.
+    # In one transaction: otherwise a record that a service writes to the first table while the second is read would be
+    # missed. The page ends at a later number, so nobody would ask for that record again.
     with connection:
         connection.execute("BEGIN")
         found = [row for name in _COLUMNS for row in _rows_after(connection, name, run, after, most)]
@@ -105,7 +105,7 @@ def next_batch(
 
 
 def is_sound(origin: Origin) -> bool:
-    """Tell whether an archive takes what is known of a run, which only a damaged store has otherwise."""
+    """Tell whether an archive takes the origin of a run; it refuses only what a damaged store has."""
     try:
         _origin(asdict(origin))
     except (ValueError, TypeError):
@@ -126,14 +126,14 @@ def _decoded(text: bytes) -> str | bytes:
     try:
         return text.decode()
     except UnicodeDecodeError:
-        # It is judged with its record; SQLite's own error would be one of all that follow.
+        # Its record is judged by itself; an error of SQLite's here would end the reading of all records after it.
         return text
 
 
 def _rows_after(
     connection: sqlite3.Connection, name: str, run: int, after: int, most: int
 ) -> Iterator[tuple[int, str, tuple[Any, ...]]]:
-    """Yield the first rows of a table behind a number, each with its number and the table's name."""
+    """Yield the first rows of a table after a number, each with its number and the table's name."""
     there = columns_of(connection, name)
     if there:
         wanted = ", ".join(column.name if column.name in there else "NULL" for column in _COLUMNS[name])
@@ -158,9 +158,9 @@ def encoded(batch: Batch) -> bytes:
 def decoded(payload: bytes) -> Batch:
     """Return the page of a message.
 
-    What stands there is judged column by column, since whoever may write to the broker may have written it. A number
-    that is none is not known, and so is a column that the message does not have. What this program does not know would
-    be lost once the page is confirmed.
+    Each column is checked, because anybody who may write to the broker may have written the page. A number that is not
+    finite or out of range counts as unknown, and so does a column that the message lacks. A kind or a column that this
+    program does not know is refused, because it would be lost once the page is confirmed.
 
     Raises
     ------
@@ -238,7 +238,7 @@ def _float(value: Any) -> float | None:
 
 def _time(value: Any) -> float | None:
     found = _float(value)
-    # Each day has tables of its own.
+    # Other times count as unknown: an archive makes a table for every day that a record names.
     return found if found is not None and FIRST_UTC_S <= found < END_UTC_S else None
 
 
@@ -260,9 +260,9 @@ def _text(value: Any) -> str | None:
     if not isinstance(value, str):
         _check_nothing(value, "text")
         return None
-    # JSON can spell halves of letters, which nothing can write; encoding raises a UnicodeEncodeError for them.
+    # JSON can spell lone surrogates, which cannot be written anywhere; encoding raises a UnicodeEncodeError for them.
     value.encode()
-    # PostgreSQL has no place for the letter 0.
+    # PostgreSQL cannot store the character NUL.
     return value.replace("\0", "")
 
 

@@ -33,8 +33,8 @@ def version_of(copy: Path) -> int | None:
 def keep_copy(connection: sqlite3.Connection, path: Path, version: int) -> None:
     """Copy a store of an older version beside it, if there is room; a copy of that version that is there is replaced.
 
-    Without room, or where the disk fails, the store is changed all the same, because records that are not kept are
-    worth more than a short way back; a warning says so.
+    Without room, or if the disk fails, the store is changed all the same, because to keep new records is worth more
+    than a short way back; a warning says so.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def keep_copy(connection: sqlite3.Connection, path: Path, version: int) -> None:
         if lacking is not None:
             _went_without(path, version, lacking)
             return
-        # Of a process that was killed at it.
+        # A process that was killed while it copied has left it.
         part.unlink(missing_ok=True)
         with closing(sqlite3.connect(part)) as target:
             connection.backup(target)

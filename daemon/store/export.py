@@ -29,7 +29,7 @@ def _added(*names: str) -> list[Column]:
     return [Column(name, name, "float") for name in names]
 
 
-# What follows the columns of the tables: the same quantities as pvlib names them, then the run they come from.
+# These columns follow those of the tables: the same quantities as pvlib names them, then the run they come from.
 _PVLIB = {
     "scans": _added("ghi"),
     "decisions": _added("solar_azimuth", "apparent_elevation", "apparent_zenith"),
@@ -61,7 +61,7 @@ def export(
 ) -> Exported:
     """Write what the store in `directory` holds from `start` up to, not including, `end`, and return what that was.
 
-    Rows are in the order of their time, then of their making. The service may go on writing meanwhile.
+    Rows are in the order of their time, then of run and number. The service may go on writing meanwhile.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def export(
     start, end
         With their time zone; None is as far as the store goes.
     kinds
-        Of `KINDS`; none of them is all.
+        Of `KINDS`; an empty one means all.
     force
         Whether tables that are there are replaced.
     needs_records

@@ -1,4 +1,4 @@
-"""A span of the store for pictures: numbers as packed columns, and what is told in words as rows."""
+"""A span of the store for charts: numbers as packed columns, and records in words as rows."""
 
 import json
 import math
@@ -22,10 +22,10 @@ MOST_LINES = 2000
 """Of words in one page."""
 
 _DAY_S = 86400.0
-# Few enough that whoever waits for the interpreter meanwhile does not wait for long.
+# Few enough that other threads do not wait long for the interpreter.
 _ROWS_AT_ONCE = 500
 _FACES = ("east", "south", "west", "zenith")
-# By kind: the table, what is a number there, and what a row must be to count.
+# By kind, which is the table's name: its numbers, and the SQL that gives each, or NULL where it does not count.
 _NUMBERS = {
     "scans": {f"{face}_w_m2": f"CASE {face}_quality WHEN 'ok' THEN {face}_w_m2 END" for face in _FACES},
     "poses": {name: name for name in ("a_deg", "b_deg", "moving", "wind_m_s")},
@@ -77,7 +77,7 @@ def packed_numbers(path: Path, kind: str, start_s: float, end_s: float, tracker:
     start_s, end_s
         UTC [s]; the start is included, the end is not.
     tracker
-        Whose records; scans are everybody's.
+        The tracker whose records these are; scans belong to every tracker.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def packed_numbers(path: Path, kind: str, start_s: float, end_s: float, tracker:
     found[:, 0] -= start_s
     head = {"rows": len(found), "columns": ["time_s", *columns], "start": start_s, "more": more}
     content = json.dumps(head).encode() + b"\n" + found.T.astype("<f4").tobytes()
-    # More effort makes it smaller by a hundredth, for a quarter more of the time.
+    # A higher level of compression saves a hundredth, and takes a quarter more time.
     packer = zlib.compressobj(1, zlib.DEFLATED, 31)
     return packer.compress(content) + packer.flush()
 
@@ -138,7 +138,7 @@ def _blocks(
 ) -> list[list[tuple[Any, ...]]]:
     whose = ""
     if "tracker" in columns_of(connection, kind):
-        # What is of no tracker, such as an event of the cube, is everybody's; so is what an older store kept.
+        # A record without a tracker, such as an event of the cube or a record of an older store, belongs to all.
         whose = "AND COALESCE(kept.tracker, '') IN (?, '')"
     query = (
         f"SELECT kept.time, {', '.join(wanted)} FROM {kind} AS kept "  # noqa: S608 - our own names

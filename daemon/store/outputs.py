@@ -1,4 +1,4 @@
-"""Where results go: looked at before the work, and nothing overwritten unasked."""
+"""Where results go: checked before the work, so that nothing is overwritten unasked."""
 
 import os
 from collections.abc import Iterable
@@ -28,7 +28,7 @@ def check_outputs(paths: Iterable[Path], option: str, *, force: bool) -> None:
         if path.is_dir():
             raise UserError(f"{option}: {path} is a folder: name a file in it")
         if path.exists() and not path.is_file():
-            # A file would take its place.
+            # The result, a file, would take its place.
             raise UserError(f"{option}: {path} is no ordinary file, but a device or a pipe: name another")
         if path.exists() and not force:
             raise UserError(f"{path} is there already: --force overwrites it, or name another {option}")

@@ -1,4 +1,4 @@
-"""Where a service keeps records and state if nobody has named a folder, and that no other service does so there."""
+"""Where a service keeps records and state if nobody has named a folder, and the lock that keeps others out."""
 
 import contextlib
 import os
@@ -8,10 +8,10 @@ from pathlib import Path
 
 from daemon.base.errors import UserError
 
-# As 'config init' names it too: a stop is found again although somebody has taken that line out of the file.
+# 'config init' writes the same name: a stop is found again although somebody has taken that line out of the file.
 RECORDS_NAME = "records"
 _USUAL_FILE = "heliocube.toml"
-# What systemd tells the units in deploy/, and not the shell of a person.
+# The state folder of the units in deploy/. systemd tells it to them, and not to the shell of a person.
 OF_THE_UNITS = Path("/var/lib/heliocube")
 
 
@@ -25,7 +25,7 @@ def default_place(file: Path, environment: Mapping[str, str]) -> Path:
     environment
         Of the process, in which systemd names the folder of a unit's state.
     """
-    # systemd lists several behind one another.
+    # systemd may list several, with colons between them.
     state = environment.get("STATE_DIRECTORY", "").partition(":")[0]
     if state:
         return Path(state) / file.stem
@@ -33,7 +33,7 @@ def default_place(file: Path, environment: Mapping[str, str]) -> Path:
 
 
 def to_read(file: Path, environment: Mapping[str, str]) -> Path:
-    """Return the same folder for a person who reads it, whom systemd has told nothing."""
+    """Return the same folder for the command of a person, to which systemd tells no folder."""
     found, units = default_place(file, environment), OF_THE_UNITS / file.stem
     return units if units.exists() and not found.exists() else found
 
@@ -42,7 +42,7 @@ def to_read(file: Path, environment: Mapping[str, str]) -> Path:
 def claimed(directory: Path | None, roles: tuple[str, ...]) -> Iterator[None]:
     """Keep other services of the same roles out of a folder for as long as this one runs.
 
-    Two would write one another's stops away. A folder that cannot be written to is nobody's.
+    Two services would overwrite each other's stops. A folder that cannot be written to is not locked.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def claimed(directory: Path | None, roles: tuple[str, ...]) -> Iterator[None]:
 
 
 def is_claimed(directory: Path, role: str) -> bool:
-    """Tell whether a service of a role is at work in a folder: the file that it locks there outlives it."""
+    """Tell whether a service of a role is at work in a folder, by the lock: the lock's file outlives the service."""
     if sys.platform == "win32":
         return False
     import fcntl  # noqa: PLC0415 - not there on Windows
@@ -69,7 +69,7 @@ def is_claimed(directory: Path, role: str) -> bool:
     except FileNotFoundError:
         return False
     except OSError:
-        # It is somebody else's.
+        # The file belongs to another user, whose service may hold it.
         return True
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -1,4 +1,4 @@
-"""Which release ran last and for how long: a change of it holds the tracker, and a day of it ends the copies."""
+"""Which release ran last and for how long. A new release holds the tracker; after a day, old copies are removed."""
 
 import asyncio
 import logging
@@ -113,7 +113,7 @@ class Releases:
         return self._kept is not None and self._kept.release == self._release
 
     async def _count(self, ran_s: float) -> None:
-        """Count the time that was run, as long as there are copies that wait for it."""
+        """Count the time that this release has run, as long as there are copies to remove."""
         if self._directory is None or self._kept is None:
             return
         copies = await asyncio.to_thread(copies_of, self._directory)
@@ -150,7 +150,7 @@ class Releases:
     def _before(self) -> str | None:
         if self._kept is not None:
             return None if self._kept.release == self._release else self._kept.release or _EARLIER
-        # A release that kept none of this has left its records, or what its configuration said.
+        # A release that did not write this file yet has left its records, or the values of its configuration.
         left = [] if self._directory is None else [self._directory / name for name in (STORE_NAME, SETTINGS_NAME)]
         return _EARLIER if any(path.exists() for path in left) else None
 

@@ -50,7 +50,7 @@ def runs_of(path: Path) -> list[StoredRun]:
 
 
 class ToldBefore(NamedTuple):
-    """What a run of the service had told before an instant; each with its time [s UTC] and its tracker.
+    """What a run of the service had recorded before an instant, each with its time [s UTC] and its tracker.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class ToldBefore(NamedTuple):
 
 
 def told_before(path: Path, run: int, utc_s: float) -> ToldBefore:
-    """Return what a run had told before an instant [s UTC]; raises `StoreError`."""
+    """Return what a run had recorded before an instant [s UTC]; raises `StoreError`."""
     found: list[tuple[tuple[float, str, str], ...]] = []
     with closing(open_for_reading(path)) as connection:
         try:

@@ -22,9 +22,9 @@ from daemon.store.tables import COLUMNS, Column
 
 _ROWS_AT_ONCE = 1000
 _DAY_S = 86400.0
-# Beyond the last number that was read, no gap is searched further than this.
+# After a number that was read, a gap is searched no further than this.
 _WIDEST_GAP = 1 << 24
-# The list of runs may be damaged too.
+# Runs after the last one in the list of runs are tried too, because the list may be damaged.
 _MORE_RUNS = 100
 _HEADER_BYTES = 100
 _MAGIC = b"SQLite format 3\0"
@@ -40,7 +40,7 @@ _Row = tuple[Any, ...]
 
 @dataclass
 class Salvaged:
-    """What came of it: records by kind that were read, and those of them that the store had not; how the file was.
+    """The result: records by kind that were read, and those of them that the store did not have; how the file was.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Salvaged:
 def salvage(file: Path, into: Path, progress: Callable[[float], None] = lambda _share: None) -> Salvaged:
     """Write what can be read from a store's file into the store of a folder, made if it is missing.
 
-    The file is never opened: a copy is, in `into`, which is removed again. Whoever does it twice adds nothing.
+    The file itself is never opened, only a copy in `into`, which is removed again. A second salvage adds nothing.
 
     Parameters
     ----------
@@ -96,13 +96,13 @@ def salvage(file: Path, into: Path, progress: Callable[[float], None] = lambda _
         raise UserError(f"{into} cannot take the records and a copy of {file}: {error.strerror}") from None
     finally:
         if is_new:
-            # As long as nothing is in it.
+            # This removes it only if it is empty.
             with contextlib.suppress(OSError):
                 into.rmdir()
 
 
 def _for_owner(target: Path) -> sqlite3.Connection:
-    """Open the store that takes the records, for whom its folder belongs to: a service cannot write to root's."""
+    """Open the store that takes the records, and give it to its folder's owner: a service cannot write to root's."""
     if not target.exists():
         target.touch(0o600)
         give(target)
@@ -116,7 +116,7 @@ def _copy(file: Path, scratch: Path) -> Path:
     copy = scratch / "copy.sqlite"
     shutil.copyfile(file, copy)
     for beside in companions(file):
-        # SQLite makes its index of the log anew; what is in a log's place and is none may be a folder.
+        # SQLite makes -shm, its index of the log, anew. In the place of a log there may be a folder.
         if beside.is_file() and not beside.name.endswith("-shm"):
             shutil.copyfile(beside, f"{copy}{str(beside).removeprefix(str(file))}")
     _lengthen(copy)
@@ -143,7 +143,7 @@ def _open(copy: Path, file: Path) -> sqlite3.Connection:
         if not columns_of(connection, "scans"):
             raise sqlite3.DatabaseError("no tables")
     except UnusableStoreError as error:
-        # What this version does not know of a newer store stays in the file.
+        # Tables and columns of a newer store that this version does not know stay in the file.
         if error.kind != "newer":
             connection.close()
             raise
@@ -156,7 +156,7 @@ def _open(copy: Path, file: Path) -> sqlite3.Connection:
 
 def _connect(copy: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(copy, isolation_level=None)
-    # Read on past what is wrong with the schema.
+    # So that SQLite reads on in spite of errors in the schema.
     connection.execute("PRAGMA writable_schema = ON")
     return connection
 
@@ -222,7 +222,7 @@ class _Merge:
                 if None not in values:
                     known[run] = tuple(values)
         except sqlite3.Error:
-            # What was read up to here counts; records of other runs are still records.
+            # The runs that were read up to here count; records of other runs are salvaged all the same.
             pass
         return known
 
@@ -289,14 +289,14 @@ class _Merge:
         return self._runs[row[0]]
 
     def _guess(self, row: _Row) -> _Row:
-        """Return what stands for a run of which nothing is known: the nearest one's place, and a role unknown."""
+        """Return values for a run of which nothing is known: the site of the nearest run, and an unknown role."""
         nearest = min(self._known, key=lambda run: abs(run - row[0]), default=None)
         like = (0.0, "", "", 1, "unknown", 0.0, 0.0, 0.0, "", "") if nearest is None else self._known[nearest]
         return (float(row[0]), "unknown", "salvaged", *like[3:-1], "")
 
 
 class _Reader:
-    """The rows of a table in the order of their key, read on behind every place that cannot be read."""
+    """The rows of a table in the order of their key; the reading goes on after every place that cannot be read."""
 
     def __init__(
         self, source: sqlite3.Connection, name: str, wanted: str, columns: list[Column], last_run: int
@@ -324,7 +324,7 @@ class _Reader:
                 return
 
     def _behind(self, key: tuple[int, int]) -> tuple[int, int] | None:
-        """Return the least key from which can be read on behind an unreadable place; None if there is none."""
+        """Return the least key after which rows can be read again beyond an unreadable place; None if there is none."""
         run, number = max(key[0], 0), max(key[1], -1)
         while True:
             step, unreadable = 1, 0
@@ -348,7 +348,7 @@ class _Reader:
         return run, readable
 
     def _reads(self, key: tuple[int, int]) -> bool:
-        """Whether there is a row behind a key, and it can be read."""
+        """Whether there is a row after a key, and it can be read."""
         try:
             found = self._source.execute(self._query, (*key, 1)).fetchone()
         except sqlite3.Error:

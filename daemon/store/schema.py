@@ -93,7 +93,7 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
     Raises
     ------
     UnusableStoreError
-        What is there is no store, damaged, or that of a newer program, or something is in the place of its log.
+        The file is no store, or damaged, or of a newer program; or something else is in the place of its log.
     StoreError
         It is a link into a folder that is not there.
     sqlite3.Error
@@ -115,7 +115,7 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
     try:
         with _naming(path):
             if not _is_empty(connection):
-                # Before anything is written to what may not be ours.
+                # Before anything is written: the file may be another program's.
                 check_is_store(connection, path)
                 version: int = connection.execute("PRAGMA user_version").fetchone()[0]
                 if version < VERSION:
@@ -140,9 +140,9 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
 
 
 def _is_database(path: Path) -> bool:
-    """Whether a file begins as SQLite's do; an empty one may become one.
+    """Whether a file begins as SQLite's do; an empty one may become a store.
 
-    SQLite looks itself: a file that we open and close takes the locks with it that this process has on it.
+    SQLite reads it: if we opened and closed the file ourselves, the locks that this process has on it would be gone.
     """
     with closing(sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True)) as connection:
         try:
@@ -153,12 +153,12 @@ def _is_database(path: Path) -> bool:
 
 
 def require_target(path: Path) -> None:
-    """Raise `StoreError` where the store is a link into a folder that is not there, which a disk may yet bring."""
+    """Raise `StoreError` if the store is a link into a folder that is not there, such as one on an unmounted disk."""
     target = Path(os.path.realpath(path))
     try:
         lost = path.is_symlink() and not target.parent.is_dir()
     except PermissionError:
-        # Whoever opens it says so.
+        # Opening the store will report it.
         return
     if lost:
         raise StoreError(f"{path} is a link to {target}, whose folder is not there: mount its disk, or remove the link")
@@ -178,7 +178,7 @@ def require_store(path: Path) -> None:
 def open_for_reading(path: Path) -> sqlite3.Connection:
     """Open a store that is there, also while the service writes to it; raises `StoreError`."""
     require_store(path)
-    # Asked, not tried: to close a file of its own would end the locks that this process holds on the store.
+    # We ask and do not try to open it: closing it again would release the locks that this process holds on the store.
     if not os.access(path, os.R_OK, effective_ids=os.access in os.supports_effective_ids):
         raise _closed_to_us(path)
     connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=_BUSY_S, isolation_level=None)
@@ -202,7 +202,7 @@ def _closed_to_us(path: Path) -> StoreError:
 
 
 def unreadable(path: Path, error: sqlite3.Error) -> StoreError:
-    """Return what is raised where a store cannot be read on."""
+    """Return the error to raise if a store cannot be read."""
     remedy = ""
     if damage(error) is not None:
         remedy = f"; 'heliocube store salvage {path} --into FOLDER' gets what can be read from it"
@@ -225,7 +225,7 @@ class Rows:
         self.insert = f"INSERT OR IGNORE INTO {name} ({names}) VALUES ({marks})"  # noqa: S608 - our own names
 
     def row(self, run: int, number: int, record: Record) -> tuple[Any, ...]:
-        """Return the row of one record; what is not a number becomes NULL in SQLite's own hands."""
+        """Return the row of one record; SQLite itself stores NaN as NULL."""
         return run, number, *self._values(with_irradiances(record))
 
 
@@ -234,7 +234,7 @@ def _is_empty(connection: sqlite3.Connection) -> bool:
 
 
 def _bring_up_to_date(connection: sqlite3.Connection) -> None:
-    """Give a store of an older version the tables and columns it lacks; these are new at the end of their tables."""
+    """Give a store of an older version the tables and columns that it lacks; a column goes to the end of its table."""
     if connection.execute("PRAGMA user_version").fetchone()[0] == VERSION:
         return
     for kind, (name, columns) in COLUMNS.items():
@@ -259,7 +259,7 @@ def columns_of(connection: sqlite3.Connection, table: str, database: str = "main
 def tracker_sql(connection: sqlite3.Connection, table: str, alias: str) -> str:
     """Return SQL for the name of a record's tracker, in a query that joins a table under an alias with `runs`.
 
-    A run of one tracker bears its name; in a run of several each record does. Stores of older versions know neither.
+    A run of one tracker has its name; in a run of several each record has it. Stores of older versions have neither.
     """
     known = [(alias_of, columns_of(connection, of)) for alias_of, of in (("runs", "runs"), (alias, table))]
     names = [f"NULLIF({alias_of}.tracker, '')" for alias_of, columns in known if "tracker" in columns]
@@ -297,11 +297,11 @@ def damage(error: sqlite3.Error) -> str | None:
     """Return what an error says about the file, ``damaged`` or ``foreign``; None for one that may go away by itself."""
     code = getattr(error, "sqlite_errorcode", None)
     if code is None:
-        # What the file gives as text is none.
+        # Python raises this one without a code, for a text in the file that is not UTF-8.
         return "damaged" if isinstance(error, sqlite3.OperationalError) else None
     if code & 0xFF == sqlite3.SQLITE_NOTADB:
         return "foreign"
-    # SQLite has one code for SQL that does not fit: ours fits every store that is whole.
+    # SQLITE_ERROR is for SQL that does not fit the tables, and ours fits every store that is whole.
     damaged = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_MISMATCH, sqlite3.SQLITE_FORMAT)
     unreadable = (sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_SHORT_READ)
     return "damaged" if code & 0xFF in damaged or code in unreadable else None

@@ -1,4 +1,4 @@
-"""What the configuration said at the last start: what it says otherwise at this one is told as events, and so kept."""
+"""The configuration of the last start: values that have changed since are published as events, and so recorded."""
 
 import json
 import logging
@@ -37,14 +37,14 @@ def tell_changes(
     publish: Callable[[Event], None],
     name: str = FILE_NAME,
 ) -> None:
-    """Publish an event for each key that says something else than at the last start, and keep what is said now.
+    """Publish an event for each key whose value has changed since the last start, and keep the present values.
 
     Parameters
     ----------
     settings
         The whole configuration, as JSON would have it; it names files of secrets, but holds none.
     directory
-        Where that of the last start is kept; without it there nothing is told, as at the first start.
+        Where the values of the last start are kept. If there are none, as at the first start, nothing is published.
     clock
         For the events' times.
     publish

@@ -27,7 +27,7 @@ from daemon.store.tables import COLUMNS
 log = logging.getLogger("heliocube.store")
 
 _BATCH_ROWS = 1000
-# About 25 MB, and several hours of a service that runs at the machine's own speed.
+# About 25 MB, and several hours of records unless simulated time runs faster.
 _MOST_WAITING = 50_000
 _CLOSE_WITHIN_S = 10.0
 _DELETE_ROWS = 5000
@@ -39,9 +39,9 @@ _ROOM_BYTES = 65536
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Which run of the service the records come from, the name of its tracker, and what tells it from every other run.
+    """Which run of the service the records come from, the name of its tracker, and an identifier that no other run has.
 
-    `id` is made anew at each start, by `new_run_id`; runs of before there were any have an empty one.
+    `id` is made anew at each start, by `new_run_id`; it is empty for runs from before there were identifiers.
     """
 
     started_utc_s: float
@@ -63,7 +63,7 @@ def new_run_id() -> str:
 
 @dataclass(frozen=True, slots=True)
 class StoreStatus:
-    """How the store is.
+    """The state of the store.
 
     Attributes
     ----------
@@ -86,8 +86,8 @@ class Store:
     """Keeps records; taking one never blocks and never fails.
 
     A batch is written after `batch_s` seconds of wall time at the latest, in one transaction. While the disk is full
-    or fails, records wait in memory, the oldest giving way, and writing is tried again after the same time. What is in
-    the store's place and cannot be one, or is found damaged while writing, is moved aside, and a new store begun.
+    or fails, records wait in memory, the oldest giving way, and writing is tried again after the same time. If what is
+    in the store's place cannot be a store, or is found damaged, it is moved aside, and a new store begun.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ class Store:
             )
 
     def close(self) -> None:
-        """Write what waits and end; gives up after a few seconds and says what was lost then."""
+        """Write the records that wait, and end; after a few seconds give up, and log how many were lost."""
         with self._changed:
             self._closing = True
             self._changed.notify()
@@ -168,7 +168,7 @@ class Store:
             log.error("the store is closed and %d records could not be written", waiting)
 
     def _work(self) -> None:
-        """Write batch after batch, with a connection anew after every failure."""
+        """Write batch after batch, with a new connection after every failure."""
         while True:
             try:
                 self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -189,10 +189,10 @@ class Store:
                 self._changed.wait_for(lambda: self._closing, self._batch_s)
 
     def _moved_aside(self, error: Exception) -> bool:
-        """Move what cannot be used out of the way, if that is what is wrong; return whether a new store can begin."""
+        """Move an unusable store out of the way, if that caused the error; return whether a new store can begin."""
         try:
             kind = self._unusable(error)
-            # A disk that damages one store after the other is not filled with them.
+            # A disk that damages one store after the other must not fill up with them.
             if kind is None or not self._clock.monotonic() - self._moved_s >= _MOVE_AGAIN_S:
                 return False
             aside = move_aside(self._path, kind, self._clock.utc())
@@ -211,7 +211,7 @@ class Store:
         self._days.clear()
 
     def _unusable(self, error: Exception) -> str | None:
-        """Return why what is in the store's place can never be used, of `KINDS`; None if the disk may yet let it."""
+        """Return why the file in the store's place can never be used, of `KINDS`; None if the error may pass."""
         if isinstance(error, UnusableStoreError):
             return error.kind
         if not self._path.is_file():
@@ -248,7 +248,7 @@ class Store:
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(opened, self._path.stat()):
                 return
-        # What still lies in the log belongs to the file that was moved, and not to the one that comes.
+        # The records in the log belong to the file that was moved, and not to the next one.
         with contextlib.suppress(sqlite3.Error):
             connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         self._forget_file()
@@ -300,7 +300,7 @@ class Store:
 
     def _written_to(self, last: int, count: int) -> None:
         with self._changed:
-            # Where the queue was full, the oldest of the batch have left it meanwhile, written after all.
+            # If the queue was full meanwhile, the oldest of the batch have left it already. They are written, not lost.
             while self._waiting and self._waiting[0][0] <= last:
                 self._waiting.popleft()
             self._written += count
@@ -315,9 +315,9 @@ class Store:
             self._report(f"writes again; {what} lost")
 
     def _reason(self, error: Exception) -> str:
-        """Return what is wrong in words; of a full disk SQLite has several, some of which do not name it."""
+        """Return what is wrong in words; SQLite has several errors for a full disk, some of which do not say so."""
         full = f"the disk of {self._path.parent} is full"
-        # What it takes back of a batch that found no room may leave more room than that.
+        # First of all: the rollback of a batch may have left more room than the check below asks for.
         if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
             return full
         with contextlib.suppress(OSError):
@@ -343,7 +343,7 @@ def _insert(connection: sqlite3.Connection, statement: str, rows: list[tuple[Any
     try:
         connection.executemany(statement, rows)
     except UnicodeEncodeError:
-        # Half a letter in one text would keep out all that comes after it; what is in already is ignored.
+        # A lone surrogate in one text would keep out all rows after it. Rows that are in already are ignored.
         connection.executemany(statement, [tuple(map(_in_whole_letters, row)) for row in rows])
 
 

@@ -31,7 +31,7 @@ class TableError(UserError):
 class Column(NamedTuple):
     """One column: its name, where in the record its value is, and what it holds.
 
-    One whose value is the same in `always` every row comes after all that the records tell.
+    Columns with `always`, a value that is the same in every row, come after all columns from the records.
     """
 
     name: str
@@ -125,7 +125,7 @@ COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
 
 
 def with_irradiances(record: Row) -> Row:
-    """Return a decision that was made on no irradiances with NaN in their places; anything else as it is."""
+    """Return a decision without irradiances with NaN in their places; any other record as it is."""
     if isinstance(record, Decision) and record.irradiances is None:
         return replace(record, irradiances=_NO_IRRADIANCES)
     return record
@@ -210,7 +210,7 @@ class TableWriter:
         """Remove what was written, and the directory if it was made for it and is empty."""
         tables, self._tables = self._tables, {}
         for table in tables.values():
-            # On a disk that is full it cannot even be finished, and nobody wants it.
+            # On a full disk a table cannot even be finished, and it is not wanted anyway.
             with contextlib.suppress(Exception):
                 table.finish()
             table.part.unlink(missing_ok=True)
@@ -245,7 +245,7 @@ class _CsvTable:
     def __init__(self, path: Path, columns: list[Column]) -> None:
         self.path, self.part = path, _part(path)
         self._values = _values_of(columns)
-        # The writer itself puts counts and words down as they are, and nothing for None.
+        # The CSV writer itself writes counts and texts as they are, and nothing for None.
         self._texts = [(place, _TEXT[column.holds]) for place, column in enumerate(columns) if column.holds in _TEXT]
         self._file = self.part.open("w", newline="", encoding="utf-8", buffering=_BUFFER_BYTES)
         self._writer = csv.writer(self._file, lineterminator="\n")
@@ -307,7 +307,7 @@ class _ParquetTable:
 
 
 def _values_of(columns: list[Column]) -> Callable[[Row], tuple[Any, ...]]:
-    """Return what takes a record's values for its columns, in their order."""
+    """Return a function that takes a record's values for its columns, in their order."""
     told = attrgetter(*[column.path for column in columns if column.always is None])
     always = tuple(column.always for column in columns if column.always is not None)
     return (lambda record: (*told(record), *always)) if always else told
@@ -322,12 +322,12 @@ def _microseconds(time_s: float | None) -> int | None:
 
 
 def _time(time_s: float | None) -> str:
-    # An archive or a salvaged store may know none of a face.
+    # An archive or a salvaged store may have no time for a face.
     return "" if time_s is None else iso_utc(time_s)
 
 
 def _number(value: float) -> float | str:
-    # Adding nothing takes the minus from nothing.
+    # Adding 0.0 makes 0.0 of -0.0.
     return "" if value != value else value + 0.0
 
 

@@ -18,9 +18,9 @@ class WentBack:
     Attributes
     ----------
     records
-        How many of those that came since the copy are in it now.
+        How many of the records that came since the copy are in it now.
     newer
-        Where the store as the newer release had it lies now.
+        Where the newer release's store lies now.
     left_out
         Why none or not all of them could be taken over; empty where they were.
     """
@@ -50,9 +50,9 @@ def set_aside(path: Path, utc_s: float) -> Path:
 def go_back(path: Path, copy: Path, utc_s: float) -> WentBack:
     """Put the copy of an older version in a store's place; the newer one stays in the folder under another name.
 
-    Both have the same runs up to the copy, so what came since is known by the number of its run, or by its own in a run
-    that went on: a service that shares the store may not have been restarted. What only the newer version has, a table
-    or a column, stays behind in its store. Whoever is interrupted does it again.
+    Both have the same runs up to the copy. So a record that came since is known by the number of its run or, in a run
+    that went on, by its own number: a service that shares the store may not have been restarted. Tables and columns of
+    the newer version only stay behind in its store. After an interruption, do it again.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def go_back(path: Path, copy: Path, utc_s: float) -> WentBack:
     StoreError
         The copy cannot be used; everything is as it was.
     OSError
-        The disk does not let it.
+        The disk refuses it.
     """
     try:
         with closing(sqlite3.connect(copy, isolation_level=None)) as connection:
