@@ -40,11 +40,11 @@ class Api:
     see
         Takes a snapshot of the service.
     glance
-        Takes one without what is long to find out, for those who do not show it; `see` where it is None.
+        Takes a snapshot without the parts that take long to find out, for pages without them; `see` if it is None.
     own
         The service's configuration, for requests that name the one that they mean; None where it has no file.
     recent
-        Hands on what comes over its bus.
+        Passes on the records of its bus.
     operators
         Carry out commands.
     token
@@ -52,9 +52,9 @@ class Api:
     clock
         The service's time.
     speed
-        How many times as fast as the machine's the service's clock runs.
+        The service's clock runs this many times as fast as the machine's.
     hosts
-        Under which names it may be asked for, besides this machine's own.
+        Host names that requests may use, besides this machine's own.
     """
 
     def __init__(
@@ -102,14 +102,15 @@ class Api:
             ],
             exception_handlers={HTTPException: _refused, WrongServiceError: _elsewhere, Exception: _broken},
         )
-        # A redirection has no body: who stops the tracker at /api/stop/ with curl would read nothing, and it goes on.
+        # A redirection has no body: a person who sends a stop to /api/stop/ with curl would read nothing, and the
+        # tracker would go on.
         routes.router.redirect_slashes = False
         self.routes = routes.routes
         self.token = Token(token)
         self.app = Gate(routes, self.token, AllowedHosts(hosts), self._turns, self._bodies, self.refusals)
 
     def close(self) -> None:
-        """End the streams of all listeners, and the waiting of others."""
+        """End the streams of all listeners, and refuse requests that still wait for their turn."""
         self._closing.set()
         self._turns.close()
 
@@ -138,7 +139,7 @@ class Api:
         if not self._places.are_free_for(host):
             raise HTTPException(503, "too many programs listen to the events already; close one")
         if request.method == "HEAD":
-            # Nothing is listened to, and a stream would hold its place until whoever asked goes.
+            # A HEAD request does not listen, and a stream would hold its place until the client goes.
             headers = {"Cache-Control": "no-store"}
             return StreamingResponse(iter(()), media_type="text/event-stream", headers=headers)
         return EventStream(self._stream(), self._places.taken_by(host))
@@ -172,7 +173,7 @@ class Api:
         return JSONResponse(description())
 
     async def _health(self, request: Request) -> Response:
-        """Answer whether the work goes on; a device that is down is named, and no reason for a restart."""
+        """Answer whether the work goes on; a device that is down is named, but is no reason for a restart."""
         self._own.require(request.query_params.getlist(KEY))
         seen = self._glance()
         troubles, longest_s = [], _STUCK_AFTER_S * max(self._speed, 1.0)
@@ -213,7 +214,7 @@ class Api:
             try:
                 command = parse(name, content or b"", "HTTP").meant_for(request.query_params.getlist("tracker"))
                 answer = await self._operators.carry_out(command)
-                # Whoever stops the wrong tracker is told only when it stands.
+                # A stop is carried out by the wrong service too; its sender is told only after that.
                 self._own.require_stopped(meant, answer["text"])
                 return JSONResponse(answer)
             except BodyError as error:
@@ -231,9 +232,9 @@ class Api:
 
 
 async def _is_given_up(request: Request) -> bool:
-    """Tell whether who asked has gone; a request may have waited in the kernel while this process stood still."""
+    """Tell whether the client has gone; its request may have waited in the kernel while this process stood still."""
     for _ in range(2):
-        # The next turn of the loop reads the end of the connection, and the one after it tells of that.
+        # The next turn of the loop reads the end of the connection, and the turn after it reports that.
         await asyncio.sleep(0)
     return GIVEN_UP in request.scope.get("extensions", {})
 

@@ -24,7 +24,7 @@ CONFIG_VARIABLE = "HELIOCUBE_CONFIG"
 
 _TIMEOUT_S = 15.0
 _LONGEST_NAME = 200
-# The service cuts a reason there; a whole one may be longer than the body that it takes.
+# The service cuts a reason to this length. A longer one could make the body longer than the service accepts.
 _LONGEST_REASON = 200
 _LONGEST_REPLY = 16 << 20
 _OK = b"200"
@@ -33,7 +33,7 @@ _ANOTHER_SERVICE = b"421"
 _UNAUTHORISED = b"401"
 # No such thing, or no such value.
 _MISTYPED = (b"400", b"404", b"405", b"413", b"422")
-# A service whose port is flooded may give a connection up for another.
+# A service whose port is flooded may close a connection in favour of another; these requests may be sent again.
 _REPEATABLE = ("/api/state", "/healthz", "/api/stop", "/api/stow", "/api/maintenance")
 _TRIES = 3
 _AGAIN_AFTER_S = 0.1
@@ -49,7 +49,7 @@ class NoServiceError(UserError):
 
 
 class CommandRefusedError(UserError):
-    """The service answers, and does not do it."""
+    """The service answers, but refuses the command."""
 
     exit_code = ExitCode.REFUSED
 
@@ -84,8 +84,8 @@ class Client:
     token
         For commands; None where there is none at hand.
     configuration
-        The paths of the file whose service is meant; another's does nothing but a stop, and says so. None is named
-        where the address was.
+        The paths of the configuration whose service is meant; the service of another one carries out only a stop, and
+        says so. Empty if the address was named instead.
     """
 
     address: Address
@@ -112,7 +112,7 @@ class Client:
         )
 
     def command(self, name: str, **arguments: float | str) -> Reply:
-        """Give a command in the name of whoever runs this, and return what came of it; raises `UserError`."""
+        """Give a command in the name of the user who runs this, and return its outcome; raises `UserError`."""
         if self.token is None:
             raise UserError(self._without_token(name))
         body = {"by": whoami(), **arguments}
@@ -160,7 +160,7 @@ class Client:
         raise (UserError if status in _MISTYPED else CommandRefusedError)(str(refusal))
 
     def _require_meant(self, undone: str) -> None:
-        """Raise `NoServiceError` if the service is another file's: with its own token, that one refuses every order."""
+        """Raise `NoServiceError` if the service is another file's: it has another token and refuses every order."""
         try:
             status, content = self._exchange("GET", "/healthz", b"")
             found = json.loads(content)
@@ -170,7 +170,7 @@ class Client:
             raise NoServiceError(f"{undone}: {found.get('error')}")
 
     def _exchange_surely(self, method: str, path: str, body: bytes) -> tuple[bytes, bytes]:
-        """Ask again where the connection was cut off without an answer, if what is asked may be asked twice."""
+        """Send a request, and again if the connection is cut off without an answer and the request may be repeated."""
         for _ in range(_TRIES - 1 if path in _REPEATABLE else 0):
             try:
                 return self._exchange(method, path, body)
@@ -211,7 +211,7 @@ class Client:
                 raise OSError(errno.EHOSTUNREACH, "timed out") from None
             if error.errno != errno.EADDRNOTAVAIL or not self.address.host.startswith("127."):
                 raise
-        # A flood from this machine has used up the ports of the usual address; each of loopback has its own.
+        # A flood from this machine has used up the ports of the usual address; each loopback address has its own.
         return socket.create_connection(place, _TIMEOUT_S, (_OTHER_ADDRESS, 0))
 
 
@@ -238,8 +238,8 @@ def find(
 ) -> Client:
     """Return the way to a service.
 
-    Of the configuration nothing but its [api] is read: a mistake elsewhere in the file must not keep anyone from
-    stopping the tracker.
+    Only [api] of the configuration is read: a mistake elsewhere in the file must not keep anyone from stopping the
+    tracker.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def find(
     Raises
     ------
     UserError
-        A file cannot be read, or an address is none.
+        A file cannot be read, or an address is not valid.
     """
     address, named, meant = _place(config, api, environment)
     if token_file is None and environment.get(TOKEN_VARIABLE):
@@ -291,7 +291,7 @@ def _read_api(config: Path) -> tuple[str, Path | None, tuple[str, ...]]:
     token_file = found.get("token_file", "") if isinstance(found, dict) else None
     if not isinstance(listen, str) or not isinstance(token_file, str):
         raise UserError(f"the [api] of {config} is wrong; see 'heliocube config check {config}'")
-    # A file with nothing but [api] is how one names an address and a token, and has no service of its own.
+    # A file with nothing but [api] only names an address and a token; it has no service of its own.
     meant = paths_of(config) if set(tables) - {"api"} else ()
     try:
         return listen, (config.parent / Path(token_file).expanduser()) if token_file else None, meant

@@ -1,4 +1,4 @@
-"""Whose service it is: a file copied from another with its `api.listen` leads to the service of the other's tracker."""
+"""Tells whose service answers: a configuration copied with its `api.listen` leads to the service of the original."""
 
 import os
 from collections.abc import Sequence
@@ -15,9 +15,9 @@ class WrongServiceError(Exception):
 
 
 def paths_of(configuration: Path) -> tuple[str, ...]:
-    """Return the whole path of a file, and where its links lead, if that is another: either names it."""
+    """Return the whole path of a file, and the path to which its links lead if that is another: both name it."""
     found = os.path.abspath(configuration), os.path.realpath(configuration)  # noqa: PTH100 - takes a ".." away
-    # What is no text in a path's name has to survive JSON and a query.
+    # Bytes in a path that are not UTF-8 have to survive JSON and a query.
     return tuple(dict.fromkeys(os.fsencode(path).decode("utf-8", "replace") for path in found))
 
 
@@ -27,7 +27,7 @@ class OwnConfiguration:
     Parameters
     ----------
     file
-        What the service was started with, or None.
+        The file that the service was started with, or None.
     trackers
         The names of its trackers.
     """

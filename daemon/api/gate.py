@@ -1,4 +1,4 @@
-"""What every request passes before it reaches a route: for which host it is, with which token, and whose turn it is."""
+"""The checks that every request passes before it reaches a route: its host, its token, and its turn."""
 
 import asyncio
 import ipaddress
@@ -13,7 +13,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from daemon.api.refusals import ApiRefusals
 from daemon.api.turns import CrowdedError, ReadTurns
 
-# A longer body is read to its end and thrown away, so that its sender gets to see the answer; there is an end to that.
+# A body that is too long is read and thrown away, so that its sender gets to see the answer, but only up to this.
 _LONGEST_READ = 16 << 20
 _PAUSE_S = 0.002
 GIVEN_UP = "heliocube.given-up"
@@ -50,9 +50,9 @@ class Token:
 class AllowedHosts:
     """The names under which the interface may be asked for.
 
-    A page of the web whose name is made to point at this machine sends that name; without this check a browser would
-    let it read everything. Addresses cannot be had that way: those of loopback and the one that was connected to are
-    allowed always, and so is ``localhost``.
+    A web page whose host name was made to point at this machine sends that name; without this check a browser would let
+    the page read everything. Nobody can do that with an address: those of loopback and the one that was connected to
+    are always allowed, and so is ``localhost``.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class AllowedHosts:
         """Return why a request is not answered under its host, or None if it is."""
         given = headers.get("host")
         if given is None:
-            # Of HTTP/1.0, which no browser speaks; without a host HTTP/1.1 is refused before.
+            # The request is in HTTP/1.0, which no browser speaks; HTTP/1.1 without a host is refused before.
             return None
         name = _without_port(given).lower().rstrip(".")
         if name in self._names:
@@ -87,12 +87,12 @@ def _without_port(host: str) -> str:
 
 
 class Bodies:
-    """Reads bodies; those that nobody wants piece by piece, one of them after the other, so that they cost little.
+    """Reads bodies. A body that is too long is read piece by piece, one such body at a time, so that it costs little.
 
     Parameters
     ----------
     speed
-        How many times as fast as the machine's the event loop's clock runs.
+        The event loop's clock runs this many times as fast as the machine's.
     """
 
     def __init__(self, speed: float) -> None:
@@ -128,9 +128,9 @@ class Gate:
     turns
         For all but commands with the token.
     bodies
-        Reads those of what is refused.
+        Reads the bodies of refused requests.
     refusals
-        Takes note of what is refused.
+        Takes note of refused requests.
     """
 
     def __init__(
@@ -186,7 +186,7 @@ class Gate:
 
         try:
             await self._routes(scope, receive, counting)
-        except Exception as error:  # noqa: BLE001 - whoever asked has got its sentence; the service goes on
+        except Exception as error:  # noqa: BLE001 - the client has got its error page; the service goes on
             self._refusals.note("error", f"{scope['method']} {ascii(scope['path'])[:80]} failed", error)
 
     async def _refuse(

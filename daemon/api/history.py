@@ -1,4 +1,4 @@
-"""What the store holds of a span, for pictures: read in a thread, one reader at a time."""
+"""The store's records of a span of time, for charts: read in a thread, one reader at a time."""
 
 import asyncio
 from collections.abc import Callable
@@ -22,7 +22,7 @@ class History:
     Parameters
     ----------
     see
-        Takes a snapshot of the service, for where its store is.
+        Takes a snapshot of the service, which says where its store is.
     """
 
     def __init__(self, see: Callable[[], Snapshot]) -> None:
@@ -41,7 +41,7 @@ class History:
             raise HTTPException(422, "from must be before to, and not by more than 7 days")
         names = [tracker.name for tracker in self._see().trackers]
         tracker = query.get("tracker", names[0] if len(names) == 1 else "")
-        # Beside a process of the cube the store may have the records of trackers that it does not know.
+        # A process of the cube knows no trackers, but its store may have their records.
         if names and tracker and tracker not in names:
             raise HTTPException(422, f"there is no tracker {ascii(tracker)[:40]}; the trackers are {', '.join(names)}")
         if kind in KINDS_OF_NUMBERS:

@@ -31,7 +31,7 @@ _REFUSALS = (
 
 
 class Metrics(Collector):
-    """Those of one snapshot; what is stale or unknown is left out, not repeated.
+    """The metrics of one snapshot; a value that is stale or unknown is left out, not repeated.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def _bridge(found: _Families, seen: Snapshot) -> None:
     about = "1 while the bridge listens where it is set to."
     found.gauge("bridge_up", about, float(seen.bridge_down_why is None))
     found.count("bridge_accepted", "Scans accepted from the bridge.", counts.accepted)
-    # What comes after all is no longer lost, but Prometheus takes a count that falls for one that has begun anew.
+    # A scan that comes after all is no longer lost, but Prometheus takes a count that falls for one that began anew.
     about = "Scans that had not come when a later one had."
     found.count("bridge_lost", about, counts.lost + counts.reordered)
     for reason in _REFUSALS:

@@ -199,7 +199,7 @@ def _command(name: str) -> dict[str, Any]:
     body = {"content": _of(body_of(name)), "required": body_of(name) in (GotoBody, ModeBody)}
     answers = {"200": {"description": "carried out", "content": _of(CommandPage)}} | _refusals(*_REFUSALS)
     if name == "stop":
-        # It is obeyed whatever its body is.
+        # A stop is obeyed whatever its body is.
         del answers["400"], answers["413"], answers["429"]
     return {
         "post": {

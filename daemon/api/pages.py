@@ -28,13 +28,13 @@ class KeptPage(Generic[Taken]):
     Parameters
     ----------
     take
-        Takes what it shows, in the event loop, which waits for that.
+        Collects what the page shows, in the event loop, which waits for that.
     make
-        Makes the page of it, in a thread: the trackers' work is not held up by what hundreds of them have to show.
+        Makes the page from it, in a thread, so that a page about hundreds of trackers does not hold up their work.
     now_s
         Returns the event loop's time [s].
     speed
-        How many times as fast as the machine's it runs.
+        The event loop's clock runs this many times as fast as the machine's.
     """
 
     def __init__(
@@ -53,16 +53,16 @@ class KeptPage(Generic[Taken]):
         if self._page is None or (self._page.done() and not now_s - self._taken_s < self._kept_s):
             self._taken_s = now_s
             self._page = asyncio.ensure_future(asyncio.to_thread(self._make, self._take()))
-        # Who asked first may go before the others have it.
+        # The client that asked first may go before the others have the page.
         return await asyncio.shield(self._page)
 
     def forget(self) -> None:
-        """Make it anew the next time: something has changed that whoever changed it wants to see."""
+        """Make the page anew the next time: a person who has changed something wants to see it."""
         self._page = None
 
 
 class ScanLog:
-    """The scans of the latest day, each written as JSON when it comes: a page of them is only put together."""
+    """The scans of the latest day, each encoded as JSON when it comes, so that a page only has to be put together."""
 
     def __init__(self) -> None:
         self._scans: deque[tuple[float, bytes]] = deque(maxlen=_SCANS)
@@ -70,14 +70,14 @@ class ScanLog:
     def note(self, record: Record) -> None:
         """Take in one record."""
         if isinstance(record, Scan):
-            # As whoever asks on from the last one has it: cut to the millisecond.
+            # Cut to the millisecond, as a client has it that asks for the scans after this one.
             shown_utc_s = instant("time", iso_utc(record.time_utc_s))
             self._scans.append((shown_utc_s, to_json(record_json(record))))
 
     def page(self, since_utc_s: float) -> bytes:
         """Return the oldest scans that ended later, at most 500, and whether there are others.
 
-        After the time of a scan all that have come behind that one, although the clock was set back in between.
+        If it is the time of a scan, these are all that came after that scan, even if the clock was set back in between.
         """
         behind = self._behind(since_utc_s)
         if behind is None:
@@ -89,7 +89,7 @@ class ScanLog:
         return b'{"scans":[' + b",".join(found[:_MOST_SCANS]) + b'],"more":' + more + b"}"
 
     def _behind(self, since_utc_s: float) -> int | None:
-        """Return how many scans there are up to the newest of that time, or None where there is none of it."""
+        """Return how many scans there are up to the newest of that time, or None if no scan has it."""
         for place, (utc_s, _) in enumerate(reversed(self._scans)):
             if utc_s == since_utc_s:
                 return len(self._scans) - place
@@ -97,7 +97,7 @@ class ScanLog:
 
 
 class Feed:
-    """Hands every record to all who listen, written once for all of them; who does not keep up loses the oldest."""
+    """Passes every record to all listeners, encoded once for all; a listener that is too slow loses the oldest."""
 
     def __init__(self) -> None:
         self._listeners: list[asyncio.Queue[bytes]] = []

@@ -42,7 +42,7 @@ class ApiRefusals:
             log.log(logging.WARNING if error is None else logging.ERROR, "%s", line, exc_info=error)
 
     def settle(self) -> None:
-        """Log the number of those of a flood that is over; to be called now and then."""
+        """Log how many refusals a flood had, once it is over; to be called now and then."""
         for budget in self._budgets.values():
             line = budget.settle(self._clock_s())
             if line:

@@ -58,8 +58,8 @@ class _Server(uvicorn.Server):
 class ApiServer:
     """The local interface as a companion of the service.
 
-    A port that cannot be had does not stop the service: an alarm tells it at all other doors until the port is had, and
-    it is tried again every few seconds.
+    A port that cannot be bound does not stop the service: it is tried again every few seconds, and meanwhile an alarm
+    tells of it by all other ways.
 
     Parameters
     ----------
@@ -72,9 +72,9 @@ class ApiServer:
     alarm
         Raises an alarm, or ends it with None.
     tell
-        Takes the URL as soon as the port is had.
+        Takes the URL as soon as the port is bound.
     speed
-        How many times as fast as the machine's the clock runs.
+        The clock runs this many times as fast as the machine's.
     """
 
     def __init__(
@@ -154,14 +154,14 @@ class ApiServer:
                 server_header=False,
                 date_header=False,
                 h11_max_incomplete_event_size=LONGEST_HEAD,
-                # These are counted on the loop's clock, which may be a fast one.
+                # These are counted on the loop's clock, which may run fast.
                 timeout_keep_alive=_KEEP_ALIVE_S * pace,
                 timeout_graceful_shutdown=_GRACE_S * pace,
             ),
             Doorkeeper(self._api.token, self._api.refusals, self._speed),
             bound,
         )
-        # It takes its connections from the doorkeeper.
+        # No sockets, because the server gets its connections from the doorkeeper.
         serving = asyncio.create_task(server.serve(sockets=[]))
         watching = asyncio.create_task(self._connections.run())
         try:

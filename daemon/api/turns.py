@@ -8,9 +8,9 @@ _SHARE = 0.25
 _AT_ONCE_S = 0.05
 _MOST_WAITING = 64
 _REFUSED_AFTER_S = 0.25
-# Of a request on a connection of its own, besides its page: accepting, parsing, closing.
+# What a request with a connection of its own costs besides its page: accepting, parsing, closing.
 _OVERHEAD_S = 0.001
-# A page that waits for a thread is charged no more.
+# The most that is charged for a page, which may have waited for a thread.
 _LONGEST_S = 0.02
 
 
@@ -19,17 +19,17 @@ class CrowdedError(Exception):
 
 
 class ReadTurns:
-    """Gives one turn after the other, by what each has cost.
+    """Gives one turn after the other, at a pace that depends on what each has cost.
 
     After a rest some fifty cheap pages are served at once; then a quarter of the loop's time is spent on pages, and
-    whoever wants more of them waits. Commands take no turn.
+    further requests wait. Commands take no turn.
 
     Parameters
     ----------
     now_s
         Returns the event loop's time [s].
     speed
-        How many times as fast as the machine's it runs.
+        The event loop's clock runs this many times as fast as the machine's.
     """
 
     def __init__(self, now_s: Callable[[], float], speed: float) -> None:
@@ -41,7 +41,7 @@ class ReadTurns:
         self._timer: asyncio.TimerHandle | None = None
 
     async def take(self) -> None:
-        """Wait for a turn; raises `CrowdedError` where too many wait, after a while, as asking again costs too."""
+        """Wait for a turn; raises `CrowdedError` if too many wait, but after a pause, as asking again costs too."""
         if not self._waiting and self._debt() <= _AT_ONCE_S:
             self._debt_s += _OVERHEAD_S
             return

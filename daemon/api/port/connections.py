@@ -1,8 +1,8 @@
-"""The connections of the local interface: how many there may be, and how long one may say or read nothing.
+"""The connections of the local interface: how many there may be, and how long one may send or read nothing.
 
-The server has a limit of connections, and answers those above it with 503, a command as well; and it waits for ever for
-the end of a request. So each connection is known here: one too many costs the one that has been idle for longest, or
-else the oldest whose request bears no token; and what does not get on is closed.
+The HTTP server answers connections above its limit with 503, commands as well, and waits for ever for the end of a
+request. So this module keeps account of them. If there is one too many, the connection that has been idle for longest
+is closed, or else the oldest whose request bears no token. A connection that makes no progress is closed, too.
 """
 
 import asyncio
@@ -21,12 +21,12 @@ from daemon.base.piecewise import READ_AT_ONCE, TOO_LONG, PiecewiseProtocol
 _MOST = 384
 MOST_OF_AN_ADDRESS = 32
 _CHECK_EVERY_S = 1.0
-# To the end of the first request's head; a later one is waited for for five seconds, and its head as long again.
+# Until the end of the first request's head. A later request has five seconds to begin, and its head as long again.
 _HEAD_WITHIN_S = 5.0
 _NEXT_HEAD_WITHIN_S = 10.0
 _BODY_WITHIN_S = 5.0
 _READ_WITHIN_S = 10.0
-# One who sends garbage over and over is held up by that.
+# This slows down a client that sends garbage over and over.
 _GARBAGE_PAUSE_S = 0.25
 
 
@@ -38,9 +38,9 @@ class Connections:
     token
         A request that bears it is not given up for another.
     refusals
-        Takes note of those that are closed.
+        Takes note of the connections that are closed.
     speed
-        How many times as fast as the machine's the event loop's clock runs.
+        The event loop's clock runs this many times as fast as the machine's.
     """
 
     def __init__(self, token: Token, refusals: ApiRefusals, speed: float) -> None:
@@ -55,13 +55,13 @@ class Connections:
         return len(self._open)
 
     def protocol(self) -> type[asyncio.Protocol]:
-        """Return what makes the server's connections belong to these."""
+        """Return the protocol factory for the server: the connections that it makes belong to these."""
         return cast("type[asyncio.Protocol]", partial(HttpConnection, self))
 
     def admit(self, new: "HttpConnection") -> bool:
         """Take a new connection in, at the cost of one without the token if need be; return whether there was room."""
         own = [one for one in self._open if one.address == new.address]
-        # All that comes through a tunnel or a proxy on this machine comes from one address: it has no limit of its own.
+        # All clients behind a tunnel or a proxy on this machine come from loopback, which has no limit of its own.
         crowd = own if len(own) >= MOST_OF_AN_ADDRESS and not new.from_loopback else list(self._open)
         if len(crowd) >= (MOST_OF_AN_ADDRESS if crowd is own else _MOST):
             idle = (one for one in crowd if one.is_idle)
@@ -86,7 +86,7 @@ class Connections:
         self._open.pop(one, None)
 
     async def run(self) -> None:
-        """Close what does not get on, until cancelled."""
+        """Close connections that make no progress, until cancelled."""
         while True:
             await asyncio.sleep(_CHECK_EVERY_S * self.speed)
             for one in list(self._open):
@@ -95,12 +95,12 @@ class Connections:
 
 
 class HttpConnection(PiecewiseProtocol):
-    """One connection: the server's own, with a limit to each of its waits, and to what is looked at in one go.
+    """One connection: the server's own, with a limit to each of its waits, and to the bytes that are read at once.
 
     Parameters
     ----------
     all_of_them
-        Those that it belongs to.
+        The connections that it belongs to.
     """
 
     def __init__(self, all_of_them: Connections, **server: Any) -> None:
@@ -133,7 +133,7 @@ class HttpConnection(PiecewiseProtocol):
         """Begin, if there is room."""
         super().connection_made(transport)
         self._since_s = self._moved_s = self.loop.time()
-        # A socket for all of IPv6 wraps whoever comes by IPv4.
+        # A socket for all of IPv6 shows the address of an IPv4 client wrapped in IPv6.
         if self.server is not None:
             self.server = (without_mapping(self.server[0]), self.server[1])
         if self.client is not None:
@@ -153,7 +153,7 @@ class HttpConnection(PiecewiseProtocol):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Take in what was sent; whoever goes on with a body that has been answered is cut off."""
+        """Take in what was sent; a client that sends more of a body after the answer is cut off."""
         if self._garbled:
             return
         waited = self._waits_for_a_head
@@ -166,7 +166,7 @@ class HttpConnection(PiecewiseProtocol):
         if self.conn.our_state is h11.DONE:
             self.abort()
         elif len(data) == READ_AT_ONCE and not self.bears_the_token:
-            # More of its body is there: it comes as whoever answers throws it away.
+            # The request has more body. Read on only when the handler takes it, to throw it away.
             self.flow.pause_reading()
 
     def on_response_complete(self) -> None:
@@ -175,7 +175,7 @@ class HttpConnection(PiecewiseProtocol):
         super().on_response_complete()
 
     def send_400_response(self, msg: str) -> None:  # noqa: ARG002 - the server's
-        """Answer what is not HTTP, after a while."""
+        """Answer a request that is not HTTP, after a pause."""
         what = "is a head that is too long" if self.head_is_too_long else "is not HTTP"
         self._refusals.note("garbage", f"what {self.address} sends {what}")
         self._garbled = True
@@ -186,7 +186,7 @@ class HttpConnection(PiecewiseProtocol):
         self._answering = self.loop.call_later(_GARBAGE_PAUSE_S * self._all.speed, self._answer_garbage)
 
     def check(self) -> None:
-        """Close it if it does not get on."""
+        """Close it if it makes no progress."""
         now_s, transport = self.loop.time(), self.transport
         unread = transport.get_write_buffer_size()
         if unread == 0 or unread < self._unread:

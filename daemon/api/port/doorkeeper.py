@@ -1,8 +1,8 @@
-"""The door of the local interface: whoever comes waits before it until he has said something.
+"""The door of the local interface: a new connection waits before it until the client has sent something.
 
-A connection costs the server many times what it costs the one who opens it. So none is handed to it before its first
-bytes have come: one that is closed without a word, as thousands a second may be, costs a few calls of the system. The
-rest get in at a bounded rate, but whoever bears the token gets in at once.
+A connection costs the server many times what it costs the client. So the server gets none before its first bytes have
+come: a connection that is closed without a byte, as thousands a second may be, costs a few system calls. The rest get
+in at a bounded rate, but a client that bears the token gets in at once.
 """
 
 import asyncio
@@ -20,9 +20,9 @@ from daemon.api.refusals import ApiRefusals
 from daemon.base.addresses import without_mapping
 from daemon.base.recurrence import RateLimit
 
-# More wait in the kernel, up to net.core.somaxconn; whoever comes when its queue is full is let wait for a second.
+# The kernel's queue, at most net.core.somaxconn; when it is full, a new client has to wait for a second.
 _QUEUE = 4096
-# At one turn of the loop, so that others get theirs within some milliseconds.
+# Accepted at one turn of the loop, so that other tasks get their turn within some milliseconds.
 _AT_ONCE = 64
 _IN_PER_S, _IN_AT_ONCE = 200.0, 100
 _MOST_SILENT, _MOST_WAITING = 192, 128
@@ -39,7 +39,7 @@ _CROWDED = (
 
 @dataclass(eq=False, slots=True)
 class _Caller:
-    """One who is before the door."""
+    """A client before the door."""
 
     socket: socket.socket
     address: str
@@ -47,16 +47,16 @@ class _Caller:
 
 
 class Doorkeeper:
-    """Takes connections in, and lets those through that have something to say.
+    """Accepts connections, and lets those through whose clients have sent something.
 
     Parameters
     ----------
     token
-        Whoever bears it does not wait.
+        A client that bears it does not wait.
     refusals
-        Takes note of those who are sent away.
+        Takes note of clients that are sent away.
     speed
-        How many times as fast as the machine's the event loop's clock runs.
+        The event loop's clock runs this many times as fast as the machine's.
     """
 
     def __init__(self, token: Token, refusals: ApiRefusals, speed: float) -> None:
@@ -112,7 +112,7 @@ class Doorkeeper:
             self._hear(caller, said)
 
     def _let_wait(self, caller: _Caller) -> None:
-        """Keep one who has said nothing yet, at the cost of the one who has been silent for longest if need be."""
+        """Keep a client that has sent nothing yet, at the cost of the one that has been silent longest if need be."""
         alone = self._too_many_from(caller.address)
         if alone or len(self._silent) >= _MOST_SILENT:
             longest = next((one for one in self._silent if not alone or one.address == caller.address), caller)
@@ -128,7 +128,7 @@ class Doorkeeper:
         self._after(_LOOK_EVERY_S, self._look_round)
 
     def _too_many_from(self, address: str) -> bool:
-        # All that comes through a tunnel or a proxy on this machine comes from loopback.
+        # All clients behind a tunnel or a proxy on this machine come from loopback, which has no limit of its own.
         return self._of_address[address] >= MOST_OF_AN_ADDRESS and not ipaddress.ip_address(address).is_loopback
 
     def _listen_to(self, caller: _Caller) -> None:
@@ -174,7 +174,7 @@ class Doorkeeper:
 
     def _refuse(self, caller: _Caller) -> None:
         self._refusals.note("crowded", "more new connections than are accepted")
-        # What is not read would take the answer with it.
+        # To close with unread bytes would reset the connection, and the answer would be lost.
         with suppress(OSError):
             caller.socket.recv(_LONGEST_LOOK)
             caller.socket.send(_CROWDED)
@@ -193,7 +193,7 @@ class Doorkeeper:
             del self._of_address[caller.address]
 
     def _look_round(self) -> None:
-        """Send those away who have been silent for long."""
+        """Send clients away that have been silent for too long."""
         now_s = self._loop.time()
         for caller in list(self._silent):
             silent_s = (now_s - caller.since_s) / self._speed
@@ -205,7 +205,7 @@ class Doorkeeper:
             caller.socket.close()
 
     def _after(self, wall_s: float, call: Callable[[], None]) -> None:
-        """Call after so many seconds of the machine, once however often this is asked for."""
+        """Call after so many seconds of the machine's clock, and only once however often this is asked for."""
         if call not in self._timers:
             self._timers[call] = self._loop.call_later(wall_s * self._speed, self._call, call)
 
@@ -215,7 +215,7 @@ class Doorkeeper:
 
 
 def _look(caller: _Caller) -> bytes | None:
-    """Return the first bytes of a caller, none if he has gone, or None if he has said nothing yet."""
+    """Return the first bytes of a caller, empty if it has gone, or None if it has sent nothing yet."""
     try:
         return caller.socket.recv(_LONGEST_LOOK, socket.MSG_PEEK)
     except (BlockingIOError, InterruptedError):
