@@ -32,19 +32,19 @@ KEPT = "is_kept"
 _NO_SERVICE = "what answers is not a service of heliocube: see dashboard.services"
 _NO_OBJECT = "the body is not a JSON object"
 _COMMANDS = ("stow", "stop", "hold", "auto", "goto", "snow", "maintenance", "home", "clear", "relearn", "acknowledge")
-# A service takes 4096 bytes, and who gives an order comes to what the page sends.
+# A service takes 4096 bytes, and the dashboard adds to the page's body who gives the order.
 _LONGEST_BODY = 3584
 _LONGEST_READ = 1 << 20
-# What a service says of an order, and what it has of a week: 40,000 records at most.
+# Most bytes of a service's answer to an order, and of its records of a week, which are 40,000 at most.
 _LONGEST_ANSWER, _LONGEST_RECORDS = 1 << 20, 64 << 20
 _LONGEST_NAME = 60
 _TOKEN = re.compile(r"[A-Za-z0-9._~+/=-]{32,512}")
 _MOST_LISTENERS = 64
-# A service that hangs keeps each for half a minute, also where nobody waits for it any more.
+# A service that hangs keeps each reader for half a minute, even if nobody waits for the answer any more.
 _MOST_READERS = 128
 # The service waits up to 6 s for a command's effect before it answers.
 _COMMAND_S = 15.0
-# By then the page that has given an order has given it up, and says so.
+# By then the page that gave an order no longer waits for it, and says so.
 _OLD_S = 40.0
 _KINDS = ("scans", "poses", "decisions", "curves", "modes", "moves", "events")
 _READABLE = ("sun", "days", *(f"history/{kind}" for kind in _KINDS))
@@ -119,12 +119,12 @@ class Dashboard:
         with self._fleet.listening() as listener:
             while not self._closing.is_set():
                 messages = await listener.next()
-                # A beat shows a page whose services are all gone that the dashboard is not; orders bear its time.
+                # A beat shows that the dashboard is there although all services are gone; orders carry its time.
                 beat = f"event: beat\ndata: {self._monotonic():.3f}\n\n"
                 yield beat + "".join(f"data: {message}\n\n" for message in messages)
 
     async def _read(self, request: Request) -> Response:
-        """Hand on what a service has of a kind, as it comes."""
+        """Pass on a service's records of one kind, unchanged."""
         what, query = request.path_params["what"], dict(request.query_params)
         service = self._fleet.services.get(query.pop("service", ""))
         if what not in _READABLE or service is None:
@@ -136,7 +136,7 @@ class Dashboard:
         with self._readers.taken_by(host):
             async with self._fleet.client.stream("GET", url, params=query, timeout=_READ_S) as reply:
                 content = await _raw(reply, _LONGEST_RECORDS)
-        # As it comes: what is compressed is for the browser to open.
+        # Unchanged: the browser unpacks compressed content.
         kept = {name: reply.headers[name] for name in ("content-type", "content-encoding") if name in reply.headers}
         return Response(content, reply.status_code, headers=kept)
 
@@ -145,7 +145,7 @@ class Dashboard:
         session = self._sessions.find(name)
         response = JSONResponse(_session_json(session))
         if session is not None and name is not None:
-            # Its days begin anew here, as in the sessions.
+            # The days until the cookie expires begin anew, as those of the session do.
             _keep(request, response, name)
         return response
 
@@ -168,7 +168,7 @@ class Dashboard:
             raise HTTPException(401, "no service takes this token: see api.token_file of its configuration")
         before = _session_name(request)
         known = self._sessions.find(before)
-        # What does not answer now is asked later, and refuses the token itself if it has another.
+        # A service that does not answer now gets the token later, and refuses it itself if it has another.
         silent = {service.name: token for service, yes in zip(services, accepted, strict=True) if yes is None}
         name = self._sessions.open(by, silent | (known.tokens if known else {}) | tokens)
         self._sessions.close(before)
@@ -208,7 +208,7 @@ class Dashboard:
         given = await _body(request)
         session = self._require(request)
         self._refuse_old(name, given)
-        # What a cube's process refuses would pass for a tracker that does not stow or stop.
+        # The refusal of a cube's process would look like that of a tracker that does not stow or stop.
         services = [service for service in self._fleet.services.values() if not service.is_cube]
         found = await asyncio.gather(*(self._one_of_all(session, service, name, given) for service in services))
         return JSONResponse({"results": found})
@@ -235,7 +235,7 @@ class Dashboard:
         content = _encoded({**given, "by": session.by})
         status, answer = await self._post(client, f"{service.url}/api/{name}", token, content, _COMMAND_S)
         if status == httpx.codes.UNAUTHORIZED:
-            # Its own sentence is for the command line, which reads the file that the service has not read again.
+            # The service's own sentence is for the command line, whose token file the service has not read again.
             session.tokens.pop(service.name, None)
             raise HTTPException(status, f"the service at {service.name} takes another token now: log in with that one")
         return status, answer
@@ -243,9 +243,9 @@ class Dashboard:
     async def _post(
         self, client: httpx.AsyncClient, url: str, token: str, content: bytes, within_s: float
     ) -> tuple[int, bytes]:
-        """Return the status and the body of a service's answer, which may be slow or endless if it is none."""
+        """Return the status and the body of an answer, which may be slow or endless if no service gives it."""
         headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
-        # As it is: a little that is compressed may be gigabytes.
+        # Not compressed: a few compressed bytes may become gigabytes.
         headers["Accept-Encoding"] = "identity"
         try:
             async with (
@@ -257,7 +257,7 @@ class Dashboard:
             raise httpx.ReadTimeout(f"no whole answer in {within_s:g} s") from None
 
     def _refuse_old(self, name: str, given: dict[str, Any]) -> None:
-        """Refuse an order that was under way for long, where it says when it was given; never a stop."""
+        """Refuse an order that was under way for too long, if it says when it was given; never refuse a stop."""
         given_s = given.pop("given_s", None)
         if name != "stop" and isinstance(given_s, int | float) and not given_s >= self._monotonic() - _OLD_S:
             late = f"the order came more than {_OLD_S:g} s after it was given, and is not carried out: give it again"
@@ -272,7 +272,7 @@ class Dashboard:
 
 
 def _digest(folder: Path) -> str:
-    """Return what tells the files of a folder from others: a release may keep its name when they change."""
+    """Return a digest of a folder's files: a release may keep its name when they change."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:16]
 
@@ -321,7 +321,7 @@ def _session_json(session: Session | None) -> dict[str, Any]:
 
 
 def _encoded(body: Mapping[str, Any]) -> bytes:
-    """Return a command's body; odd numbers and words stay, which the service may refuse, but not those of a stop."""
+    """Return a command's body with all its odd values; the service may refuse them, but not those of a stop."""
     try:
         return json.dumps(body, ensure_ascii=False, separators=(",", ":")).encode(errors="replace")
     except RecursionError:
@@ -332,7 +332,7 @@ async def _body(request: Request) -> dict[str, Any]:
     content = bytearray()
     try:
         async for chunk in request.stream():
-            # What is too long is read to its end, so that its sender gets to see the answer; there is an end to that.
+            # A body that is too long is read on, so that its sender gets to see the answer, but not for ever.
             content += chunk
             if len(content) > _LONGEST_READ:
                 break

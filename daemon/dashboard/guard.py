@@ -1,4 +1,4 @@
-"""What holds for every request: the page is asked for by a name of its own, and runs nothing but what it brings."""
+"""The rules for every request: the page is asked for under its own name, and runs no code but its own."""
 
 import ipaddress
 from collections.abc import Collection
@@ -25,8 +25,8 @@ _READING = ("GET", "HEAD")
 class PageGuard:
     """Refuses requests under a foreign name, and changes that another page asks for.
 
-    A name that resolves to this machine but is not its own may be an attack on the browser (DNS rebinding); a number
-    cannot be. A request that changes something must bear the page's own Origin.
+    A name that resolves to this machine but is not its own may be an attack on the browser (DNS rebinding); a numeric
+    address cannot be. A request that changes something must bear the page's own Origin.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class PageGuard:
     def _refusal(self, method: str, headers: Headers) -> str | None:
         host = headers.get("host")
         if host is None and method in _READING:
-            # Of HTTP/1.0, which no browser speaks; without a host HTTP/1.1 is refused before.
+            # The request is in HTTP/1.0, which no browser speaks; HTTP/1.1 without a host is refused before.
             return None
         host = host or ""
         if not self._is_ours(host):
@@ -84,7 +84,7 @@ class PageGuard:
 
 
 def _host_of(origin: str) -> str | None:
-    """Return the name and the port in an origin, or None for what is none."""
+    """Return the name and the port in an origin, or None if it is not one."""
     try:
         return urlsplit(origin).netloc
     except ValueError:

@@ -1,4 +1,4 @@
-"""Running the dashboard: its address, its signals, and its word to the service manager."""
+"""Running the dashboard: its address, its signals, and its reports to the service manager."""
 
 import asyncio
 import contextlib
@@ -27,10 +27,10 @@ from daemon.dashboard.upstream import Fleet
 
 _GRACE_S = 1
 _CONNECTIONS = 256
-# More than the five seconds that the server keeps one for the next request.
+# More than the five seconds for which the server keeps a connection for the next request.
 _REQUEST_WITHIN_S = 10.0
 _READ_WITHIN_S = 10.0
-# Each file of the page is read in a thread, and a browser asks for six at once; its unit allows 16 threads in all.
+# Each file of the page is read in a thread, and a browser asks for six at once; the systemd unit allows 16 threads.
 _FILES_AT_ONCE = 8
 _WHY_NOT_BOUND = {
     errno.EADDRINUSE: "is another dashboard running? Else set dashboard.listen or --listen to another port",
@@ -51,10 +51,10 @@ class _Server(uvicorn.Server):
 
 
 class _Connection(PiecewiseProtocol):
-    """A connection that those that say nothing, or much at once, or do not read, keep nobody out of.
+    """A connection with limits: clients that send nothing, or much at once, or do not read keep nobody else out.
 
-    It is closed where no whole request comes, and where nothing of an answer is read; and a new one that is one too
-    many costs the one on which nothing has begun or ended for longest, be it a request or its answer.
+    It is closed if no whole request comes, or if nothing of an answer is read. If a new connection is one too many, the
+    one on which no request or answer has begun or ended for longest is closed.
     """
 
     _limit: asyncio.TimerHandle | None = None
@@ -68,7 +68,7 @@ class _Connection(PiecewiseProtocol):
             self._since_s = self.loop.time()
         if nbytes < READ_AT_ONCE or self.conn.their_state is not h11.SEND_BODY:
             return
-        # More of a body is there: it comes as whoever answers asks for it, and not once he has answered.
+        # The request has more body. Read it only while the handler asks for it; after the answer, close the connection.
         if self.conn.our_state is h11.DONE:
             self.transport.abort()
         else:
@@ -80,22 +80,22 @@ class _Connection(PiecewiseProtocol):
         if len(self.connections) >= _CONNECTIONS:
             others = (one for one in self.connections if isinstance(one, _Connection) and one is not self)
             given_up = min((one for one in others if not one.is_kept), key=_Connection.since_s, default=self)
-            # The server would count it until it is lost, which is after all others that come in this turn.
+            # The server would count it until `connection_lost`, which comes after all other new ones of this turn.
             self.connections.discard(given_up)
             given_up.transport.abort()
 
     @property
     def is_waited_for(self) -> bool:
-        """Whether the next request has not come, or not whole."""
+        """Whether the next request has not come yet, or not as a whole."""
         return self.cycle is None or self.cycle.response_complete or self.conn.their_state is h11.SEND_BODY
 
     @property
     def is_kept(self) -> bool:
-        """Whether it is given up for nobody while it is answered."""
+        """Whether it must not be closed in favour of a new connection, because it is being answered."""
         return not self.is_waited_for and self.scope["state"].get(KEPT, False)
 
     def since_s(self) -> float:
-        """Return when a request or an answer has begun or ended here last, by the loop's clock [s]."""
+        """Return when a request or an answer last began or ended here, by the loop's clock [s]."""
         return self._since_s
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -170,13 +170,13 @@ def bind(listen: str) -> socket.socket:
 
 
 def url_of(bound: socket.socket) -> str:
-    """Return where a browser of this machine finds what listens there."""
+    """Return the URL by which a browser of this machine reaches a listening socket."""
     host, port = bound.getsockname()[:2]
     return f"http://{Address(host, port).reachable}"
 
 
 def addresses(texts: Sequence[str]) -> list[Address]:
-    """Return the services' addresses; raises `UserError` for one that is none."""
+    """Return the services' addresses; raises `UserError` for one that is not valid."""
     try:
         return [parse_address(text).reachable for text in texts]
     except ValueError as error:
@@ -206,9 +206,9 @@ async def serve(
     """
     loop = asyncio.get_running_loop()
     current_default_thread_limiter().total_tokens = _FILES_AT_ONCE
-    # A connection that is kept may be closed by the service in the instant in which an order takes it.
+    # None is kept alive: the service may close a connection at the instant in which an order uses it.
     limits = httpx.Limits(max_connections=None, max_keepalive_connections=0)
-    # Proxies of the environment are for the world outside.
+    # The clients ignore the environment (`trust_env`): its proxies are for the world outside, not for the services.
     once = httpx.AsyncHTTPTransport(limits=limits, socket_options=[SEND_NO_MORE_ONCE_CLOSED])
     async with (
         httpx.AsyncClient(trust_env=False, limits=limits) as client,
@@ -230,7 +230,7 @@ async def serve(
             Thread(target=_await_end, args=(parent, end_from_outside), daemon=True).start()
         with on_signals(end_from_outside):
             following, watching = asyncio.create_task(fleet.run()), asyncio.create_task(_watchdog(notifier))
-            # Without it pages would show for ever what was so when it ended.
+            # If this task ends, the dashboard ends: its pages would show the last state for ever.
             following.add_done_callback(lambda _: end())
             notifier.ready()
             try:
@@ -251,13 +251,13 @@ def _server(dashboard: Dashboard) -> _Server:
             ws="none",
             lifespan="off",
             log_config=None,
-            # Of a flood, and of what is not HTTP, there would be a line for each.
+            # A flood of requests, or bytes that are not HTTP, would log a line each.
             log_level=logging.ERROR,
             access_log=False,
             server_header=False,
             date_header=False,
             h11_max_incomplete_event_size=LONGEST_HEAD,
-            # Of connections there are fewer: it bounds the requests whose connection is lost.
+            # There are fewer connections than this: it bounds the requests whose connection is lost.
             limit_concurrency=2 * _CONNECTIONS,
             timeout_graceful_shutdown=_GRACE_S,
         )

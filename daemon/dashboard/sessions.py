@@ -21,7 +21,7 @@ class Session:
     by
         Who, for the records of the services.
     tokens
-        That the services have accepted, or might, by service.
+        By service: the tokens that the services have accepted, or that could not be tried yet.
     used_s
         Monotonic time of the last use.
     """

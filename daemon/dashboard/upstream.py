@@ -36,7 +36,7 @@ class Listener:
         self._news.set()
 
     async def next(self) -> list[str]:
-        """Return what there is to send, after a while nothing."""
+        """Return the messages to send; none if nothing is new for a while."""
         try:
             async with asyncio.timeout(_BEAT_S):
                 await self._news.wait()
@@ -105,13 +105,13 @@ class Upstream:
             async for event in source.aiter_sse():
                 bounded.taken = 0
                 if event.event == "state":
-                    # What is not JSON, NaN for one, would end every browser's page.
+                    # Data that are not JSON, such as NaN, would break every browser's page.
                     found = json.loads(event.data, parse_constant=_refuse)
                     self.is_cube = isinstance(found, dict) and found.get("role") == "cube"
                     yield event.data.replace("\n", " ")
 
     def _tell(self, up: bool | None, why: str) -> None:
-        # Whatever comes back there may have a tracker.
+        # The next service at this address may have a tracker.
         self.is_cube = False
         found = {"service": self.name, "up": up, "why": why, "time": iso_utc(self._clock.utc())}
         self._publish(json.dumps(found))
@@ -159,7 +159,7 @@ class Fleet:
 
     @contextmanager
     def listening(self) -> Iterator[Listener]:
-        """Give a listener that has the newest of each service already."""
+        """Give a listener that has the newest message of each service already."""
         listener = Listener()
         for service in self.services.values():
             listener.put(service.name, service.message)
@@ -175,7 +175,7 @@ class Fleet:
 
 
 class _Bounded(httpx.AsyncByteStream):
-    """A stream of events none of which may be too long: who reads them keeps the one that has not ended."""
+    """A stream of events that limits their length, because the reader keeps an event until it has ended."""
 
     def __init__(self, stream: httpx.AsyncByteStream) -> None:
         self._stream = stream

@@ -80,7 +80,7 @@ export function at(iso, now) {
   return `${day}${localTime(ms, false)}${FIRM}local (${utcTime(ms, false)}${FIRM}UTC)`;
 }
 
-// The orders by their buttons.
+// The words on the orders' buttons.
 export const BUTTONS = {
   stow: "Stow", stop: "Stop", hold: "Hold", auto: "Auto", snow: "Snow", maintenance: "Maintenance", home: "Reference run", clear: "Clear faults", relearn: "Relearn the site",
 };
@@ -92,7 +92,7 @@ export function buttonOf(command) {
   return Object.hasOwn(BUTTONS, name) && /^( --tracker \S+)?$/.test(rest) ? BUTTONS[name] : null;
 }
 
-// A sentence of a service as the page tells it: times of UTC as `at` tells others, commands by the page's own buttons.
+// A service's sentence as the page shows it: UTC times as `at` writes them, commands by the page's own buttons.
 export function onPage(text, now) {
   const local = text.replace(/(\d{4}-\d\d-\d\d) (\d\d:\d\d(?::\d\d)?) UTC/g, (written, day, time) => {
     const iso = `${day}T${time}Z`;

@@ -10,7 +10,7 @@ export function normal(aDeg, bDeg, latitudeDeg) {
   return [-Math.sin(a), latitudeDeg >= 0 ? -equatorward : equatorward, Math.cos(a) * Math.sin(b)];
 }
 
-// Returns the direction in which the module's edge lies that the rotation A moves.
+// Returns the direction of the module's edge that rotation A moves.
 export function edge(aDeg, bDeg, latitudeDeg) {
   const a = aDeg * RAD;
   const b = bDeg * RAD;

@@ -9,7 +9,7 @@ const waiting = [];
 let reading = 0;
 let shown = { service: null, left: null };
 
-// One service is shown at a time: what is still read of another is given up.
+// One service is shown at a time: requests to another that are still under way are given up.
 function leaving(service) {
   if (service !== shown.service) {
     giveUp();
@@ -18,7 +18,7 @@ function leaving(service) {
   return shown.left.signal;
 }
 
-// Gives up what is still read: of a service that hangs it would keep whatever is read next waiting.
+// Gives up requests that are still under way: to a service that hangs, they would keep the next ones waiting.
 export function giveUp() {
   shown.left?.abort();
   shown = { service: null, left: null };
@@ -40,12 +40,12 @@ async function readNow(what, service, query, signal) {
   const parameters = new URLSearchParams({ service, ...query });
   const reply = await fetch(`/read/${what}?${parameters}`, { signal });
   if (!reply.ok) {
-    // Refused by its dashboard or by itself: a service has this page, or is older than it.
+    // Whether the dashboard or the service refuses: only an older version lacks this page.
     if (reply.status === 404) throw new Error("the service is of an earlier version, which gives no stored days");
     const { error } = await reply.json().catch(() => ({}));
     throw new Error(error ?? `The service answers ${reply.status}.`);
   }
-  // Its connection is free once all of it is here.
+  // The connection is free once the whole reply is here.
   return new Response(await reply.arrayBuffer());
 }
 
@@ -53,15 +53,15 @@ export async function storedDays(service) {
   return (await (await read("days", service, {})).json()).days;
 }
 
-// When the mean solar day of a date begins at the site [ms], and the date of the one that an instant falls in.
+// When the mean solar day of a date begins at the site [ms], and the date of the solar day that an instant falls in.
 export const startOf = (date, site) => Date.parse(`${date}T00:00:00Z`) - site.longitude_deg * 240e3;
 export const dateOf = (at, site) => new Date(at + site.longitude_deg * 240e3).toISOString().slice(0, 10);
 
 const suns = new Map();
 const MOST_SUNS = 32;
 
-// Rise, noon, set and path of the solar day that a date names at the site; who asks for the same one at once waits for
-// one answer.
+// Rise, noon, set and path of the solar day that a date names at the site; requests for the same day at once share one
+// answer.
 export function solarDay(service, date, site) {
   const noon = startOf(date, site) + DAY_MS / 2;
   const key = JSON.stringify([service, date, site]);
@@ -81,11 +81,11 @@ export async function numbers(service, kind, from, to, tracker) {
   const buffer = await (await read(`history/${kind}`, service, span(from, to, tracker))).arrayBuffer();
   const end = new Uint8Array(buffer).indexOf(10);
   const head = JSON.parse(new TextDecoder().decode(buffer.slice(0, end)));
-  // Views need an even place; what follows the head is copied to one.
+  // A Float32Array needs an aligned offset, so the bytes behind the head are copied.
   const values = new Float32Array(buffer.slice(end + 1));
   const found = {};
   head.columns.forEach((name, index) => {
-    // A loop: what takes a function for each of 300,000 values is seen on a slow machine.
+    // A loop, because a function call for each of 300,000 values is noticed on a slow machine.
     const column = new Array(head.rows);
     for (let row = 0, place = index * head.rows; row < head.rows; row += 1, place += 1) column[row] = Number.isNaN(values[place]) ? null : values[place];
     found[name] = column;

@@ -18,7 +18,7 @@ export class Live {
 
   start() {
     if ("SharedWorker" in window) {
-      // One for pages of the same files: after an upgrade that of an older page, still open in another tab, goes on.
+      // One worker for all pages of the same files: after an upgrade, an older page in another tab keeps its own.
       const { port } = new SharedWorker(`/static/js/worker.js?${this.page}`, { type: "module", name: "heliocube" });
       port.onmessage = ({ data }) => this.take(data);
       const tell = () => port.postMessage(document.visibilityState);
@@ -82,8 +82,8 @@ export class Live {
     return found;
   }
 
-  // The tracker of a key among these, or what can be said of it while its service names none: what is meant for one
-  // tracker must never go to another. Of a service that was chosen before it had named its trackers, its first.
+  // The tracker of a key among these or, while its service does not name it, an entry that says why: an order for one
+  // tracker must never go to another. The key of a service, chosen before it named its trackers, means its first one.
   entry(key, trackers) {
     const found = trackers.find((each) => each.key === key || each.service.name === key);
     if (found) return found;
@@ -97,8 +97,8 @@ export class Live {
   }
 }
 
-// How long ago a state came [ms]. The one clock stands while a machine sleeps, and the other may be set: what is too
-// long is so until the next state, what is too short would pass for fresh.
+// How long ago a state came [ms]. The running clock stands still while a machine sleeps, and the wall clock may be set.
+// The longer time counts: if it is wrong, that lasts until the next state; the shorter could make an old one look new.
 const since = ({ running, wall }) => Math.max(performance.now() - running, Date.now() - wall);
 
 // How long ago in the service's time its state was taken [s].

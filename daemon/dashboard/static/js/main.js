@@ -21,7 +21,7 @@ let renewed = false;
 const live = new Live(() => requestUpdate(), () => { renewed = true; });
 const orders = new Orders(byId("outcome"), () => requestUpdate(), () => live.dashboardTime, () => context().now);
 dropLatePresses((...said) => orders.say(...said));
-// Each tab has its own; a new one begins with the last of any.
+// Each tab has its own tracker; a new tab begins with the one that was chosen last in any tab.
 let chosen = sessionStorage.getItem("tracker") ?? localStorage.getItem("tracker");
 if (chosen !== null) sessionStorage.setItem("tracker", chosen);
 let view = null;
@@ -39,7 +39,7 @@ function requestUpdate() {
 
 function context() {
   const trackers = live.trackers;
-  // The first is chosen by itself, once, and stays so when it is lost.
+  // The first tracker is chosen by itself, once, and stays chosen when its service is lost.
   if (chosen === null && trackers[0]?.service.state) pick(trackers[0].key);
   const entry = chosen === null ? trackers[0] ?? { service: { name: "", up: null }, label: "", tracker: null, name: null } : live.entry(chosen, trackers);
   const { service, tracker } = entry;
@@ -52,7 +52,7 @@ function context() {
 }
 
 function update() {
-  // Of an order that is under way the answer would be lost, and of a question what is typed.
+  // Not while an order is under way, whose answer would be lost, nor while somebody types an answer to a question.
   if (renewed && !orders.busy) location.reload();
   const found = context();
   document.title = title(found);
@@ -63,7 +63,7 @@ function update() {
 
 function head({ trackers, entry, service, state, now: time, old }) {
   const picker = byId("tracker");
-  // A tracker whose service has not named any stands in place of the service.
+  // A chosen tracker that its service has not named yet takes the place of the service in the list.
   const choices = trackers.includes(entry) ? trackers : [...trackers.filter((each) => each.key !== service.name || each.service.state), ...(entry.key ? [entry] : [])];
   picker.parentElement.hidden = choices.length < 2;
   fill(picker, choices.map(({ key, label }) => [key, label]), () => choices.map(({ key, label }) => h("option", { value: key }, label)));
@@ -74,7 +74,7 @@ function head({ trackers, entry, service, state, now: time, old }) {
   for (const [name, word] of Object.entries(FIRST)) {
     byId(name).disabled = !entry.tracker;
     setAttr(byId(name), "aria-label", `${word} ${entry.label}`);
-    // Beside all trackers, too, they are for one.
+    // In the view of all trackers, too, these orders are for one.
     setText(byId(name).querySelector("small"), choices.length < 2 ? "" : entry.label);
   }
   const banner = byId("banner");
@@ -85,14 +85,14 @@ function head({ trackers, entry, service, state, now: time, old }) {
   setAttr(document.body, "data-waiting", !state && service.up !== false ? "" : null);
 }
 
-// Told by the service's clock, as all other times are: that of whoever looks may be wrong. Once for each loss, so that
-// nothing is read out again because a second was rounded the other way.
+// Told by the service's clock, as all other times are: the viewer's own may be wrong. Worked out once for each loss, so
+// that a screen reader does not repeat it because a second was rounded the other way.
 function lostSince(state, time) {
   if (lost.at !== live.lostAt) lost = { at: live.lostAt, since: localTime(state ? time - (Date.now() - live.lostAt) * (state.speed ?? 1) : live.lostAt) };
   return lost.since;
 }
 
-// A tab behind others shows nothing else, and stands there for hours.
+// A tab behind others shows nothing but its title, for hours.
 function title({ entry, state, old }) {
   return state && entry.tracker ? `${old ? "old: " : ""}${inAWord(entry.tracker.mode)}, ${entry.label}` : "heliocube";
 }
@@ -100,7 +100,7 @@ function title({ entry, state, old }) {
 function choose() {
   const wanted = location.hash.slice(1);
   const known = Object.hasOwn(VIEWS, wanted);
-  // The way past the head leads to the view that is shown.
+  // The link that skips the head leads to the view that is shown.
   if (view && wanted && !known) return;
   const name = known ? wanted : "now";
   view?.close?.();

@@ -16,14 +16,14 @@ const WORDS = {
 
 const ONCE_IN = "It is given once you have logged in.";
 
-// A double-click takes less.
+// A double-click takes less time.
 const MEANT_MS = 500;
 // A service answers within 6 s, and the dashboard gives it up after 30 s at most.
 const LATE_MS = 10000;
 const GONE_MS = 40000;
 
-// Lets nothing be pressed that the page, or the whole machine, has taken long to hand on, but for a stop: nobody expects
-// it any more.
+// Drops what was pressed if the page, or the whole machine, delivers it late: nobody expects its effect any more.
+// A stop is never dropped.
 export function dropLatePresses(say) {
   const drop = (event) => {
     const late = performance.now() - event.timeStamp;
@@ -53,8 +53,8 @@ async function call(path, body) {
 }
 
 export class Orders {
-  // time: returns the dashboard's, which each order bears: it refuses what was under way for long. now: returns that of
-  // the service, by which its sentences are told.
+  // time: returns the dashboard's time, which each order carries: the dashboard refuses an order that was long under
+  // way. now: returns the service's time, by which its sentences are told.
   constructor(outcome, changed, time, now = Date.now) {
     this.outcome = outcome;
     // By order: what is said of it, and whether it is under way.
@@ -64,10 +64,10 @@ export class Orders {
     this.now = now;
     const unknown = { by: null, services: [] };
     this.session = unknown;
-    // All tabs of a browser have one login: who has logged in gives a stop in any of them.
+    // All tabs of a browser have one login: a stop can then be given in any of them.
     this.tabs = new BroadcastChannel("session");
     this.tabs.addEventListener("message", ({ data }) => this.set(data));
-    // An answer that comes after somebody has logged in is older than that.
+    // If somebody has logged in before the answer comes, the answer is out of date.
     call("/session").then((session) => this.session === unknown && this.set(session), () => {});
   }
 
@@ -76,7 +76,7 @@ export class Orders {
     this.changed();
   }
 
-  // Of a session that was begun, changed or ended here.
+  // Takes a session that was begun, changed or ended here, and tells the other tabs.
   change(session) {
     this.set(session);
     this.tabs.postMessage(session);
@@ -99,7 +99,7 @@ export class Orders {
     }
   }
 
-  // Asks for the token once; resolves to whether the service has taken it, or any one where none is meant.
+  // Asks for the token once; resolves to whether the service has taken it, or any service if none is given.
   login(service, about = "Orders need the service's token. Looking does not.") {
     return new Promise((resolve) => {
       let tried = false;
@@ -116,7 +116,7 @@ export class Orders {
       const dialog = this.open(form, () => resolve(service ? this.may(service) : this.session.by !== null));
       form.addEventListener("submit", async (event) => {
         event.preventDefault();
-        // Five wrong ones in a minute keep everybody out: of one that is tried on a slow line no second is sent.
+        // Five wrong tokens in a minute keep everybody out: on a slow line, no second one is sent before the answer.
         if (tried) return;
         tried = true;
         problem.className = "hint";
@@ -147,13 +147,13 @@ export class Orders {
     return dialog;
   }
 
-  // Asks whether it is meant, with what it would end; resolves to the reason to note, or null.
+  // Asks whether the order is meant, and shows what it would end; resolves to the reason to note, or null.
   confirm(name, whom, ends = []) {
     return new Promise((resolve) => {
       let answer = null;
       const why = h("input", { name: "why", maxlength: 200, autocomplete: "off" });
       // Neither the second half of the double-click nor the held key that has opened the question may answer it. Unlike
-      // one that is disabled, the button can have the focus from the start.
+      // a disabled button, this one can have the focus from the start.
       const yes = h("button", { type: "submit", class: `go ${name}`, "aria-disabled": "true" }, icon(name), `${WORDS[name].title} now`);
       const no = h("button", { type: "button", class: "plain wide", onclick: () => dialog.close() }, "Cancel");
       const form = h("form", { method: "dialog" }, h("h2", null, `${WORDS[name].title}: ${whom}`), h("p", null, WORDS[name].about), ends, yes,
@@ -169,7 +169,7 @@ export class Orders {
     });
   }
 
-  // Asks for the token of a tracker's service; resolves to whether it may have orders now, and says where it may not.
+  // Asks for the token of a tracker's service; resolves to whether orders can be given now, and says so if they cannot.
   async admitted(name, entry, about) {
     const service = entry.service.name;
     if (await this.login(service, about)) return true;
@@ -186,8 +186,8 @@ export class Orders {
     return this.carryOut(name, entry.label, () => call("/command", { ...body, given_s: this.time() }), service);
   }
 
-  // Says that a person has seen an alarm; one of the cube's is of no tracker. The second half of a double-click may come
-  // when the next alarm has taken this one's place, and says nothing of that.
+  // Says that a person has seen an alarm; an alarm of the cube belongs to no tracker. The second half of a double-click
+  // does not count: the next alarm may have taken this one's place, and nobody has seen that.
   acknowledge(alarm, entry) {
     const before = this.acknowledgedAt ?? -Infinity;
     this.acknowledgedAt = performance.now();
@@ -197,7 +197,7 @@ export class Orders {
 
   async ask(name, entry) {
     if (!this.may(entry.service.name) && !(await this.admitted(name, entry))) return false;
-    // The service ends nothing that came later than this question: nobody releases a stop that was not seen.
+    // The service ends nothing that came later than this question: nobody releases a stop that they have not seen.
     const wishes = name === "auto" ? Object.entries(entry.tracker.wishes).filter(([, wish]) => wish) : [];
     const shown = name === "auto" ? { shown: Object.fromEntries(wishes.map(([wish, { since, latest }]) => [wish, latest ?? since])) } : {};
     const why = await this.confirm(name, entry.label, wishList(Object.fromEntries(wishes), this.now()));
@@ -207,7 +207,7 @@ export class Orders {
   // Stows or stops every tracker of every service; resolves to what came of it at each, or null.
   async giveAll(name) {
     if (!this.session.by && !(await this.login(null))) return null;
-    // As of one: a stop asks nothing.
+    // As for one tracker, a stop asks no question.
     const why = name === "stop" ? "" : await this.confirm(name, "all trackers");
     return why === null ? null : this.giveEach(name, why ? { why } : {});
   }
@@ -242,8 +242,8 @@ export class Orders {
     }
   }
 
-  // Whether an order was refused for want of a session or of the service's token, and there is one now. What: the
-  // order, where it stands there as sent.
+  // Whether an order was refused for want of a session or of the service's token, and a login has ended that. what: the
+  // order, if the page shows it as sent.
   async renewed(error, service, what = null, order = {}) {
     if (error.status !== 401) return false;
     if (what) this.say(`${what} was NOT given: log in first.`, "bad", order);
@@ -265,8 +265,8 @@ export class Orders {
     }
   }
 
-  // A new order takes the place of those that are answered. One that is under way keeps its own: its answer, which may
-  // be a refusal, neither goes by unseen nor hides that of a later stop.
+  // A new order takes the place of those that are answered. An order that is under way keeps a line of its own, so that
+  // its answer, which may be a refusal, is seen and does not hide that of a later stop.
   say(text, kind, order = {}, underWay = false) {
     if (!this.lines.has(order)) for (const [other, line] of this.lines) if (!line.underWay) this.drop(other);
     const { node } = this.lines.get(order) ?? { node: h("p", null) };

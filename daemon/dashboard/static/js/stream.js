@@ -25,7 +25,7 @@ export class Stream {
     clearTimeout(this.watch);
     this.source?.close();
     this.source = null;
-    // A tab that is opened later would take it for what is so now.
+    // A tab that is opened later would take these messages for the present state.
     this.newest.clear();
   }
 

@@ -112,7 +112,7 @@ export function light() {
     const decision = tracker?.decision;
     const learned = tracker?.law.learned;
     const curve = tracker?.load?.curve;
-    // Where nothing is decided, as at night, the last decision tells of a light that has gone.
+    // While nothing is decided, as at night, the last decision tells of light that has gone.
     const believes = decision && decision.dni_est !== null && tracker.next_decision_s !== null;
     node.hidden = !believes && !learned && !tracker?.load;
     if (node.hidden) return;
@@ -183,7 +183,7 @@ export function log() {
 
   function update({ state, tracker, now }) {
     const name = tracker?.tracker.name;
-    // Of several trackers, a line of one begins with its name, which is written as it is.
+    // With several trackers, the line of one begins with its name, which keeps its spelling.
     const whose = (text) => Object.keys(state.trackers).find((each) => text.startsWith(`${each}: `));
     const own = (state?.news ?? []).filter(({ text }) => !name || [name, undefined].includes(whose(text)));
     const newest = own.slice(-12).reverse();

@@ -41,7 +41,7 @@ export function control(orders) {
     state.node,
     h("section", { class: "orders", "aria-label": "Orders" }, ["stow", "stop", "hold", "auto"].map(button)),
     seen,
-    // Or they would push the orders off a phone's screen.
+    // Below the orders: above, alarms would push the orders off a phone's screen.
     state.alarms,
     card("Go to a position", null, form),
     h("section", { class: "orders small", "aria-label": "Further orders" }, ["snow", "maintenance", "home", "clear", "relearn"].map(button)),

@@ -8,17 +8,17 @@ import { KIND, TITLE } from "./hero.js";
 import { Plots } from "./plots.js";
 
 const FRESH_MS = 30000;
-// Late in a day the times of numbers are off by up to 4 ms, by the 32 bits that they come in.
+// Late in a day the times of numbers are off by up to 4 ms, because they come in 32 bits.
 const PAST_MS = 5;
 const AGAIN_MS = 10000;
 // More lines take a person and a browser long; they are there on request.
 const FEW_LINES = 200;
-// uPlot's word for it.
+// uPlot's mode of `join` in which a null covers the times of other series up to the next value.
 const EXPAND = 2;
-// What the report takes for a pause: of scans and curves a minute, of all else a quarter of an hour.
+// What counts as a pause, as in the report: a minute without scans or curves, a quarter of an hour without others.
 const SHORT_PAUSE_S = 60;
 const LONG_PAUSE_S = 900;
-// Told apart without their colours too: whole, dashed, dotted and bold.
+// The lines differ without their colours too: solid, dashed, dotted and bold.
 const FACES = [["east", "#0084c8"], ["south", "#d98200", { dash: [7, 3] }], ["west", "#00926b", { dash: [2, 3] }], ["zenith", "--ink", { width: 2.5 }]];
 const SHADES = { ok: "--ok", calm: "--track", warn: "--sun", bad: "--bad" };
 const KINDS_OF_NUMBERS = ["scans", "poses", "decisions", "curves"];
@@ -58,7 +58,7 @@ export function day() {
   let loading = false;
   let wish = null;
 
-  // Asks which days there are; the newest is followed from one to the next, unless another one was picked.
+  // Asks which days there are, and shows the newest, also when a new day begins, unless another one was picked.
   async function choose() {
     const { service, entry, state, now } = context;
     if (source !== entry.key) {
@@ -107,7 +107,7 @@ export function day() {
     figures.replaceChildren(h("p", { class: "big" }, "No stored day to show"), h("p", null, sentence(error.message)));
   }
 
-  // One day at a time: what is asked for meanwhile waits, and only the last of it counts.
+  // Loads one day at a time: a day that is asked for meanwhile waits, and only the last such day counts.
   async function open(date) {
     wish = date;
     if (loading) return;
@@ -145,7 +145,7 @@ export function day() {
     }
   }
 
-  // What has come since, for the day that goes on.
+  // Adds the records that have come since, while the day goes on.
   async function follow() {
     loading = true;
     const day = held;
@@ -189,9 +189,9 @@ export function day() {
     }
     const angles = held.sun.path.map((point) => sunAngles(point, held.latitude));
     const sunTimes = held.sun.path.map((point) => Date.parse(point.time) / 1000);
-    // Both angles have the same times: they are put in order once.
+    // Both angles have the same times, so the series are joined once.
     const tables = [[poses.time, poses.a_deg, poses.b_deg], [decisions.time, decisions.target_a_deg, decisions.target_b_deg], [sunTimes, angles.map((pair) => pair && pair[0]), angles.map((pair) => pair && pair[1])]];
-    // A pause goes on where the others have times.
+    // A pause stays a gap where the other series have times.
     const [x, ...joined] = uPlot.join(tables, tables.map((columns) => columns.map(() => EXPAND)));
     for (const [name, pick, range] of [["A, east negative", 0, [-95, 95]], ["B, flat is 90", 1, [0, 180]]]) {
       const [actual, set, sun] = [joined[pick], joined[2 + pick], joined[4 + pick]];
@@ -264,7 +264,7 @@ export function day() {
     }).filter(({ name, from, to }) => name && to > from);
   }
 
-  // From when to when there are records of any kind. Where one of them ends early nobody knows of pauses.
+  // From when to when there are records of any kind. After the end of a kind that was cut off, pauses are not known.
   function recorded() {
     const timesOf = (kind) => held[kind].time ?? held[kind].map(({ time }) => Date.parse(time) / 1000);
     const times = Float64Array.from(KINDS.flatMap(timesOf)).sort();
@@ -337,7 +337,7 @@ export function day() {
     setAttr(node, "data-source", source);
   }
 
-  // What is still under way is given up; what of it comes all the same belongs to no source then, and is drawn nowhere.
+  // Gives up requests that are under way. A reply that comes all the same belongs to no source, and is not drawn.
   function close() {
     watcher.disconnect();
     source = null;
@@ -348,7 +348,7 @@ export function day() {
   return { node, update, redraw: () => held && draw(), close };
 }
 
-// A move as the service tells it among its news, at its end: what happened once is to read as one thing in all views.
+// A move as the service tells it among its news, at its end: the same move must read the same in all views.
 function ended({ time, duration_s, end_a_deg, end_b_deg, outcome, why }) {
   const [a, b] = [end_a_deg, end_b_deg].map((angle) => num(angle, 1).replace("−", "-"));
   const place = `A ${a.startsWith("-") ? "" : "+"}${a}, B ${b} deg`;
@@ -356,7 +356,7 @@ function ended({ time, duration_s, end_a_deg, end_b_deg, outcome, why }) {
   return { time: new Date(Date.parse(time) + 1000 * duration_s).toISOString(), text: `moved to ${place} in ${num(duration_s)} s${how}: ${why}` };
 }
 
-// The kinds of which there are more than a reply has.
+// The kinds that have more records than a reply holds.
 const cut = (replies) => KINDS.filter((_, index) => replies[index].more);
 
 // The angles A and B that point at the sun; null while it is down.
@@ -367,7 +367,7 @@ function sunAngles({ azimuth_deg, elevation_deg }, latitude) {
   return [(Math.asin(-east) * 180) / Math.PI, (Math.atan2(up, equatorward) * 180) / Math.PI];
 }
 
-// Fills in between the known points, so that a line on other points' times is whole.
+// Interpolates between the known points, so that a line at the times of other series is whole.
 function bridged(x, values) {
   const found = new Array(values.length).fill(null);
   let before = -1;

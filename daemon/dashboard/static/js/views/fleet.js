@@ -8,12 +8,12 @@ import { target } from "./dome.js";
 import { inAWord, KIND } from "./hero.js";
 
 const HEADS = ["Tracker", "Mode", "A actual / set", "B actual / set", "Off its set point", "Set point off the median", "Wind", "Age", "Alarms", "Order"];
-// As independent monitors count a tracker as not available.
+// From here on, independent monitors count a tracker as not available.
 const FAR_DEG = 5;
 const DOWN = ", cube down";
 const ABOUT = { stop: "every tracker, at once; only Auto ends it", stow: "every tracker of every service" };
 
-// What came of the last order to all, and when a stow was given: whoever leaves the view finds it again.
+// What came of the last order to all, and when a stow was given: both are still there when the view is opened again.
 const results = h("ul", { class: "results" });
 let ordered = null;
 
@@ -21,7 +21,7 @@ export function fleet(orders) {
   const title = h("h1", null);
   const tally = h("p", { class: "why" });
   const progress = h("span", { role: "status" });
-  // It changes every second: nobody wants to have it read out.
+  // It changes every second, so no screen reader shall read it out.
   const since = h("span");
   const all = ["stop", "stow"].map((name) => h("button", { type: "button", class: `order ${name}`, onclick: () => giveAll(name) }, icon(name), h("span", null, h("strong", null, `${sentence(name)} all`), h("small", null, ABOUT[name]))));
   const body = h("tbody");
@@ -32,7 +32,7 @@ export function fleet(orders) {
     card("Trackers", { class: "wide" }, h("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Trackers, one a row" }, table)));
   let known = new Map();
   let entries = new Map();
-  // One by one, as somebody may be at any of them.
+  // Trackers are released one by one, as somebody may be at any of them.
   const release = (key, label) => h("td", { class: "release" }, h("button", { type: "button", class: "plain", "aria-label": `Auto ${label}`, onclick: () => orders.ask("auto", entries.get(key)) }, "Auto"));
 
   async function giveAll(name) {
@@ -50,7 +50,7 @@ export function fleet(orders) {
     const rows = trackers.map((entry) => row(entry, live.connected));
     compare(rows);
     const own = rows.filter(({ tracker }) => tracker);
-    // Of a service that has never answered nobody knows how many trackers it has.
+    // Nobody knows how many trackers a service has that has never answered.
     const gone = rows.filter(({ kind, tracker }) => kind === "lost" && !tracker).length;
     const silent = gone === 1 ? "1 service does not answer" : `${gone} services do not answer`;
     const waiting = rows.every(({ state, up }) => !state && up !== false);
@@ -75,7 +75,7 @@ export function fleet(orders) {
   return { node, update };
 }
 
-// What somebody has acknowledged is looked after, and a notice can wait.
+// Somebody looks after an acknowledged alarm, and a notice can wait.
 const unseen = ({ state, severity }) => state !== "acknowledged" && severity !== "notice";
 
 // What is the matter with the cube: a tracker that is stopped, held or stowed does not say so in its mode.
@@ -101,7 +101,7 @@ function row({ key, label, service, tracker }, connected) {
   return { key, label, state, up: service.up, tracker, old, mode, kind, cube, pose, wanted, off, alarms, extra, why: tracker && onPage(tracker.mode.why, serviceNow(service)), group: tracker ? `${state.site.name}/${tracker.law.name}` : null, stale: old || !pose || pose.stale };
 }
 
-// Set points are held against the median of the same site and law, where there are three or more.
+// Compares set points with the median of the same site and law, if there are three or more.
 function compare(rows) {
   const groups = new Map();
   for (const each of rows) if (each.wanted && !each.old) groups.set(each.group, [...(groups.get(each.group) ?? []), each]);

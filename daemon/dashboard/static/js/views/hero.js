@@ -54,7 +54,7 @@ export function hero(orders) {
 function headline(service, state, tracker, old) {
   if (!state) return service?.up === false ? "No connection" : "Connecting ...";
   if (old) return "No connection: what is shown is old";
-  // To who has ordered it, or stands at the axes, "Starting" says too little.
+  // "Starting" says too little to a person who has ordered it, or stands at the axes.
   if (tracker?.tracker.homing && tracker.mode.name === "starting") return "Reference run";
   return tracker ? ASKED[tracker.mode.asked] ?? TITLE[tracker.mode.name] ?? sentence(tracker.mode.name) : state.cube_down_why ? "The cube does not answer" : "The cube reads";
 }
@@ -64,7 +64,7 @@ function explain(service, state, tracker, old) {
   return tracker ? tracker.mode.why : state.cube_down_why ?? "a process of the cube alone: it has no tracker";
 }
 
-// Words between backticks are what is typed, where there is no button for it.
+// Text between backticks is a command: it becomes the name of its button, or stays as it is typed if there is none.
 function typed(text) {
   const shown = (command) => (buttonOf(command) ? h("strong", null, buttonOf(command)) : h("code", null, command));
   return text.split("`").map((part, index) => (index % 2 ? shown(part) : part));

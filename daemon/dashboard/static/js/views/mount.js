@@ -75,7 +75,7 @@ export function mount() {
     setClass(node, "stale", Boolean(stale));
     a.update(pose?.a_deg, wanted?.a_deg, unit?.limits.a_min_deg, unit?.limits.a_max_deg);
     b.update(pose?.b_deg, wanted?.b_deg, unit?.limits.b_min_deg, unit?.limits.b_max_deg);
-    // A move goes on without its host: of axes that nobody hears from nothing is known.
+    // A move goes on without its host: while the positioner is silent, nobody knows whether the axes move.
     const known = unit && !old && unit.connected !== false;
     setText(status, !unit ? "" : !known ? "Not known whether the axes move" : unit.homing ? "Reference run: both axes move" : unit.moving ? `Moving to A ${signedDeg(wanted?.a_deg)}, B ${deg(wanted?.b_deg)}: ${unit.target.why}` : "Standing still");
     setClass(status, "on", Boolean(known && (unit.moving || unit.homing)));

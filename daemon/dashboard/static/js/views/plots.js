@@ -51,7 +51,7 @@ export class Plots {
           dash,
           points: { show: false },
           paths: steps ? uPlot.paths.stepped({ align: 1 }) : undefined,
-          // Or the edge of the step that a gap leaves out would still be seen.
+          // One pixel more: otherwise the edge of the step that a gap leaves out would still be seen.
           ...(steps && { gaps: (_plot, _index, _first, _last, found) => found.map(([from, to]) => [from, to + 1]) }),
           value: (_, value) => num(value, digits),
         })),
