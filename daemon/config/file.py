@@ -33,11 +33,11 @@ from daemon.config.trackers import (
 if TYPE_CHECKING:
     from daemon.config.section import Section
 
-# What somebody meant is searched for that often in a section: a file of another program has no end of keys.
+# At most this many wrong keys of a section get a remedy: a file of another program may have thousands of keys.
 _MOST_REMEDIES = 20
 _AND_MORE = ": more is wrong here; correct what is listed above first"
 _MOST_TRACKERS = 64
-# Paths in the file are meant from where the file is, so that a folder can be moved as a whole.
+# These paths start from the file's folder if they are relative, so that the folder can be moved as a whole.
 _PATHS = (
     ("bridge", "key_file"),
     ("store", "directory"),
@@ -89,7 +89,7 @@ class _Problem(NamedTuple):
 def load_settings(path: Path) -> Settings:
     """Read the settings from a TOML file; relative paths in it are meant from the file's folder.
 
-    Topics and JSON paths may be such that they cannot be used: see `daemon.mqtt.topics`.
+    Whether topics and JSON paths can be used is not checked here: see `daemon.mqtt.topics`.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]], to_co
     changes
         New values by section and key: ``{"law": {"driver": "flat"}}``.
     to_come
-        Keys that get their value later: no rule in which one of them takes part is looked at.
+        Keys that get their value later: rules that involve one of them are not checked.
     """
     raw = settings.model_dump()
     for section, values in changes.items():
@@ -121,7 +121,7 @@ def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]], to_co
         else:
             raw[section] |= values
         for table in raw["tracker"]:
-            # What is asked for so holds for every tracker.
+            # The changes hold for every tracker, whatever its own table says.
             without(table, section, values)
     return _settings(raw, "what was asked for", to_come=to_come)
 
@@ -243,7 +243,7 @@ def _checked(
         except ValidationError as error:
             found = {problem.key: problem for problem in _problems(error, name, chosen)}
             problems += found.values()
-            # The rules between keys are still worth checking for all that is right.
+            # The rules between keys are still worth checking for the keys that are right.
             sections[name] = kind.model_validate(_without(given, name, sorted(found), chosen))
     settings = Settings.model_construct(**sections)
     problems += [_Problem(key, _wrong(key, _value_of(settings, key), chosen)) for key in unusable(settings)]
@@ -273,7 +273,7 @@ def _driver_problem(section: str, wrong: Wrong, chosen: Chosen) -> _Problem:
     loc: tuple[int | str, ...] = (*section.split("."), *wrong.loc)
     former = SECTIONS[section].former
     if wrong.kind == "value" and wrong.loc == (former,):
-        # What the key takes is what the one takes that it has become.
+        # The former key takes the same values as the key that replaces it.
         return _Problem(f"{section}.{former}", _wrong(f"{section}.{DRIVER}", wrong.value, chosen))
     if wrong.kind == "unknown" and [str(part).lower() for part in wrong.loc] == [former]:
         meant = f"{section}.{DRIVER}"
@@ -348,7 +348,7 @@ def _unknown(section: str, name: str, value: Any, chosen: Chosen) -> _Problem:
 
 
 def _without(given: Any, section: str, wrong: Sequence[str], chosen: Chosen) -> dict[str, Any]:
-    """Return what is right in a section of the file; `wrong` is in order, for both may be thousands of keys."""
+    """Return what is right in a section of the file; `wrong` is sorted, as both may have thousands of keys."""
     if not isinstance(given, dict) or section in wrong:
         return {}
     kept = {}

@@ -36,7 +36,7 @@ _UNITS = {
     "m": "m",
     "v": "V",
 }
-# What people write by mistake: quantity, and how much of its first unit one of this unit is.
+# Units that people write by mistake: the quantity, and how many of the quantity's first unit one of this unit is.
 _MAGNITUDES = {
     "m_s": ("speed", 1.0),
     "mm_s": ("speed", 1e-3),
@@ -114,7 +114,7 @@ class Key:
     default
         None where the key may be left out and has no value then.
     only_for
-        The drivers that know the key, where the one that is chosen does not.
+        The drivers that know the key, if the chosen one does not.
     """
 
     path: str
@@ -185,7 +185,7 @@ class SettingsTable:
 def tables(chosen: Chosen = ()) -> dict[str, SettingsTable]:
     """Return all sections by their path, in the order of the models.
 
-    Where drivers know different keys, those of the `chosen` one count, or of the default; then those of the others.
+    Where drivers know different keys, those of the `chosen` or the default driver come first, then those of the others.
     """
     return _tables(chosen, tuple(sys.path))
 
@@ -390,7 +390,7 @@ def shortened(text: str) -> str:
 
 
 def covers_any(outer: str, ordered: Sequence[str]) -> bool:
-    """Tell whether any of some keys in order is the key `outer` or lies inside it."""
+    """Tell whether any of some sorted keys is the key `outer` or lies inside it."""
     places = (bisect_left(ordered, beginning) for beginning in (outer, f"{outer}.", f"{outer}["))
     return any(covers(outer, key) for place in places for key in ordered[place : place + 1])
 

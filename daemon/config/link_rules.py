@@ -1,4 +1,4 @@
-"""Rules between the keys of what others reach and what reaches others; each as in `daemon.config.rules`."""
+"""Rules between the keys of the bridge, the broker and the interfaces; each is written as in `daemon.config.rules`."""
 
 from collections.abc import Iterator
 
@@ -80,7 +80,7 @@ def quiet_hours_have_both_ends(settings: Sections) -> Iterator[Conflict]:
 
 
 def conflicts_of_quiet_hours(notify: NotifySettings) -> Iterator[Conflict]:
-    """Yield what is wrong with quiet hours, for a process too that reads no other section."""
+    """Yield what is wrong with quiet hours; a process that reads no other section uses it, too."""
     for name, other in (("quiet_from", "quiet_until"), ("quiet_until", "quiet_from")):
         if getattr(notify, name) is not None and getattr(notify, other) is None:
             yield Conflict(f"notify.{name}", f"needs notify.{other}", (f"notify.{other}",))
@@ -95,7 +95,7 @@ def each_server_has_a_port(settings: Sections) -> Iterator[Conflict]:
     if not (api.enabled and sunspec.enabled):
         return
     one, other = parse_address(api.listen), parse_address(sunspec.listen)
-    # An address that stands for all networks takes the port of each.
+    # An address that stands for all networks takes the port on each of them.
     all_of_one = one.ip.version == other.ip.version and (one.ip.is_unspecified or other.ip.is_unspecified)
     if one.port == other.port != 0 and (one.ip == other.ip or all_of_one):
         reason = f"is the port of api.listen ({api.listen}) already; each needs one of its own"

@@ -314,9 +314,9 @@ Guest = TypeVar("Guest", DashboardSettings, NotifySettings)
 
 
 def section_of_guest(path: Path | None, name: str, kind: type[Guest]) -> Guest:
-    """Return the section of a process that knows services by HTTP, its services filled in from [api] if it names none.
+    """Return the section of a process that knows services by HTTP only; if it names none, [api] fills in its services.
 
-    Of the file nothing else is read: a mistake elsewhere in it is the service's.
+    Nothing else of the file is read: a mistake elsewhere in it concerns the service only.
 
     Raises
     ------

@@ -27,15 +27,15 @@ _KEY = re.compile(r"(\s*)([A-Za-z0-9_-]+)(\s*=.*)", re.DOTALL)
 def migrate(path: Path, *, keys_only: bool = False) -> str:
     """Bring a file into today's form, keep the old one beside it, and return in a sentence what was done.
 
-    The old one has the name of this release at the end of its own, so that it is known who has replaced it. Comments
-    and order stay, but where the text is laid out in a way that its lines do not show, such as inline tables.
+    The name of the old one ends in the name of this release, which tells what has replaced it. Comments and order stay,
+    unless the text has keys that cannot be found line by line, such as those of inline tables.
 
     Parameters
     ----------
     path
         The file.
     keys_only
-        Leave a tracker without a name as it is: what it is known by is for people to say.
+        Leave a tracker without a name as it is: its name is for people to choose.
 
     Raises
     ------
@@ -64,12 +64,12 @@ def migrate(path: Path, *, keys_only: bool = False) -> str:
 
 
 def before(path: Path) -> Path:
-    """Return where a file is kept as it was before this release first brought it into its form."""
+    """Return the path of the copy of a file from before this release first migrated it."""
     return path.with_name(f"{path.name}.before-{release()}")
 
 
 def kept_before(path: Path) -> list[Path]:
-    """Return where a file is kept as it was each time that this release brought it into its form, the latest first."""
+    """Return the paths of the copies of a file from before each migration by this release, the latest first."""
     return list(takewhile(Path.exists, numbered(before(path))))[::-1]
 
 
@@ -94,7 +94,7 @@ def _parses_to(text: str, wanted: Mapping[str, Any]) -> bool:
 
 
 def _has(values: Mapping[str, Any], path: str) -> bool:
-    """Whether the file or a tracker's table in it says something for a key."""
+    """Whether the file, or a tracker's table in it, has a key."""
     *sections, key = path.split(".")
     found: Any = values
     for name in sections:

@@ -2,7 +2,7 @@
 
 The section names it with `driver`; the rest of the section is validated by the settings class of that plug-in. Keys of
 other plug-ins of the same kind may stand beside them, so that changing the name is changing one line: they are checked
-by the class that knows them and have no effect. Nothing is imported for names that are neither chosen nor written for.
+by the class that knows them and have no effect. Plug-ins that are not chosen are imported for such keys only.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -86,7 +86,7 @@ class Plugged:
         return (*self.built_in, *plugins.names(self.group))
 
     def complete(self, name: str) -> str:
-        """Return the one name that begins like this, such as ``modbus-pyranometers`` for ``modbus``, else as it is."""
+        """Return the only name that begins like this, such as ``modbus-pyranometers`` for ``modbus``, or `name`."""
         found = [known for known in self.names() if known.startswith(name)]
         return found[0] if len(found) == 1 else name
 
@@ -110,7 +110,7 @@ class Plugged:
         return _open(self.settings_class(self.default)).model_validate({DRIVER: self.default})
 
     def settle(self, given: Any) -> Any:
-        """Return the settings for a table of the file; settings pass. Raises `ValueError` for a table that is wrong."""
+        """Return the settings for a table of the file; settings stay as they are. Raises `ValueError` for mistakes."""
         if not isinstance(given, dict):
             return given
         settings, wrong = self.read(given)
@@ -238,7 +238,7 @@ def settled(raw: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[tuple[str, st
             table[name] = dict(inner) if isinstance(inner, dict) else inner
             table = table[name]
         if not isinstance(table, dict):
-            # What is wrong here is told of the table around.
+            # The check of the table around this one reports it.
             continue
         settings, found = plugged.read(table.get(last, {}))
         table[last] = settings
@@ -249,7 +249,7 @@ def settled(raw: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[tuple[str, st
 
 @lru_cache
 def _open(kind: type[BaseModel]) -> type[BaseModel]:
-    """Return a settings class that keeps what belongs to other plug-ins."""
+    """Return a settings class that keeps the keys of other plug-ins."""
     opened = create_model(
         kind.__name__,
         __base__=kind,
@@ -257,7 +257,7 @@ def _open(kind: type[BaseModel]) -> type[BaseModel]:
         __doc__=kind.__doc__,
         __cls_kwargs__={"extra": "allow"},
     )
-    # By its name another process would find the class that it was made from.
+    # Another process that unpickles the class by its name would find the class that it was made from.
     setattr(opened, "__reduce__", _reduced)  # noqa: B010
     return opened
 
@@ -288,7 +288,7 @@ def _wrong(kind: type[BaseModel], values: dict[str, Any]) -> Iterator[Wrong]:
 
 
 def _without(values: dict[str, Any], locs: Collection[Loc]) -> dict[str, Any]:
-    """Return a table without what stands at some places."""
+    """Return a table without the values at some places."""
     kept: dict[str, Any] = {}
     inside_of: dict[int | str, list[Loc]] = {}
     for loc in locs:

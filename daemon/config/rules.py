@@ -18,7 +18,7 @@ from solar.frames import equator_azimuth_deg
 _OVER_RANGE = 1.2
 _AUTOZERO = 2
 _BRIGHT_SUN_W_M2 = 1000.0
-# What an electronic load takes for the exchanges of one point, and a sweep for its beginning and end.
+# The time that an electronic load takes for the exchanges of one point, and for the beginning and end of a sweep.
 _LOAD_EXCHANGES_S = 0.03
 _SWEEP_ENDS_S = 0.2
 # The bridge takes times of scans from July 1978 to the end of 2099.
@@ -36,7 +36,7 @@ def conflicts(settings: Sections) -> list[Conflict]:
 def has_multiplexer(settings: Sections) -> bool:
     """Return whether a process with these settings may read the faces through a multiplexer."""
     instruments = settings.instruments
-    # Without the meter's place real faces cannot be read: the cube is another machine's, of whatever driver.
+    # Without the meter's address no real face can be read here: another machine has the cube, with whatever driver.
     there = instruments.kind != "real" or instruments.voltmeter.resource is not None
     return instruments.cube.driver == MULTIPLEXED and there
 
@@ -240,7 +240,7 @@ def trackers_of_a_group_stand_apart(settings: Sections) -> Iterator[Conflict]:
         return
     places = np.array(rows.positions_m).reshape(-1, 3)
     diagonal_m = math.hypot(rows.module_width_m, rows.module_height_m)
-    # One by one, for all pairs at once would be large; the first that stand too near are told.
+    # One by one, because all pairs at once would be large. The first two that stand too near are reported.
     for number, place in enumerate(places[1:], 2):
         apart_m = np.linalg.norm(places[: number - 1] - place, axis=-1)
         other = int(np.argmin(apart_m))

@@ -34,7 +34,7 @@ Kind = TypeVar("Kind", bound=Section)
 
 
 def read_tables(path: Path | None) -> dict[str, Any]:
-    """Return what a file holds, nothing of None; raises `UserError`."""
+    """Return the tables of a file, none for None; raises `UserError`."""
     if path is None:
         return {}
     try:
@@ -73,19 +73,19 @@ def in_words(wrong: "ErrorDetails") -> str:
     clause = _CLAUSES.get(wrong["type"])
     if clause is None:
         return wrong["msg"].removeprefix("Value error, ")
-    # Of a bound that is a whole number all digits are told: the next one is too large.
+    # A bound that is a whole number is told with all its digits: rounded up, it would be out of bounds itself.
     told = wrong.get("ctx", {}).items()
     bounds = {name: f"{value:.10g}" if isinstance(value, float) else value for name, value in told}
     return clause.format(input=wrong["input"], **bounds)
 
 
 def beside(path: Path | None, section: Kind) -> Kind:
-    """Return a section with its files where they are meant: those of no absolute path lie beside the configuration.
+    """Return a section with the paths of its files completed: relative ones start from the configuration's folder.
 
     Raises
     ------
     UserError
-        One is said to be in the folder of a user that there is not.
+        A path names the home of a user who does not exist.
     """
     folder = Path() if path is None else path.parent
     files = {}
@@ -107,13 +107,13 @@ def at_home(path: Path) -> Path:
 
 
 def whole_path(folder: Path, path: Path) -> Path:
-    """Return where a path is that is meant from a folder, links followed; raises `ValueError` where that is nowhere."""
+    """Return the whole path of one that starts from a folder, links followed; raises `ValueError` if there is none."""
     meant = folder / at_home(path)
     try:
         whole = meant.resolve()
     except (RuntimeError, OSError):
         whole = None
-    # From Python 3.13 on nothing is raised where a link leads back to itself: it is left as it is.
+    # From Python 3.13 on `resolve` raises nothing for a link that leads back to itself, and returns it as it is.
     if whole is None or os.path.islink(whole):  # noqa: PTH114 - what may not be looked into is no link
         raise ValueError(f"{meant} is a link that leads back to itself; remove it, or name another")
     return whole

@@ -115,7 +115,7 @@ class CubeSettings(Section):
     @field_validator("east", "south", "west", "zenith", mode="before")
     @classmethod
     def _complete(cls, value: Any, info: ValidationInfo) -> Any:
-        """Give a face of which the file names some keys that same face's defaults for the others."""
+        """Give a face of which the file sets only some keys the defaults of the same face for the others."""
         return with_defaults(cls, value, info)
 
 
@@ -209,7 +209,7 @@ def _group(
     bypass_groups: int,
     only_if_it_pays: bool,
 ) -> TrackerGroup:
-    """Build a group once for all trackers that are of it: hundreds would take long to lay out for each."""
+    """Build a group once for all its trackers: to build it for each of hundreds would take long."""
     return TrackerGroup.on_map(
         east_m, north_m, up_m, size_m, latitude_deg, bypass_groups, only_if_it_pays=only_if_it_pays
     )

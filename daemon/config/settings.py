@@ -46,7 +46,7 @@ class Settings(Sections):
     def bench_clock(self) -> tuple[datetime, datetime] | None:
         """What a bench's clock shows, and the real time at which it shows that; None where the time is the machine's.
 
-        Both may stand in the file of a rig that has nothing to do with a bench, whose time is real.
+        Both keys may also stand in the file of a rig without a bench; its time is real all the same.
         """
         start, anchor = self.simulation.start_utc, self.simulation.anchor_utc
         return None if start is None or anchor is None or not self.instruments.bench else (start, anchor)
@@ -63,7 +63,7 @@ class Settings(Sections):
         return tuple(NamedSettings(table.name, self._of(table, values)) for table in self.tracker)
 
     def _of(self, table: TrackerTable, values: Mapping[str, Any]) -> "Settings":
-        # Two connections with one name throw each other out.
+        # Two connections with one name keep disconnecting each other.
         client_id = None if self.mqtt.client_id is None else f"{self.mqtt.client_id}-{table.name}"
         directory = None if self.store.directory is None else self.store.directory / table.name
         own = {
@@ -71,13 +71,13 @@ class Settings(Sections):
             "store": self.store.model_copy(update={"directory": directory}),
         }
         if not table.model_fields_set - {"name"}:
-            # Hundreds of trackers differ in a name: to check the same again takes milliseconds each.
+            # Hundreds of trackers may differ in a name only: to check the same values again takes milliseconds each.
             return self.model_copy(update={"tracker": (), **own})
         return Settings.model_validate(merged(values, table.model_dump())).model_copy(update=own)
 
 
 def settings_of_one(settings: Settings, tracker: str | None) -> Settings:
-    """Return the settings of one tracker, the only one where none is named, for what drives a single one.
+    """Return the settings of one tracker, the only one where none is named, for a program that drives only one.
 
     Raises
     ------

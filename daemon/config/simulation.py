@@ -56,5 +56,5 @@ class SimulationSettings(Section):
     )
     sensor_gain_error: NotNegative = Field(0.005, le=0.5, description="Spread of the sensors' gains, as a share.")
     sensor_noise_mv: NotNegative = Field(0.02, le=100, description="Noise of a sensor's voltage, one sigma.")
-    # Faster ones turn an axis by more than the 10 deg/s that count as a jump of its count.
+    # Faster actuators would turn an axis by more than 10 deg/s, which is taken for a jump of its count.
     motor_speed_mm_s: Positive = Field(3.2, le=15, description="Speed of the positioner's actuators.")

@@ -41,7 +41,7 @@ def self_test_gaps(settings: Settings) -> list[str]:
 
 
 def _faults(addresses: tuple[int, ...]) -> Iterator[tuple[str, Callable[[int], int | None]]]:
-    """Yield each fault in words, with the input that is on the output when another one is selected."""
+    """Yield each fault in words, with a function from the input that is selected to the one that is then read."""
     lines = [bit for bit in range(max(addresses).bit_length()) if any(address >> bit & 1 for address in addresses)]
     input_of = {address: channel for channel, address in enumerate(addresses)}
 

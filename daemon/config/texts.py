@@ -13,7 +13,7 @@ from drivers.settings import check_host, text_of
 
 _CLOCK_TIME = re.compile(r"([01]\d|2[0-3]):[0-5]\d")
 _WEB = re.compile(r"https?://[^\s/]\S*")
-# User and password would be divided by a colon.
+# No colon is allowed before the @: it would divide a user from a password.
 _ARCHIVE = re.compile(r"postgres(ql)?://([^:@/\s#]+@)?[^@/?\s#]*/[^/?\s#]+(\?[^\s#]*)?")
 _TOPICS = re.compile(r"([^/#+$\s]+|\+)(/([^/#+\s]+|\+))+/records")
 _ALL_OF_THIS_NETWORK = "255.255.255.255"
@@ -94,7 +94,7 @@ TrackerAddress = Annotated[str, AfterValidator(_tracker_address), text_of("track
 Group = Annotated[str, AfterValidator(_group), text_of("group")]
 Host = Annotated[str, AfterValidator(_host), text_of("ip")]
 Interface = Annotated[str, AfterValidator(_interface), text_of("ipv4")]
-# Whether these three can be used is for daemon.mqtt.topics to say: a wrong one must not keep the tracker from tracking.
+# daemon.mqtt.topics tells whether these three can be used: a wrong one must not keep the tracker from tracking.
 Topic = Annotated[str, text_of("topic")]
 TopicLevel = Annotated[str, text_of("level")]
 JsonPath = Annotated[str, text_of("json-path")]

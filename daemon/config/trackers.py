@@ -34,9 +34,9 @@ class TrackerTable(Section):
 
 
 PARTS = tuple(name for name in TrackerTable.model_fields if name != "name")
-# Where a section of a tracker's table is at home in the file.
+# The path in the file of a section that is elsewhere in a tracker's table.
 _AT_HOME = {"positioner": "instruments.positioner"}
-# What all trackers of a process share, and a stranger looks for in their tables.
+# Sections that all trackers of a process share; a newcomer may look for them in the trackers' tables.
 _SHARED = ("cube", "bridge")
 
 
@@ -50,7 +50,7 @@ class Clash(NamedTuple):
 
 
 def values_of(settings: "Sections") -> dict[str, Any]:
-    """Return what settings say by section, tables of trackers left out; of a driver's section without its defaults."""
+    """Return the values of settings by section, without trackers' tables and without the defaults of drivers."""
     raw = settings.model_dump(exclude={"tracker"})
     for path in SECTIONS:
         *outer, last = path.split(".")
@@ -62,7 +62,7 @@ def values_of(settings: "Sections") -> dict[str, Any]:
 
 
 def without(table: dict[str, Any], path: str, values: Mapping[str, Any]) -> None:
-    """Take out of a tracker's table what `values` say of the section that has a path in the file."""
+    """Remove the keys in `values` from a tracker's table; they are those of the section that has `path` in the file."""
     section = place_in_table(path)
     own = table.get(section)
     if isinstance(own, dict):
@@ -81,7 +81,7 @@ def merged(raw: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _with_former(path: str, values: Any) -> frozenset[str]:
-    """Return the names of keys that values of a section decide: `driver` also decides what it was called before."""
+    """Return the names of the keys that a section's values decide; `driver` and its former name decide each other."""
     names = frozenset(values) if isinstance(values, Mapping) else frozenset()
     aliases = {DRIVER, SECTIONS[path].former} if path in SECTIONS else set()
     return names | aliases if names & aliases else names
@@ -96,7 +96,7 @@ def place_in_table(path: str) -> str:
 
 
 def resembling(name: str) -> str:
-    """Return the remedy for a name that is none of a tracker's sections."""
+    """Return the remedy for a name that is not one of a tracker's sections."""
     if name in _SHARED:
         return (
             "the trackers of a process have one cube and one bridge: write it outside their tables; one of another"
@@ -107,7 +107,7 @@ def resembling(name: str) -> str:
 
 
 def clashes(latitude_deg: float, trackers: Sequence[tuple[str, "Sections"]]) -> Iterator[Clash]:
-    """Yield every port of real instruments that two trackers share, and each tracker beyond the process's equator."""
+    """Yield each port of real instruments that two trackers share, and each tracker across the equator."""
     owners: dict[str, tuple[str, str]] = {}
     for name, settings in trackers:
         ports = {f"load.{key}": value for key, value in settings.load.exclusive().items()}
@@ -122,7 +122,7 @@ def clashes(latitude_deg: float, trackers: Sequence[tuple[str, "Sections"]]) -> 
                     yield Clash(name, key, value, reason)
         own_deg = settings.site.latitude_deg
         if equator_azimuth_deg(own_deg) != equator_azimuth_deg(latitude_deg):
-            # A cube's faces, SunSpec and a run's records have one side of the equator.
+            # The cube's faces, SunSpec and the records of a run hold for one side of the equator.
             reason = (
                 f"is on the other side of the equator than the cube and site.latitude_deg ({latitude_deg:g} deg);"
                 " correct the wrong one, or give this tracker a file and a process of its own"
@@ -136,7 +136,7 @@ def _lay_over(found: dict[str, Any], path: Sequence[str], values: Any, decided: 
     Parameters
     ----------
     decided
-        Keys of the table that do not stay as they are, whether there is a value for them or not.
+        Keys of the table that lose their old values, whether there is a new value for them or not.
     """
     first, *rest = path
     before = found.get(first)
@@ -153,5 +153,5 @@ def _lay_over(found: dict[str, Any], path: Sequence[str], values: Any, decided: 
                 kept[name] = value
         found[first] = kept
     else:
-        # What is no table is told by the check of the section.
+        # The check of the section reports a value that is not a table.
         found[first] = values
