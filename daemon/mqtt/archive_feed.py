@@ -1,4 +1,4 @@
-"""Every record of the store to an archive on the broker, kept here until the archive confirms that it has it."""
+"""Sends every record of the store to an archive on the broker, again and again until the archive confirms it."""
 
 import asyncio
 import json
@@ -37,7 +37,7 @@ _LONGEST_ANSWER_S = 60.0
 _TROUBLE_AFTER_S = 600.0
 _ALARM_AFTER_S = 3600.0
 _SAVE_EVERY_S = 60.0
-# Runs before these that had nothing more to send do not come to life again.
+# Of all runs but the last eight, one that had nothing more to send is finished for good.
 _ALIVE = 8
 
 
@@ -59,17 +59,17 @@ class _Answer:
 
 
 class ArchiveFeed:
-    """Sends page after page, each when the one before is confirmed; what is not confirmed is sent again.
+    """Sends page after page, each when the one before is confirmed; a page that is not confirmed is sent again.
 
-    The store is what waits: nothing is lost while a broker or an archive is away, as long as the store keeps its days.
+    Records wait in the store: nothing is lost while a broker or an archive is away, for as long as the store keeps it.
 
     Parameters
     ----------
     link, topics
         The way out, and under which names.
     directory, role
-        Of the store, which the processes of cube and tracker may share: each sends its own runs. How far the archive
-        has them is kept beside.
+        Of the store, which the processes of cube and tracker may share: each sends its own runs. The file that says
+        how far the archive has them is kept beside it.
     every_s
         How often the store is looked into when all is confirmed, on the machine's clock.
     keep_days
@@ -77,7 +77,7 @@ class ArchiveFeed:
     clock, random
         The service's time; jitter of repetition.
     speed
-        How many times as fast as the machine's the clock runs.
+        The clock runs this many times as fast as the machine's.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class ArchiveFeed:
                 try:
                     page = await asyncio.to_thread(self._next)
                 except Exception as error:  # noqa: BLE001 - nothing in a damaged store may end the service; it is shown
-                    # One that cannot be read for a moment is told by the store.
+                    # A store that cannot be read for a moment needs no sentence here: the store itself reports it.
                     self._complain(str(unreadable(self._path, error) if isinstance(error, sqlite3.Error) else error))
                     await asyncio.sleep(self._every_s)
                     continue
@@ -149,7 +149,7 @@ class ArchiveFeed:
     def _next(self) -> tuple[Batch, bytes] | None:
         """Return the next page and its message, of the oldest run first, None if all is confirmed.
 
-        It is no longer than the broker takes, except for a single record. Raises if the store is not read.
+        The message is no longer than the broker takes, except for a single record. Raises if the store cannot be read.
         """
         runs = [each for each in runs_of(self._path) if (each.origin.role == Role.CUBE.value) is self._of_cube]
         self._unsound = [run for run, origin in runs if not is_sound(identified(run, origin))]
@@ -176,12 +176,12 @@ class ArchiveFeed:
             if batch is not None:
                 return batch
             if place < len(runs) - _ALIVE:
-                # By what no other run has: a store that begins anew counts its runs from one again.
+                # By the identifier, not the number: a store that begins anew counts its runs from one again.
                 self._finished.add(origin.id)
         return None
 
     async def _deliver(self, batch: Batch, payload: bytes) -> None:
-        """Send one page until it is confirmed, or is too long for a broker that has come since."""
+        """Send one page until it is confirmed, or until it is too long for another broker that is connected by then."""
         message = Message(self._topic, payload, 1)
         self._asked, self._is_kept, self._refused = batch, False, ""
         self._answered.clear()
@@ -215,7 +215,7 @@ class ArchiveFeed:
             self._link.trouble("archive runs", f"{what}: its records stay there, and no archive gets them")
 
     def _complain(self, why: str = "") -> None:
-        """Say that nothing is confirmed, once that has lasted, and why where that is not for want of an archive."""
+        """Report that nothing is confirmed, once that has lasted, with the reason unless no archive is there at all."""
         because = f" ({why})" if why else ""
         waited_s = (self._clock.monotonic() - self._confirmed_s) / self._speed
         if waited_s >= _ALARM_AFTER_S:
@@ -229,7 +229,7 @@ class ArchiveFeed:
             )
 
     def _note_aside(self, answer: _Answer) -> None:
-        """Raise that the archive's database does not take records, until for an hour it has taken all."""
+        """Raise an alarm if the archive's database does not take records; end it once it has taken all for an hour."""
         now_s = self._clock.monotonic()
         if answer.aside > 0:
             self._aside += answer.aside
@@ -259,7 +259,7 @@ class ArchiveFeed:
             self._refused = answer.refused
             self._link.trouble("archive", f"the archive refuses records of {self._topic}: {answer.refused}")
         elif answer.through == self._asked.through:
-            # Of another end is what was confirmed before, or was never sent.
+            # An answer with another last number is for a page that was confirmed before, or never sent.
             self._note_aside(answer)
             self._is_kept = True
             self._answered.set()
@@ -277,5 +277,5 @@ def _read(found: Any) -> _Answer:
 
 
 def _shown(text: str) -> str:
-    # It is logged, shown and stored, whatever letters somebody has put there.
+    # In ASCII and cut, because it is logged, shown and stored, whatever letters somebody has put there.
     return ascii(text)[1:-1][:300]

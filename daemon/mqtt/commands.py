@@ -16,21 +16,21 @@ from daemon.service.operator_commands import URGENT, Command, Operators, parse, 
 
 log = logging.getLogger("heliocube.mqtt")
 
-# What makes things safe is not refused because a queue of wishes stands before it. A stop is never refused: one above
-# its number waits for nothing where the tracker is stopped already.
+# Each kind has its own limit, so that a queue of wishes does not refuse a command that makes things safe. A stop is
+# never refused: above its limit, a stop waits for no effect if the tracker is stopped already.
 _AT_ONCE = {"wish": 8, "safe": 64, "stop": 64}
-# Whoever sends more is answered no more: it would be telemetry that has to wait.
+# More replies than this are not sent, because telemetry would have to wait for them.
 _REPLIES_PER_S, _REPLIES_AT_ONCE = 10.0, 50
 _SETTLE_EVERY_S = 60.0
 
 
 class Commands:
-    """Takes commands and replies to each, but for those of a flood.
+    """Takes commands and replies to each, except in a flood.
 
     Parameters
     ----------
     operators
-        Carry them out; the guard of every other way is behind them.
+        Carry them out, with the same checks as for commands that come in by other ways.
     reply
         Called with the name of the command and what came of it.
     settings
@@ -38,7 +38,7 @@ class Commands:
     clock
         The service's time.
     speed
-        How many times as fast as the machine's the clock runs.
+        The clock runs this many times as fast as the machine's.
     """
 
     def __init__(
@@ -55,10 +55,11 @@ class Commands:
         self._speed = speed
         self._dates = Dates(settings, clock)
         self._budget = LogBudget("commands over MQTT are refused")
-        # Each kind for itself, so that whoever stops the tracker in a flood of wishes reads that it stands.
+        # A limit for each kind, so that a person who stops the tracker in a flood of wishes reads that it stands.
         self._replies = {kind: RateLimit(_REPLIES_PER_S / speed, _REPLIES_AT_ONCE) for kind in _AT_ONCE}
         self._running: set[asyncio.Task[None]] = set()
-        # By kind, of those that may wait for their effect: a flood of thousands is counted at each of them.
+        # How many of each kind wait for their effect. Counted here, as a count of all tasks at each command of a flood
+        # would take too long.
         self._waiting: Counter[str] = Counter()
 
     def take(self, name: str, message: Incoming) -> None:
@@ -68,7 +69,8 @@ class Commands:
             _refuse_retained(message)
             _refuse_empty(message)
             command = parse(name, message.payload, "MQTT")
-            # First: what a flood is refused for takes no memory, and may be given again.
+            # Before the date is checked: a command that is refused for want of room is not remembered, and may be given
+            # again.
             room = self._has_room_for(command.wanted)
             _refuse_overdue(message, command)
             self._dates.check(command)
@@ -85,7 +87,7 @@ class Commands:
             task.add_done_callback(lambda _: self._waiting.subtract((kind,)))
 
     async def run(self) -> None:
-        """Say when a flood is over, until cancelled; then end what is being waited for."""
+        """Report when a flood is over, until cancelled; then end the commands that still wait for their effect."""
         try:
             while True:
                 await asyncio.sleep(_SETTLE_EVERY_S * self._speed)
@@ -97,7 +99,7 @@ class Commands:
             await asyncio.gather(*running, return_exceptions=True)
 
     def _has_room_for(self, wanted: str) -> bool:
-        """Return whether a command may wait for its effect; where it may not, all but a stop are refused."""
+        """Return whether a command may wait for its effect; if not, refuse it unless it is a stop."""
         kind = _kind(wanted)
         room = self._waiting[kind] < _AT_ONCE[kind]
         if not room and kind != "stop":
@@ -105,9 +107,9 @@ class Commands:
         return room
 
     async def _stop_in_a_crowd(self, command: Command) -> None:
-        """Stop what is not stopped yet; else others wait for the same already.
+        """Carry out a stop if a tracker is not stopped yet; otherwise other commands wait for the same effect already.
 
-        That is looked at when its turn comes, so that an `auto` before it has ended what was in force.
+        This is looked at when its turn comes, so that an `auto` before it has ended the stop that was in force.
         """
         try:
             answer = self._operators.stopped_already(command)
@@ -128,7 +130,7 @@ class Commands:
             self._answer(answer, _kind(command.wanted))
 
     def _refuse(self, name: str, identifier: str | None, error: CommandError) -> None:
-        # Of several trackers it has a line each, and the log's is one.
+        # With several trackers the sentence has a line for each, and the log gets one line.
         sentence = " ".join(str(error).split())
         self._log(self._budget.spend(self._clock.monotonic(), f"the command {name} over MQTT is refused: {sentence}"))
         self._answer(refusal_json(name, identifier, str(error)), _kind(name))
@@ -154,7 +156,7 @@ def _refuse_retained(message: Incoming) -> None:
 
 
 def _refuse_overdue(message: Incoming, command: Command) -> None:
-    """Refuse what was given to a service that stood still: whoever saw it offline counts on it no more."""
+    """Refuse a command that was given while the service stood still: its sender saw the service offline."""
     if message.overdue and command.time_utc_s is None and command.wanted != "stop":
         raise CommandError(
             "it was read only after the broker had given the connection up, so its age is not known: give it again"
@@ -162,6 +164,6 @@ def _refuse_overdue(message: Incoming, command: Command) -> None:
 
 
 def _refuse_empty(message: Incoming) -> None:
-    """Refuse what clears a retained command: it reaches those who listen as an empty message that is not retained."""
+    """Refuse the message that clears a retained command: it comes as an empty message that is not retained."""
     if not message.payload.strip():
         raise CommandError("an empty message is not a command, because it is how a retained one is cleared: publish {}")

@@ -35,7 +35,7 @@ _NO_LINK = "there is no link to the broker"
 class Mqtt:
     """A link and all that uses it.
 
-    It is made before the service, which needs the reasons to stow and the way of the scans; `attach` follows it.
+    It is made before the service, which needs its reasons to stow and its way for the scans; `attach` comes after that.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class Mqtt:
     clock, random, publish
         The service's time, jitter, and where events go.
     speed
-        How many times as fast as the machine's the clock runs.
+        The clock runs this many times as fast as the machine's.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Mqtt:
 
     @property
     def status(self) -> LinkStatus:
-        """How the link is, and what is heard of safety."""
+        """The state of the link and of the safety inputs."""
         now_s = self._clock.monotonic()
         return replace(self.link.status, inputs=tuple(status(now_s) for status in self._inputs))
 
@@ -134,7 +134,7 @@ class Mqtt:
         if own and own[0] is service.trackers[0]:
             # One link hears the scans for all trackers.
             self._receive_scans(service.receiver)
-        # A cube alone moves nothing; that a person has seen its alarms can be said to it all the same.
+        # A cube alone moves nothing, but its alarms can be acknowledged.
         names = NAMES if own else ("acknowledge",) if self._role is Role.CUBE else ()
         if mqtt.commands and names:
             beside = [tracker for tracker in service.trackers if tracker.name != self._tracker]
@@ -144,7 +144,7 @@ class Mqtt:
             )
             heard = [(self._topics.command(name), name) for name in names]
             if len(service.trackers) > 1:
-                # Each link hears it for its own tracker, so that none waits for another's connection.
+                # Each link listens for its own tracker, so that none waits for another's connection.
                 heard += [(self._topics.command_of_all(name), name) for name in OF_ALL]
             for topic, name in heard:
                 self.link.listen(topic, partial(self._commands.take, name), as_published=True)
@@ -166,7 +166,7 @@ class Mqtt:
             self._listen("bridge.topic", bridge.topic, partial(self._take_scan, receiver))
 
     async def run(self) -> None:
-        """Work until cancelled; the task that does so names the tracker in each of its lines in the log."""
+        """Work until cancelled; each line in the log from this task names the tracker."""
         TRACKER.set(self._log_name)
         self._report_unusable()
         async with asyncio.TaskGroup() as group:
@@ -179,12 +179,12 @@ class Mqtt:
                 group.create_task(self._commands.run(), name="mqtt commands")
 
     def _listen(self, key: str, topic: str, handler: Handler) -> None:
-        """Listen to a topic of the configuration, unless it or what belongs to it cannot be used."""
+        """Listen to a topic of the configuration, unless it or another key of the same input cannot be used."""
         if not any(name.startswith(key) for name in self._unusable):
             self.link.listen(topic, handler)
 
     def _report_unusable(self) -> None:
-        """Say once what of the configuration cannot be used, and what that costs."""
+        """Report once which keys of the configuration cannot be used, and what that costs."""
         mqtt, safety = self._settings.mqtt, self._settings.safety
         costs = {
             "mqtt.prefix": _NO_LINK,
@@ -222,9 +222,9 @@ class Mqtt:
 def links(
     settings: Settings, role: Role, clock: Clock, random: Random, publish: Callable[[Record], None], speed: float
 ) -> dict[str, Mqtt]:
-    """Return a link for each tracker by its name, or that of the cube's process by the empty one.
+    """Return a link for each tracker by its name, or the link of the cube's process under an empty name.
 
-    Each has a connection of its own: a connection has one will, and with it one availability. Arguments are those of
+    Each has a connection of its own, because a connection has one will, and so one availability. Arguments are those of
     `Mqtt`.
     """
     if not settings.mqtt.enabled:

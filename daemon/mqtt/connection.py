@@ -1,4 +1,4 @@
-"""One connection to the broker. Everything that has to be known of the insides of aiomqtt is known here."""
+"""One connection to the broker. Only this module depends on the internals of aiomqtt."""
 
 import asyncio
 import contextlib
@@ -27,18 +27,20 @@ T = TypeVar("T")
 _CONNECT_S = 3.0
 _CONFIRM_S = 5.0
 _LEAVE_S = 1.0
-# A name server that does not answer holds a look-up for longer than a service has time to end.
+# A name server that does not answer holds up a look-up for longer than a service may take to end.
 _DIAL_ENDS_WITHIN_S = 5.0
 _FAILURES = 128
 _OTHER_VERSION = 132
-# Of a library that drops what is more. A record of TLS, which is read at one go, holds some hundreds of the shortest.
+# The library drops messages above this number. A TLS record, which is read at one go, holds some hundreds of the
+# shortest ones.
 _MOST_INCOMING = 4096
-# Of a packet. Commands and sensors say far less, and pages of records less; one of 256 MiB holds all up for seconds.
+# The longest packet that is read. Commands and readings of sensors are far shorter, and pages of records are shorter. A
+# packet of 256 MiB would hold everything up for seconds.
 _LONGEST_INCOMING_BYTES = 1 << 20
-# The topic and what else is in a packet.
+# Room for the topic, and for what else a packet has besides the payload.
 _AROUND_BYTES = 512
 
-# What the library has to say is told by our own sentences.
+# Our own sentences report what the library would log.
 _library_log = logging.getLogger("heliocube.mqtt.library")
 _library_log.setLevel(logging.CRITICAL + 1)
 
@@ -48,7 +50,7 @@ class ConnectionLostError(Exception):
 
 
 class VersionRefusedError(ConnectionLostError):
-    """The broker does not speak the version of MQTT that it was spoken to in."""
+    """The broker does not speak the version of MQTT that this connection uses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +60,9 @@ class Incoming:
     Attributes
     ----------
     retained
-        The broker has kept it for those who come later.
+        The broker has kept it for later subscribers.
     overdue
-        It was read when the broker had ended the connection: this process, or its machine, has stood still meanwhile.
+        It was read after the broker had ended the connection: this process, or its machine, stood still meanwhile.
     """
 
     topic: str
@@ -86,9 +88,9 @@ class Connection:
     will
         What the broker publishes when this connection ends without a word; None for nothing.
     speed
-        How many times as fast as the machine's the event loop's clock runs: a broker's time is the machine's.
+        The event loop's clock runs this many times as fast as the machine's, which is the broker's.
     modern
-        Speak MQTT 5, and else 3.1.1.
+        Speak MQTT 5; otherwise 3.1.1.
     """
 
     def __init__(
@@ -103,7 +105,7 @@ class Connection:
             keepalive=settings.keepalive_s,
             timeout=_CONFIRM_S * speed,
             protocol=aiomqtt.ProtocolVersion.V5 if modern else aiomqtt.ProtocolVersion.V311,
-            # MQTT 5 begins anew at the first connection of a client, and this one has no second.
+            # With MQTT 5 the library begins a new session at a client's first connection, and this client has no other.
             clean_session=None if modern else True,
             properties=_announced() if modern else None,
             max_queued_incoming_messages=_MOST_INCOMING,
@@ -149,7 +151,7 @@ class Connection:
     async def subscribe(self, topic: str, *, as_published: bool = False) -> bool:
         """Ask for a topic; return whether the broker grants it.
 
-        With `as_published` what is published retained from now on comes marked so, where the connection is modern.
+        With `as_published` a message that is published as retained from now on comes marked so, if this is MQTT 5.
         """
         try:
             if self._modern:
@@ -165,7 +167,8 @@ class Connection:
         """Yield what comes in, until the connection is lost."""
         try:
             async for first in self._client.messages:
-                # To wait for each would take longer than the next ones need to come, and the queue would overflow.
+                # All that have come are taken at once. To wait for each would take longer than the next ones need to
+                # come, and the queue would overflow.
                 overdue = self._client.is_given_up
                 for message in (first, *self._client.waiting()):
                     payload = message.payload if isinstance(message.payload, bytes) else b""
@@ -174,7 +177,7 @@ class Connection:
             raise ConnectionLostError(self._reason(error)) from None
 
     async def close(self) -> None:
-        """Take leave if that is still possible, and give everything back. Never raises."""
+        """Disconnect in good order if that is still possible, and release everything. Never raises."""
         with contextlib.suppress(aiomqtt.MqttError, TimeoutError):
             async with asyncio.timeout(_LEAVE_S * self._speed):
                 await self._client.__aexit__(None, None, None)
@@ -194,15 +197,15 @@ class Connection:
 
 
 def _announced() -> Properties:
-    """Return what a broker of MQTT 5 is told: what is longer it leaves out by itself."""
+    """Return what a broker of MQTT 5 is told about the longest packet: it leaves out longer ones by itself."""
     told = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
     told.MaximumPacketSize = _LONGEST_INCOMING_BYTES
     return told
 
 
-# OpenSSL's numbers of why a certificate is refused (x509_vfy.h).
+# OpenSSL's numbers for the reasons to refuse a certificate (x509_vfy.h).
 _OUT_OF_DATE, _OTHER_NAME = (9, 10), (62, 64)
-# What a broker says to a connection that it does not want.
+# The codes by which a broker says why it does not want a connection.
 _REFUSALS = {
     133: "refuses the client id: see mqtt.client_id",
     134: "refuses user or password: see mqtt.credentials_file",
@@ -220,7 +223,7 @@ def _code(answer: object) -> int:
 
 
 class _TlsSocket(ssl.SSLSocket):
-    """A socket that closes itself when the two sides do not agree: the library forgets it then."""
+    """A socket that closes itself if the TLS handshake fails: the library then forgets the socket."""
 
     def do_handshake(self, block: bool = False) -> None:
         try:
@@ -255,7 +258,7 @@ class _Client(aiomqtt.Client):
         self._client._sock_recv = self._receive_short  # type: ignore[assignment,method-assign]  # noqa: SLF001
 
     def _receive_short(self, left_bytes: int) -> bytes:
-        """Return what has come of a packet; `OSError`, at which the library gives the connection up, for a long one."""
+        """Return what has come of a packet; for one that is too long raise `OSError`, which ends the connection."""
         if left_bytes > _LONGEST_INCOMING_BYTES:
             place = f"{self.settings.host}:{self.settings.port}"
             longer = f"none of more than {_LONGEST_INCOMING_BYTES} is read: who publishes it?"
@@ -264,7 +267,7 @@ class _Client(aiomqtt.Client):
         return self._receive(left_bytes)
 
     def _on_connect(self, client: Any, userdata: Any, flags: Any, reason_code: Any, properties: Any = None) -> None:
-        # Of a broker of MQTT 3.1.1 there are no properties, and of most others none of this name.
+        # A broker of MQTT 3.1.1 sends no properties, and most others do not send this one.
         self.most_bytes = getattr(properties, "MaximumPacketSize", math.inf)
         super()._on_connect(client, userdata, flags, reason_code, properties)
 
@@ -300,7 +303,7 @@ class _Client(aiomqtt.Client):
 
     @property
     def is_given_up(self) -> bool:
-        """Whether the broker has ended the connection, although not all may have been read that came before."""
+        """Whether the broker has ended the connection, even if messages that came before are not read yet."""
         opened = self._client.socket()
         if opened is None or sys.platform != "linux":
             return opened is None
@@ -309,7 +312,7 @@ class _Client(aiomqtt.Client):
         return bool(ended.poll(0))
 
     def waiting(self) -> list[aiomqtt.Message]:
-        """Return the messages that have come and were not asked for yet, and wait for none."""
+        """Return the messages that have come and were not taken yet, without waiting."""
         return [self._queue.get_nowait() for _ in range(self._queue.qsize())]
 
     @property
@@ -355,7 +358,7 @@ class _Client(aiomqtt.Client):
                 self._disconnected.set_exception(error)
 
     async def abandon(self, opening: "asyncio.Task[Self] | None") -> None:
-        """Close the socket if it is open still, and take note of errors that nobody has asked for."""
+        """Close the socket if it is still open, and retrieve errors that nobody has asked for."""
         if opening is not None:
             until_s = time.monotonic() + _DIAL_ENDS_WITHIN_S
             while not (opening.done() or self.dialled) and time.monotonic() < until_s:
@@ -363,7 +366,7 @@ class _Client(aiomqtt.Client):
             opening.cancel()
             with contextlib.suppress(Exception, asyncio.CancelledError):
                 await opening
-        # The socket's registration is called for from the thread, and comes in the next round of the loop.
+        # The thread has asked the loop to register the socket, which happens at the loop's next turn.
         await asyncio.sleep(0)
         if self._client.socket() is not None:
             self._client._sock_close()  # noqa: SLF001 - paho's public ways out wait for a broker that may be hung

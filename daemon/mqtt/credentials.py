@@ -39,7 +39,7 @@ def load_user(path: Path) -> tuple[str, str]:
 
 
 def tls_context(settings: "MqttSettings") -> ssl.SSLContext:
-    """Return how the broker is recognised, and how this client is; raises `CredentialsError`."""
+    """Return the context that checks the broker's certificate and has this client's own; raises `CredentialsError`."""
     try:
         context = ssl.create_default_context(cafile=settings.ca_file)
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""Whether a command over a broker is of now: no older than it may be, and not given before."""
+"""Checks that a command over a broker is current: not too old, and not given before."""
 
 from daemon.base.clock import Clock
 from daemon.config.links import MqttSettings
@@ -7,14 +7,14 @@ from daemon.service.operator_commands import URGENT, Command
 
 _MOST_REMEMBERED = 4096
 
-# Identifier and time [s] of a command, or without an identifier the whole of it, as text: its angles may be NaN, and
-# such commands are not equal from Python 3.13 on. And when it came.
+# Identifier and time [s] of a command; without an identifier the whole command as text, because its angles may be NaN,
+# and such commands are not equal from Python 3.13 on. `_Given` adds when the command came.
 _Date = tuple[str, float] | str
 _Given = dict[_Date, float]
 
 
 class Dates:
-    """Knows the commands that came last, and with them all of the time that one may take to arrive.
+    """Remembers the latest commands, and among them all from the time that a command may take to arrive.
 
     Parameters
     ----------
@@ -29,11 +29,11 @@ class Dates:
         self._age_s = settings.command_age_s
         self._clock = clock
         self._began_s = clock.monotonic()
-        # By whether it is urgent: a flood of wishes must not take the memory of what makes things safe.
+        # By whether it is urgent: a flood of wishes must not fill the memory for commands that make things safe.
         self._given: dict[bool, _Given] = {False: {}, True: {}}
 
     def check(self, command: Command) -> None:
-        """Refuse what is old, or has been given before, or has no date where one is required; never a stop.
+        """Refuse a command that is old, has been given before, or lacks a required date; never refuse a stop.
 
         Raises
         ------
@@ -55,11 +55,11 @@ class Dates:
                 f"its time is {abs(off_s):.0f} s {side} this machine's clock, more than mqtt.command_age_s ="
                 f" {self._age_s:g} s"
             )
-        # What was given before a restart is not remembered, and so cannot be told from what is new.
-        # The beginning is told by the clock of now, which may have been set since.
+        # Commands from before a restart are not remembered, and so cannot be told from new ones. When this service
+        # began is reckoned from the clock's present time, because the clock may have been set since.
         if command.time_utc_s < utc_s - (now_s - self._began_s):
             raise CommandError("it was given before this service began to listen: give it again")
-        # Two programs, or one, may give two commands in one second.
+        # The time alone is not enough: two programs, or one, may give two commands in one second.
         date = repr(command) if command.identifier is None else (command.identifier, command.time_utc_s)
         self._refuse_again(date, now_s, urgent=command.wanted in URGENT)
 
@@ -73,9 +73,9 @@ class Dates:
         given[date] = now_s
 
     def _forget_oldest(self, given: _Given, now_s: float) -> None:
-        """Make room for one more; what needs no room is kept, because a clock that is set back makes it new again."""
+        """Make room for one more. No more are forgotten, because a clock that is set back makes old commands new."""
         oldest = next(iter(given))
-        # Twice the age: one may be ahead of the clock by as much when it comes.
+        # Twice the age: a command's time may be ahead of the clock by as much when it comes.
         if now_s - given[oldest] <= 2.0 * self._age_s:
             raise CommandError("more dated commands have come than can be remembered: ask again later")
         del given[oldest]

@@ -19,7 +19,8 @@ _PRESS = '{"why":"a button in Home Assistant"}'
 _DATED = '{{{}, "id": "{{{{ utcnow().timestamp() }}}}", "time": "{{{{ utcnow().isoformat() }}}}"}}'
 # Home Assistant takes the word None for "unknown".
 _ON_OFF = "{{{{ 'ON' if {} else 'OFF' }}}}"
-# Home Assistant takes no state of more than 255 letters: what is said of the others then is their names or number.
+# Home Assistant takes no state of more than 255 letters: then the first alarm has its text, and the others are only
+# named or counted.
 _ALARM_TEXT = (
     "{% set all = namespace(texts=[], names=[]) %}{% for alarm in value_json.alarms %}"
     "{% set over = 'over: ' if alarm.state == 'cleared' else '' %}{% if over ~ alarm.text not in all.texts %}"
@@ -35,7 +36,7 @@ _ALARM_TEXT = (
 def discovery(
     prefix: str, topics: Topics, *, enabled: bool, commands: bool, tracker: bool, simulated: bool, dated: bool = False
 ) -> list[Message]:
-    """Return what to publish at each connection: the device, or with `enabled` False what removes it.
+    """Return the message to publish at each connection: the device, or with `enabled` False the one that removes it.
 
     Parameters
     ----------
@@ -44,8 +45,8 @@ def discovery(
     topics
         Of this process.
     commands, tracker
-        Whether commands are taken, and whether there is a tracker at all. Entities of what there is not are removed,
-        should an earlier run have announced them.
+        Whether commands are taken, and whether there is a tracker at all. Entities that need what is not there are
+        removed, in case an earlier run has announced them.
     dated
         Whether commands have to bear an identifier and a time, which Home Assistant then adds.
     simulated
@@ -64,7 +65,7 @@ def discovery(
     components: dict[str, dict[str, Any]] = {}
     for key, found in known.items():
         if key in offered:
-            # Some versions of Home Assistant do not hand the document's own quality of service down to its components.
+            # Some versions of Home Assistant do not pass the document's own quality of service on to its components.
             components[key] = {**found, "unique_id": f"{node}_{key}", "qos": 1}
         else:
             components[key] = {"platform": found["platform"]}
@@ -176,7 +177,8 @@ _CUBE = {
     "faces_not_used": _bad_faces(),
     "readings": _binary("Cube readings", "not value_json.scan or value_json.scan.stale", "problem"),
     "simulated": _binary("Simulated", "value_json.simulated", **_DIAGNOSTIC),
-    # What is over and waits for a person is told by the other one: the two together tell an alarm's three states.
+    # The sensor "unacknowledged" shows alarms that are over but wait for a person: the two together show an alarm's
+    # three states.
     "alarm": _binary("Alarm", "value_json.alarms | rejectattr('state', 'eq', 'cleared') | list", "problem"),
     "alarm_text": {"platform": "sensor", "name": "Alarm text", "value_template": _ALARM_TEXT, **_DIAGNOSTIC},
     "alarm_remedy": _sensor(
@@ -197,7 +199,7 @@ _TRACKER = {
     "wind": _sensor("Wind", "value_json.wind_m_s", "m/s", "wind_speed"),
     "stow_release": _sensor("Calm until release", "value_json.stow_release_in_s", "s"),
     "moving": _binary("Moving", "value_json.tracker.moving or value_json.tracker.homing", "moving"),
-    # The mode alone says where it was told to go, and it lies flat under clouds as well.
+    # Both are needed: the mode alone only says where the tracker was told to go, and it lies flat under clouds as well.
     "stowed": _binary("Stowed", "value_json.mode.name == 'stow' and value_json.at_stow"),
     "fault": _binary("Fault", "value_json.mode.name == 'fault'", "problem"),
 }

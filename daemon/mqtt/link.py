@@ -1,4 +1,4 @@
-"""The lasting link to the broker: connects, is born, sends, listens, and comes back after every loss."""
+"""The lasting link to the broker: connects, announces itself, sends, listens, and comes back after every loss."""
 
 import asyncio
 import contextlib
@@ -26,12 +26,13 @@ _FIRST_DELAY_S = 1.0
 _LONGEST_DELAY_S = 60.0
 # A connection has proven itself after this long: only then is the next delay a short one again.
 _PROVEN_S = 30.0
-# A link that comes and goes is told as one outage: lost again within this time, it counts as back after as long.
+# A link that comes and goes is reported as one outage: if it is lost again within this time, it counts as back only
+# after as long a time.
 _STEADY_S = 600.0
 _ECHO_WITHIN_S = 10.0
 _REPORT_AGAIN_S = 3600.0
 _LEAVE_WITHIN_S = 1.5
-# What ends twice at an answer or at a word has another cause than its length.
+# If the connection ends twice at a message of this length or less, the cause is not the length.
 _NEVER_TOO_LONG_BYTES = 4096
 
 Handler = Callable[[Incoming], None]
@@ -49,7 +50,7 @@ class Link:
     publish
         Called with an event when the link is lost or back.
     speed
-        How many times as fast as the machine's the clock runs.
+        The clock runs this many times as fast as the machine's.
     """
 
     def __init__(
@@ -66,7 +67,7 @@ class Link:
         self._clock = clock
         self._publish = publish
         self._speed = speed
-        # Of lab/roof-a and of lab/roof/a each has its own.
+        # So lab/roof-a and lab/roof/a get different names.
         self._client_id = settings.client_id or topics.base.replace("-", "--").replace("/", "-")
         self._backoff = Backoff(random, _FIRST_DELAY_S, 2.0, _LONGEST_DELAY_S)
         self._outbox = Outbox(settings.queue_messages)
@@ -117,21 +118,21 @@ class Link:
         )
 
     def listen(self, topic: str, handler: Handler, *, as_published: bool = False) -> None:
-        """Give each message on `topic` to `handler`, beside others; it must not block.
+        """Give each message on `topic` to `handler`, besides other handlers; it must not block.
 
-        With `as_published` a message counts as retained also when that is how it was published just now, where the
-        broker speaks MQTT 5; one that speaks 3.1.1 alone does not tell.
+        With `as_published` a message also counts as retained if it was published as retained just now. Only a broker of
+        MQTT 5 tells that, not one of 3.1.1.
         """
         self._handlers.setdefault(topic, []).append(handler)
         if as_published:
             self._as_published.add(topic)
 
     def at_birth(self, messages: Callable[[], list[Message]]) -> None:
-        """Send what `messages` returns after each connection, before anything that waits."""
+        """Send what `messages` returns each time that a connection is made, before anything that waits."""
         self._births.append(messages)
 
     def send(self, message: Message, *, answer: bool = False) -> None:
-        """Queue a message; without a connection it waits. What somebody has asked for, an `answer`, has room apart."""
+        """Queue a message; without a connection it waits. An `answer` to somebody's request has a queue of its own."""
         self._outbox.put(message, Lane.ANSWERS if answer else Lane.TELEMETRY)
         self._date_the_first_loss()
 
@@ -165,7 +166,7 @@ class Link:
         self._report(sentence)
 
     async def run(self) -> None:
-        """Keep the link until cancelled; then take leave on the availability topic."""
+        """Keep the link until cancelled; then say on the availability topic that it ends."""
         if self._renounced:
             await asyncio.Event().wait()
         while True:
@@ -203,7 +204,7 @@ class Link:
                     await connection.publish(will)
             raise
         except (ConnectionLostError, UserError) as error:
-            # A broker that hangs is not left at once, and who looks meanwhile sees a link that is down.
+            # To leave a broker that hangs takes a while, and meanwhile the status has to say that the link is down.
             self._down_why = str(error)
             raise
         finally:
@@ -251,13 +252,13 @@ class Link:
                 self._works()
 
     def _note_end_at(self, message: Message) -> None:
-        """Take a second end of the connection at one and the same message for a limit that the broker does not say."""
+        """If the connection ends twice at the same message, take its length to be above a limit that was not told."""
         if message.payload == self._ended_at and len(message.payload) > _NEVER_TOO_LONG_BYTES:
             self._unsaid_most_bytes = min(self._unsaid_most_bytes, len(message.payload) - 1)
         self._ended_at = message.payload
 
     async def _publish_on(self, connection: Connection, message: Message) -> bool:
-        """Publish what the broker takes, and return whether it does: it would end the connection at what is longer."""
+        """Publish a message unless the broker would end the connection at its length; return whether it is sent."""
         length, wrong = len(message.payload), None
         if length > self._most_bytes:
             most = f"the broker takes no message of more than {self._most_bytes:.0f} bytes"
@@ -288,7 +289,7 @@ class Link:
             self._echo_missing.cancel()
             self.trouble(self._topics.status, None)
         else:
-            # The will of a connection before this one, or somebody else's: it is not true.
+            # The will of an earlier connection, or somebody else's message: it is not true.
             self._outbox.put(Message(self._topics.status, ONLINE, 1, retain=True), Lane.URGENT)
 
     def _no_echo(self) -> None:

@@ -24,7 +24,7 @@ class Message:
 
 
 class Lane(Enum):
-    """Where a message waits: what is full in one costs nothing in another."""
+    """The queue that a message waits in: a full one costs the others nothing."""
 
     URGENT = auto()
     TELEMETRY = auto()
@@ -40,7 +40,7 @@ class Outbox:
     Parameters
     ----------
     most
-        Room for telemetry; a message too many in a lane costs its oldest, which is counted.
+        Room for telemetry. If a lane has a message too many, its oldest is dropped and counted.
     """
 
     def __init__(self, most: int) -> None:
@@ -78,7 +78,7 @@ class Outbox:
             self.dropped += 1
 
     def forget_urgent(self) -> None:
-        """Throw away what was only worth sending at once."""
+        """Throw away the messages that were only worth sending at once."""
         self._lanes[Lane.URGENT].clear()
 
     async def take(self) -> Message:

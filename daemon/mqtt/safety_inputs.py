@@ -1,4 +1,4 @@
-"""Reasons to stow that come over the broker. What is silent, garbled or of unknown age never counts as safe."""
+"""Reasons to stow that come over the broker. Silence, or a garbled message or one of unknown age, is never safe."""
 
 import json
 import math
@@ -15,7 +15,7 @@ _LONGEST = 65536
 _M_S = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600, "kt": 1852 / 3600}
 _STRONGEST_M_S = 150.0
 
-# Called with what the sentence is about, and the sentence, or None when it is true no more.
+# Called with what the sentence is about, and the sentence, or None when it is no longer true.
 Trouble = Callable[[str, str | None], None]
 
 
@@ -31,9 +31,9 @@ class WindReadings:
     clock_s
         Returns the monotonic time.
     strong
-        Called when a reading reaches the threshold, so that nobody waits for the next tick.
+        Called when a reading reaches the threshold, so that the tracker does not wait for the next tick.
     trouble
-        Told of what cannot be read.
+        Told of messages that cannot be read.
     """
 
     def __init__(
@@ -99,9 +99,9 @@ class SafeStow:
     clock_s
         Returns the monotonic time.
     unsafe
-        Called when the word is unsafe, so that nobody waits for the next tick.
+        Called when the word is unsafe, so that the tracker does not wait for the next tick.
     trouble
-        Told of what cannot be read.
+        Told of messages that cannot be read.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class SafeStow:
         if self._heard_safe:
             self._safe_s = now_s
         elif self.heard_s is None:
-            # Safe begins to count when it has been said, and not at a restart.
+            # The time of safety counts from the first safe message, and not from a restart.
             self._unsafe_s = now_s
         silent_s = now_s - self._safe_s
         if self._last_unsafe:

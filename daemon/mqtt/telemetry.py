@@ -1,4 +1,4 @@
-"""What goes out: every record as it comes over the bus, and the whole state now and then."""
+"""Publishes every record as it comes over the bus, and the whole state at intervals."""
 
 import asyncio
 import json
@@ -37,9 +37,9 @@ class TelemetryPublisher:
     every_s
         Time from one state to the next, on the loop's clock.
     tracker
-        Whose state and records are sent, with those of no tracker; empty in the cube's process.
+        The tracker whose state and records are sent, with records of no tracker; empty in the cube's process.
     simulated
-        What every message bears.
+        Whether every message is marked as simulated.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class TelemetryPublisher:
         kind = kind_of(record)
         qos, retain = _MANNERS[kind]
         payload = encoded({**record_json(record), "simulated": self._simulated})
-        # What persons and programs ask for in a loop is not to push out what was measured.
+        # Commands that a person or a program gives in a loop must not push out measurements.
         asked = isinstance(record, Event) and record.subject == "operator"
         message = Message(self._topics.of(kind), payload, qos, retain)
         if retain:
@@ -79,15 +79,15 @@ class TelemetryPublisher:
             self._wake.set()
 
     async def run(self) -> None:
-        """Send the state until cancelled; without a connection there is none to send."""
+        """Send the state at intervals until cancelled; without a connection it is not sent."""
         while True:
             await wait_at_most(self._wake, self._every_s)
             self._link.send_now(self._state_message())
 
     def _birth_messages(self) -> list[Message]:
-        """Return the state, and the last of what a broker keeps: it may have begun anew, or the queue been full.
+        """Return the state and the last of all retained messages: a broker may have lost them, or the queue been full.
 
-        What still waits comes in its turn, behind older ones.
+        A message that still waits is left out: it comes in its turn, behind older ones.
         """
         return [self._state_message(), *(each for each in self._lasting.values() if not self._link.waits(each))]
 

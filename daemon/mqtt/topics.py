@@ -66,7 +66,7 @@ class Topics:
 
     @property
     def reply(self) -> str:
-        """What came of commands."""
+        """The replies to commands."""
         return self.of("reply")
 
     @property
@@ -76,7 +76,7 @@ class Topics:
 
     @property
     def records_kept(self) -> str:
-        """What the archive says of each page."""
+        """The archive's answer to each page."""
         return f"{self.records}/kept"
 
     def command(self, name: str) -> str:
