@@ -24,17 +24,17 @@ _HOW = "postgresql://USER@HOST/DATABASE"
 # The server's own words, in whatever language: libpq writes two spaces after their severity, and a connection that
 # fails carries no SQLSTATE.
 _SAID = re.compile(r'(?:.* failed: )?[^:"]+:  (.+)')
-# SQLSTATEs of what the database has against records, besides those of data (22) and of constraints (23): what a trigger
+# SQLSTATEs by which the database refuses records, besides those of data (22) and of constraints (23): what a trigger
 # raises, in any language, a check of a view, a limit such as that of an index, and a column of another type.
 _OF_RECORDS = ("P0", "2F", "38", "39", "44", "54", "42804")
 
 
-# What it could not undo after something else went wrong, as after Ctrl-C: that is told, and the connection is closed.
+# No warnings of psycopg's about a failed rollback, as after Ctrl-C: the first error is told, and the connection closed.
 logging.getLogger("psycopg").setLevel(logging.ERROR)
 
 
 class ArchiveError(UserError):
-    """The archive cannot be used as it is asked; one sentence."""
+    """The archive cannot be used as it was asked to be; the message is one sentence."""
 
 
 class ArchiveAwayError(ArchiveError):
@@ -44,11 +44,11 @@ class ArchiveAwayError(ArchiveError):
 
 
 class PagesRefusedError(ArchiveError):
-    """The database does not take what is in the pages, or in one of them."""
+    """The database does not take the records of the pages, or of one of them."""
 
 
 class RecordsRefusedError(PagesRefusedError):
-    """The same for the sake of single records: it would take the others."""
+    """The database does not take single records of the pages; it would take the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class ArchiveAddress:
     installation
         What stands behind ``#``; empty for the only one.
     password
-        Of its user; empty for that which libpq knows from the file of PGPASSFILE.
+        Of its user; if it is empty, libpq looks into the file of PGPASSFILE.
     """
 
     url: str
@@ -93,7 +93,7 @@ def parse_archive(text: str) -> ArchiveAddress:
         _ = parts.port
         check_database_hosts(url)
     except ValueError as error:
-        # Without the text, which may hold a password.
+        # The message leaves out the text, which may hold a password.
         raise ArchiveError(f"this is not an address of an archive ({error}); an archive is {_HOW}") from None
     if not is_archive(url) or not database or "/" in database:
         raise ArchiveError(f"{text} is not an address of an archive: write {_HOW}")
@@ -147,18 +147,18 @@ def connected(address: ArchiveAddress, application: str) -> "psycopg.Connection"
             connect_timeout=_CONNECT_S,
             application_name=application,
             password=address.password or None,
-            # Whatever a role or the environment says.
+            # Set here, whatever a role or the environment says.
             client_encoding="utf8",
         )
     except psycopg.OperationalError as error:
         raise _reason(address, error) from None
     except (psycopg.Error, UnicodeError) as error:
-        # A UnicodeError is that of a host in the environment that has no name.
+        # A UnicodeError comes from a host in the environment whose name is not valid.
         raise ArchiveError(f"{address.url} is not an address of a database: {one_line(error)}") from None
     encoding = connection.info.parameter_status("server_encoding")
     if encoding not in (None, "UTF8"):
         connection.close()
-        # Names and reasons are in any language, and of SQL_ASCII no text comes back as one.
+        # Names and reasons are in any language, and a database of SQL_ASCII returns no text as text.
         raise ArchiveError(
             f"the database {address.url} has the encoding {encoding}: make one with"
             " 'createdb --encoding UTF8 --template template0'"
@@ -183,7 +183,7 @@ def telling(address: ArchiveAddress) -> Iterator[None]:
             f"the database {address.url} does not let this user do that ({one_line(error)}): let its owner grant it"
         ) from None
     except psycopg.errors.OutOfMemory as error:
-        # Of the locks that a transaction needs, one for each day: the pages of others need no more than there are.
+        # Out of locks: a transaction needs one for each day. Pages with fewer days need no more locks than there are.
         raise PagesRefusedError(f"the database cannot hold them in one transaction: {one_line(error)}") from None
     except (psycopg.OperationalError, psycopg.InterfaceError) as error:
         if _is_of_records(error):
@@ -207,7 +207,7 @@ def _records_refused(error: Exception) -> RecordsRefusedError:
 
 
 def _reason(address: ArchiveAddress, error: "psycopg.OperationalError") -> ArchiveError:
-    """Return what a failed connection means: what a person must put right, or what may pass."""
+    """Return the error for a failed connection: one that a person must put right, or one that may pass."""
     text = one_line(error)
     remedies = {
         "password authentication failed": f"correct {_WHERE_IT_IS}",

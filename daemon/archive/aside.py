@@ -1,6 +1,7 @@
 """Records that the database does not take: found among those of a page, and set aside in a table of their own.
 
-A constraint that somebody has added, or a column that holds less, must not keep back all that comes after one record.
+A constraint that somebody has added, or a column of a narrower type, must not keep back all records after the first
+that it refuses.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -12,9 +13,9 @@ from daemon.store.batches import Batch
 
 
 class Sieve:
-    """Hands out a refused page in ever smaller parts, until what is refused is single records.
+    """Hands out a refused page in ever smaller parts, until only single records are refused.
 
-    Iterate over the parts and try to write each; `refuse` those that fail. None of them says how far its run is.
+    Iterate over the parts and try to write each; `refuse` those that fail. No part moves the end of its run.
 
     Attributes
     ----------
@@ -32,7 +33,7 @@ class Sieve:
             yield self._left.pop()
 
     def refuse(self, part: SentPage, error: PagesRefusedError) -> None:
-        """Take note that a part was refused; raises the error where that is not for the sake of its one record."""
+        """Take note that a part was refused; raises the error if it is not about the only record of the part."""
         halves = _halves(part)
         if not halves and not isinstance(error, RecordsRefusedError):
             raise error
@@ -43,7 +44,7 @@ class Sieve:
 
 
 def _halves(page: SentPage) -> list[SentPage]:
-    """Return the two halves of a page, the later one first; nothing for one record. Those of a kind are beside."""
+    """Return the two halves of a page, the later one first; none for one record. Records of a kind are adjacent."""
     batch = page.batch
     records = [(kind, row) for kind, rows in batch.rows.items() for row in rows]
     if len(records) < 2:
@@ -61,12 +62,12 @@ def _by_kind(records: Sequence[tuple[str, tuple[Any, ...]]]) -> dict[str, list[t
 
 
 def take_what_can_be(writer: ArchiveWriter, page: SentPage) -> tuple[int, list[Refused]]:
-    """Write a page but for the records that the database does not take; return how many are new, and those.
+    """Write a page without the records that the database does not take; return how many are new, and the refused ones.
 
     Raises
     ------
     ArchiveError
-        As `ArchiveWriter.take`, but for what is set aside.
+        As `ArchiveWriter.take`, except for records that are set aside.
     """
     try:
         return writer.take([page]).added, []
@@ -90,7 +91,7 @@ class Retried(NamedTuple):
 
 
 def retry(address: ArchiveAddress, progress: Callable[[int], None] = lambda _count: None) -> Retried:
-    """Write what was set aside, and forget each record there that the database has now.
+    """Write the records that were set aside, and remove each from there that the database has now.
 
     Parameters
     ----------

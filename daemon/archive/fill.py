@@ -1,4 +1,4 @@
-"""Records of a store into an archive by file, for what the service itself cannot send or would send for hours."""
+"""Copies a store's file into an archive, for records that its service cannot send, or would send for hours."""
 
 import sqlite3
 from collections.abc import Callable, Iterator
@@ -19,12 +19,12 @@ _PAGES_AT_ONCE = 20
 
 
 class ArchiveFilled(NamedTuple):
-    """What came of a store.
+    """What became of a store's records.
 
     Attributes
     ----------
     read, added
-        How many records it has, and how many of them the archive had not.
+        How many records it has, and how many of them the archive did not have.
     aside
         How many the database does not take; they are set aside there.
     damaged
@@ -43,14 +43,14 @@ class ArchiveFilled(NamedTuple):
 def fill(
     store: Path, address: ArchiveAddress, installation: str, progress: Callable[[int], None] = lambda _count: None
 ) -> ArchiveFilled:
-    """Write every record of a store that the archive has not.
+    """Write every record of a store that the archive does not have.
 
     Parameters
     ----------
     store
         Its folder, or its file; a service may write to it meanwhile.
     address, installation
-        Of the archive, and under which name, ``PREFIX/NAME``: that which the service sends under, where it sends too.
+        Of the archive, and the name of the records there, ``PREFIX/NAME``: the service's own if it sends records too.
     progress
         Called with the number of records that are done.
 
@@ -101,7 +101,7 @@ def _batches(path: Path, runs: list[StoredRun]) -> Iterator[Batch]:
             after = -1
             try:
                 while batch := next_batch(connection, run, origin, after):
-                    # Judged as what comes over a broker is.
+                    # Encoded and decoded, so that it is checked like a page that comes over a broker.
                     yield replace(decoded(encoded(batch)), damaged=batch.damaged)
                     after = batch.through
             except sqlite3.Error as error:

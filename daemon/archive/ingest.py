@@ -1,4 +1,4 @@
-"""From a broker into the database, until the end; what the database has is confirmed to who sent it."""
+"""Takes records from a broker into the database; records that the database has are confirmed to their sender."""
 
 import asyncio
 import contextlib
@@ -31,7 +31,7 @@ Result = TypeVar("Result")
 _GATHER_S = 0.25
 _MOST_ROWS = 10_000
 _MOST_PAGES = 1000
-# What is read of them at once is four times as large in memory.
+# The pages that are read at once take four times as much memory.
 _MOST_BYTES = 2_000_000
 _HUNG_S = 30.0
 _FIRST_DELAY_S, _LONGEST_DELAY_S = 1.0, 30.0
@@ -64,15 +64,15 @@ async def serve(
 
 
 class Ingester:
-    """Keeps nothing: what is not in the database is not confirmed, and whoever sent it sends it again.
+    """Keeps nothing itself: records that are not in the database are not confirmed, and their sender sends them again.
 
-    Several share the work of one group. Without its database a process leaves the broker, so that the others have all
-    of it.
+    Several processes share the work of one group. A process that has lost its database leaves the broker, so that the
+    others get everything.
 
     Parameters
     ----------
     mqtt, settings, address
-        The broker, what is listened to there, and the database.
+        The broker, the topics, and the database.
     clock
         For pauses between lines of the log.
     manager
@@ -101,7 +101,7 @@ class Ingester:
         self.records = 0
 
     async def run(self) -> None:
-        """Take in until cancelled; raises `ArchiveError` if the database cannot be used at the first time."""
+        """Take in records until cancelled; raises `ArchiveError` if the database cannot be used at the beginning."""
         while True:
             try:
                 await self._with_database()
@@ -109,7 +109,8 @@ class Ingester:
                 if not self._began and not isinstance(error, ArchiveAwayError):
                     raise
                 self._database.down(self._clock.monotonic(), str(error))
-                # Whoever did not tell this in time would be ended and started anew, as long as the database is away.
+                # Without this report systemd would end and restart the process again and again while the database is
+                # away.
                 self._manager.ready()
             except (ConnectionLostError, UserError) as error:
                 self._broker.down(self._clock.monotonic(), str(error))
@@ -144,7 +145,7 @@ class Ingester:
             await connection.close()
 
     async def _take_in(self, connection: Connection, writer: ArchiveWriter) -> None:
-        """Hear and write at once; the first of the two that ends tells what is lost."""
+        """Hear and write at the same time; the first of the two that ends raises why."""
         heard: asyncio.Queue[Incoming] = asyncio.Queue(_MOST_PAGES)
         await at_once(self._hear(connection, heard), self._write(connection, writer, heard))
 
@@ -171,11 +172,11 @@ class Ingester:
     async def _say_back(self, connection: Connection, answers: list[Message]) -> None:
         for answer in answers:
             self._manager.watchdog()
-            # Not confirmed itself: who misses it sends its page again.
+            # With QoS 0: a sender that misses the answer sends its page again.
             await connection.publish(answer)
 
     def _read(self, messages: list[Incoming]) -> tuple[list[SentPage], list[Message]]:
-        """Return the pages of messages, and what is said to those that are none."""
+        """Return the pages of messages, and the answers to messages that are not pages."""
         pages, answers = [], []
         for message in messages:
             installation, _, kind = message.topic.rpartition("/")
@@ -190,7 +191,7 @@ class Ingester:
         return pages, answers
 
     async def _keep(self, writer: ArchiveWriter, pages: list[SentPage]) -> list[Message]:
-        """Write pages and return what is said to those who sent them; one that cannot be kept costs no other."""
+        """Write pages and return the answers to their senders; a page that cannot be kept does not stop the others."""
         try:
             taken = await self._bounded(writer, partial(writer.take, pages))
         except PagesRefusedError:
@@ -204,7 +205,7 @@ class Ingester:
         ]
 
     async def _sift(self, writer: ArchiveWriter, page: SentPage) -> Message:
-        """Write what the database takes of a page, set aside the rest, and return what is said to who sent it."""
+        """Write the records of a page that the database takes, set aside the rest, and return the sender's answer."""
         (installation, batch, _), sieve = page, Sieve(page)
         try:
             for part in sieve:
@@ -241,7 +242,7 @@ class Ingester:
             log.warning("%s", sentence)
 
     async def _bounded(self, writer: ArchiveWriter, call: Callable[[], Result]) -> Result:
-        """Return what a call of the database returns; one that hangs is ended, and so is one that nobody waits for."""
+        """Return the result of a database call; a call that hangs, or that nobody waits for any more, is ended."""
         self._manager.watchdog()
         job = asyncio.ensure_future(asyncio.to_thread(call))
         timer = asyncio.get_running_loop().call_later(_HUNG_S, writer.give_up)
@@ -256,9 +257,9 @@ class Ingester:
 
 
 async def _within(first_s: float, heard: "asyncio.Queue[Incoming]") -> list[Incoming]:
-    """Return what comes within a moment of the first message: a thousand small pages then cost one transaction.
+    """Return the messages that come within a moment of the first: so a thousand small pages cost one transaction.
 
-    Of large ones as many as make about one; the others wait as they came.
+    Of large pages only as many are returned as make about one transaction; the others wait as they are.
     """
     messages: list[Incoming] = []
     with contextlib.suppress(TimeoutError):
@@ -273,7 +274,7 @@ async def _within(first_s: float, heard: "asyncio.Queue[Incoming]") -> list[Inco
 
 
 def _parts(pages: list[SentPage]) -> Iterator[list[SentPage]]:
-    """Yield pages in parts of so many records that each is quickly written."""
+    """Yield pages in parts with so few records that each is written quickly."""
     part: list[SentPage] = []
     count = 0
     for page in pages:

@@ -39,8 +39,8 @@ class ArchivedDay(NamedTuple):
 def write_days(address: ArchiveAddress, out: Path, today: date, wanted: date | None = None) -> Iterator[ArchivedDay]:
     """Write each day before today whose file is missing, or has fewer rows than the archive; yield all.
 
-    Records that come late, after a night's file was written, are so in the next night's. What a database that was
-    restored from a backup has lost is in the file alone.
+    Records that come late, after a night has written their day's file, get into it the next night. Records that a
+    database has lost, because it was restored from a backup, are in the file alone.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def file_of(out: Path, kind: str, day: date) -> Path:
 
 
 def rows_in(path: Path) -> int | None:
-    """Return how many rows a file has, None where there is none that is whole."""
+    """Return how many rows a file has, None if it is missing or not whole."""
     footer = _footer(path)
     return None if footer is None else int(footer.num_rows)
 
@@ -118,15 +118,15 @@ def rows_in(path: Path) -> int | None:
 def _dropped(connection: "psycopg.Connection", kind: str, day: date, out: Path) -> ArchivedDay | None:
     path, table = file_of(out, kind, day), _table(kind, day)
     with connection.transaction():
-        # What comes late waits, and finds a part that is made anew.
+        # Late records wait for the lock, and then go into a part that is made anew.
         connection.execute(f"LOCK TABLE {table} IN ACCESS EXCLUSIVE MODE")
         count = _count(connection, table)
         if rows_in(path) != count:
             return None
-        # Never written again, whatever comes late: that has a file of its own beside it.
+        # This file is never written again: late records get a file of their own beside it.
         final = _final(connection, table, path)
         path.rename(final)
-        # A power cut after the drop may cost no name on the way to the file; its content was synced when written.
+        # A power cut after the drop must not lose a name on the way to the file; its content was synced when written.
         for folder in final.parents[:4]:
             sync_names(folder)
         try:
@@ -138,7 +138,7 @@ def _dropped(connection: "psycopg.Connection", kind: str, day: date, out: Path) 
 
 
 def _final(connection: "psycopg.Connection", table: str, path: Path) -> Path:
-    """Return the name that the file of a part has once the part is gone; of one day each part has another."""
+    """Return the name that the file of a part has once the part is gone; each part of a day has a different one."""
     return path.with_name(f"final-{identity_of(connection, table)}.parquet")
 
 
@@ -147,13 +147,13 @@ def _written(connection: "psycopg.Connection", kind: str, day: date, out: Path, 
     table = _table(kind, day)
     final = _final(connection, table, path)
     if final.exists():
-        # The drop of this very part was broken off before its end, or the server has gone back to before it.
+        # The drop of this same part was broken off, or the server was restored to a time before it.
         _keep_of_another(path, final)
         final.replace(path)
     count, there = _count(connection, table), rows_in(path)
     if not again and there == count:
         return ArchivedDay(kind, day, path, count, written=False)
-    # Else its part has been dropped by hand, and this one was begun by what came late.
+    # A file of another part is kept: that part was dropped by hand, and late records have begun this one.
     if not _keep_of_another(path, final) and not again and there is not None and there > count:
         return ArchivedDay(kind, day, path, there, written=False)
     part = path.with_name(path.name + ".part")
@@ -164,7 +164,7 @@ def _written(connection: "psycopg.Connection", kind: str, day: date, out: Path, 
             os.fsync(file.fileno())
         part.replace(path)
     except OSError:
-        # It would keep the room that a full disk lacks.
+        # The unfinished file would take up room on a full disk.
         with contextlib.suppress(OSError):
             part.unlink()
         raise
@@ -181,9 +181,9 @@ def _count(connection: "psycopg.Connection", table: str) -> int:
 
 
 def _keep_of_another(path: Path, final: Path) -> bool:
-    """Give the file of another part than that of `final`, which is gone, the name that it keeps; tell whether it is."""
+    """If a file is of another part than `final`, one that is gone, give it its lasting name; tell whether it is."""
     footer = _footer(path)
-    # A file of before the part was written in names none.
+    # An older file does not name its part.
     other = ((footer.metadata if footer else None) or {}).get(_PART_KEY, b"").decode()
     if other in ("", final.stem):
         return False
@@ -192,7 +192,7 @@ def _keep_of_another(path: Path, final: Path) -> bool:
 
 
 def _footer(path: Path) -> Any:
-    """Return what the end of a file says of the rest, None where there is none that is whole."""
+    """Return the metadata at the end of a file, None if it is missing or not whole."""
     import pyarrow as pa  # noqa: PLC0415 - half a second that other commands have no use for
     from pyarrow import parquet  # noqa: PLC0415 - as above
 
@@ -201,7 +201,7 @@ def _footer(path: Path) -> Any:
     except (FileNotFoundError, pa.ArrowInvalid):
         return None
     except OSError as error:
-        # One without a number is not the disk's: Arrow cannot make sense of the footer.
+        # An error without a number does not come from the disk: Arrow cannot make sense of the footer.
         if error.errno is not None or not path.is_file():
             raise
         return None

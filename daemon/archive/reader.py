@@ -1,4 +1,4 @@
-"""Records of one installation out of an archive, as a store: whatever reads a store reads them."""
+"""Records of one installation out of an archive, as a store: every program that reads a store can read them."""
 
 import math
 import sqlite3
@@ -140,7 +140,7 @@ def _bound(utc_s: float) -> datetime | str:
 
 @contextmanager
 def copied(reader: ArchiveReader, start_utc_s: float, end_utc_s: float) -> Iterator[Path]:
-    """Have the records of a span as a store in a folder that goes afterwards; raises `ArchiveError` without one."""
+    """Give a temporary folder with the records of a span as a store; raises `ArchiveError` if there are none."""
     with TemporaryDirectory(prefix="heliocube-archive-") as folder:
         try:
             count = reader.copy(Path(folder), start_utc_s, end_utc_s)

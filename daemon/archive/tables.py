@@ -36,7 +36,7 @@ _RUNS = f"""CREATE TABLE {SCHEMA}.runs (
   heard timestamptz,
   UNIQUE (installation, id)
 )"""
-# What is left out of the tables, as it came: a time in seconds since 1970.
+# Records that the tables do not take, as they came; so their times are seconds since 1970.
 _SET_ASIDE = f"""CREATE TABLE {SCHEMA}.{SET_ASIDE} (
   run int4 NOT NULL,
   kind text NOT NULL,
@@ -76,7 +76,7 @@ def ensure(connection: "psycopg.Connection") -> None:
     Raises
     ------
     ArchiveError
-        This user may not, or may not write into them, or what is there is of a newer program.
+        This user may not make them, or not write into them, or they are of a newer program.
     """
     import psycopg  # noqa: PLC0415 - it is in an extra
 
@@ -105,9 +105,9 @@ def _is_there(connection: "psycopg.Connection", name: str) -> bool:
 
 
 def _check_rights(connection: "psycopg.Connection") -> None:
-    """Raise `ArchiveError` for a reader: it would take pages from who may write, and keep none of them."""
+    """Raise `ArchiveError` for a user who may only read: it would take pages from processes that can write them."""
     row = connection.execute(
-        # Only its owner divides a table further.
+        # Only its owner can add a part to a table.
         "SELECT min(pg_get_userbyid(relowner)) FROM pg_class"
         " WHERE relnamespace = %s::regnamespace AND relname = ANY(%s) AND NOT"
         " (has_table_privilege(oid, 'INSERT') AND (relkind <> 'p' OR pg_has_role(relowner, 'USAGE')))",
@@ -141,7 +141,7 @@ def check_is_archive(connection: "psycopg.Connection", address: ArchiveAddress) 
 
 
 def missing_columns(connection: "psycopg.Connection", name: str) -> list[Column]:
-    """Return what a table of an older archive has no column for."""
+    """Return the columns that a table of an older archive lacks."""
     rows = connection.execute(
         "SELECT column_name FROM information_schema.columns WHERE table_schema = %s AND table_name = %s", (SCHEMA, name)
     )
@@ -150,7 +150,7 @@ def missing_columns(connection: "psycopg.Connection", name: str) -> list[Column]
 
 
 def partitioned(connection: "psycopg.Connection") -> set[str]:
-    """Return the tables whose days are made here; what another engine divides, it divides itself."""
+    """Return the tables whose parts, one a day, are made here; another engine may divide a table by itself."""
     rows = connection.execute(
         "SELECT relname FROM pg_class WHERE relnamespace = %s::regnamespace AND relkind = 'p'", (SCHEMA,)
     )
@@ -181,12 +181,12 @@ def _make_day(connection: "psycopg.Connection", name: str, day: int) -> None:
         f"CREATE TABLE {part} PARTITION OF {SCHEMA}.{name}"
         f" FOR VALUES FROM ('{begin.isoformat()}') TO ('{(begin + timedelta(days=1)).isoformat()}')"
     )
-    # Restored from a dump it has another number, and this one still.
+    # Restored from a dump, the part has another number, but still this comment.
     connection.execute(f"COMMENT ON TABLE {part} IS '{_PART} {identity_of(connection, part)}'")
 
 
 def identity_of(connection: "psycopg.Connection", part: str) -> str:
-    """Return what no other part has, of this server or of one that is set up anew, and what a part keeps for good."""
+    """Return a text that a part keeps for good and no other part has, on this server or on one that is set up anew."""
     row = connection.execute(
         f"SELECT coalesce(substring(obj_description(oid, 'pg_class') FROM '^{_PART} ([0-9]+-[0-9]+)$'),"  # noqa: S608 - ours
         " system_identifier || '-' || oid) FROM pg_control_system(), (SELECT %s::regclass::oid AS oid) AS part",

@@ -1,4 +1,4 @@
-"""Pages of records into the tables: binary, each record once, however often it comes."""
+"""Writes pages of records into the tables: binary, and each record once, however often it comes."""
 
 import contextlib
 import json
@@ -18,12 +18,12 @@ from daemon.store.schema import RUN_COLUMNS
 from daemon.store.store import Origin
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-# Two services that send in turns are seen within this.
+# Within this time two services that send in turns are noticed.
 _BOTH_ALIVE = "10 min"
 
 
 class SentPage(NamedTuple):
-    """A page and whose it is; `live` where it came over a broker."""
+    """A page and its installation; `live` if it came over a broker."""
 
     installation: str
     batch: Batch
@@ -31,7 +31,7 @@ class SentPage(NamedTuple):
 
 
 class Taken(NamedTuple):
-    """What came of pages: how many records were new, and who sends under one name, as sentences."""
+    """What came of pages: how many records were new, and sentences about two services that send under one name."""
 
     added: int
     rivals: list[str]
@@ -73,7 +73,7 @@ class ArchiveWriter:
             ensure(self._connection)
             self._divided = partitioned(self._connection)
             for name in KINDS:
-                # Of the types that are sent: what somebody has made of a column is for the server to make of them.
+                # With the types that are sent: if somebody has changed a column's type, the server converts them.
                 columns = ", ".join(columns_sql(name))
                 self._connection.execute(f"CREATE TEMP TABLE new_{name} ({columns}) ON COMMIT DELETE ROWS")
 
@@ -97,7 +97,7 @@ class ArchiveWriter:
         Raises
         ------
         ArchiveError
-            What the database does not let; nothing of the pages is in it then.
+            The database refuses something; nothing of the pages is in it then.
         """
         import psycopg  # noqa: PLC0415 - it is in an extra
 
@@ -107,7 +107,7 @@ class ArchiveWriter:
             except psycopg.errors.CheckViolation as error:
                 if error.diag.constraint_name is not None:
                     raise
-                # A day that was made here has been dropped since, as Parquet: what comes late for it begins it anew.
+                # The part of a day that was made here has been dropped since, as Parquet. Late records begin it anew.
                 self._days.clear()
                 return self._written(pages)
 
@@ -117,7 +117,7 @@ class ArchiveWriter:
         Raises
         ------
         ArchiveError
-            What the database does not let; nothing is kept then.
+            The database refuses something; nothing is kept then.
         """
         known = dict(self._runs)
         with telling(self._address), self._connection.transaction(), self._connection.cursor() as cursor:
@@ -131,7 +131,7 @@ class ArchiveWriter:
         self._runs = known
 
     def pages_aside(self) -> Iterator[SentPage]:
-        """Yield what is set aside, in pages."""
+        """Yield the records that are set aside, in pages."""
         after = (-1, "", -1)
         while rows := self._aside_after(after):
             after = rows[-1][:3]
@@ -145,7 +145,7 @@ class ArchiveWriter:
                 yield SentPage(installation, Batch(origin, -1, found), live=False)
 
     def forget_aside(self, page: SentPage, but: Sequence[Refused]) -> None:
-        """Forget what was set aside and is in its table by now; `but` what is refused still."""
+        """Remove the set-aside records of a page, which are in their tables by now, `but` those still refused."""
         kept = {(each.kind, each.row[0]) for each in but}
         gone = [(kind, row[0]) for kind, rows in page.batch.rows.items() for row in rows if (kind, row[0]) not in kept]
         with telling(self._address), self._connection.transaction(), self._connection.cursor() as cursor:
@@ -183,7 +183,7 @@ class ArchiveWriter:
 
     def _make_days(self, pages: Sequence[SentPage]) -> None:
         wanted = {
-            # Of the instant that is written: it is rounded, and what is just before midnight is of the next day then.
+            # The day of the instant as it is written: rounded, a time just before midnight is of the next day.
             (name, (_instant(row[1]) - _EPOCH).days)
             for page in pages
             for name, rows in page.batch.rows.items()
@@ -228,13 +228,13 @@ class ArchiveWriter:
                 copy.write_row((run, *_with_instants(row, times)))
         done = self._connection.execute(
             f"INSERT INTO {SCHEMA}.{name} ({names}) SELECT {names} FROM new_{name}"  # noqa: S608 - our own names
-            # What is there already by another key, which somebody has added, is no record that came twice.
+            # By this key only: a conflict with another key, which somebody has added, is no record that came twice.
             " ON CONFLICT (run, number, time) DO NOTHING"
         )
         return done.rowcount
 
     def _advance(self, pages: Sequence[SentPage], runs: Sequence[int]) -> None:
-        """Note how far each run is here; in the order of the runs, so that two writers do not wait for each other."""
+        """Note how far each run has come; in the order of the runs, so that two writers do not wait for each other."""
         ends: dict[int, int] = defaultdict(lambda: -1)
         for run, page in zip(runs, pages, strict=True):
             ends[run] = max(ends[run], page.batch.through)
@@ -247,7 +247,7 @@ class ArchiveWriter:
             )
 
     def _rivals(self, pages: Sequence[SentPage], runs: Sequence[int]) -> list[str]:
-        """Return a sentence for each installation whose earlier run still sends what a later one has overtaken.
+        """Return a sentence for each installation whose earlier run sends records from after a later run's start.
 
         A service sends its runs one after the other: records of an earlier run, made after the start of a later one
         that is heard too, come from another service.
