@@ -1,7 +1,7 @@
-"""The service as registers of SunSpec: which model says what, and what stands where there is no value.
+"""The service as registers of SunSpec: which model holds which values, and what is written where there is no value.
 
 Source: the model files of sunspec/models (1, 302, 305, 307, 601). Angles are those of the module's normal: elevation
-from the horizontal, azimuth from true north by east.
+from the horizontal, azimuth clockwise from true north.
 """
 
 import math
@@ -51,7 +51,7 @@ class Registers(NamedTuple):
 
 
 class ManualTarget(NamedTuple):
-    """What a control room has set for a tracker [0.01 deg]; None for what it has not."""
+    """The angles that a control room has set for a tracker [0.01 deg]; None for one that it has not set."""
 
     elevation: int | None = None
     azimuth: int | None = None
@@ -63,7 +63,7 @@ class SunSpecMap:
     Parameters
     ----------
     serial
-        What tells this device from others, at most 31 letters.
+        The device's serial number, which tells it from others, at most 31 letters.
     unit
         Its Modbus address.
     tolerance_deg
@@ -77,7 +77,7 @@ class SunSpecMap:
         self._azimuth_deg: dict[str, float] = {}
 
     def registers(self, seen: Snapshot, manual: Mapping[str, ManualTarget]) -> Registers:
-        """Return all models: common, irradiance, place, weather where the wind is known, trackers where there are."""
+        """Return all models: common, irradiance, place, weather if the wind is known, trackers if there are any."""
         words: list[int] = [*_MARK, *_model(1, self._common(seen)), *_model(302, _irradiance(seen))]
         words += _model(305, _location(seen))
         if any(tracker.wind for tracker in seen.trackers):
@@ -134,11 +134,11 @@ class SunSpecMap:
         mode = tracker.control.mode
         bits = _OBSTRUCTED if positioner.blocked_why is not None or mode is Mode.FAULT else 0
         kept_from_it = any(alarm.on and alarm.name == _KEPT_FROM_STOW for alarm in tracker.alarms)
-        # In a fault a stow that is wanted cannot be made, and a move that it has ended is not taken up.
+        # In a fault a stow that is wanted cannot be carried out, and a move that the fault has ended is not resumed.
         fault = mode is Mode.FAULT
         stow = mode is Mode.STOW or (fault and _wants_stow(tracker))
         if kept_from_it or (stow and not tracker.at_stow):
-            # A person keeps it still, or a stow that has failed waits to be tried again: nothing is on its way.
+            # A person keeps the tracker still, or a stow that has failed waits to be tried again: it is not on its way.
             return bits | _NOT_THERE
         target = _sent_to(tracker) if fault else positioner.target
         if target is None or positioner.pose is None or positioner.pose_is_stale:
@@ -158,7 +158,7 @@ class SunSpecMap:
         return self._angles(f"{tracker.name} pose", pose.a_deg, pose.b_deg, seen.site.latitude_deg)
 
     def _angles(self, name: str, a_deg: float, b_deg: float, latitude_deg: float) -> list[int]:
-        """Return elevation and azimuth; of a flat module, which has no azimuth, the last one that it had."""
+        """Return elevation and azimuth; a flat module has no azimuth, and keeps the last one that it had."""
         azimuth_deg, elevation_deg = azimuth_from_direction(normal_from_angles(a_deg, b_deg), latitude_deg)
         if float(elevation_deg) < _FLAT_ABOVE_DEG:
             self._azimuth_deg[name] = float(azimuth_deg)
@@ -167,7 +167,7 @@ class SunSpecMap:
 
 
 def _sent_to(tracker: TrackerState) -> Target | None:
-    """Return where it is sent, or where it was sent last unless that was called off."""
+    """Return where the tracker is sent, or where it was sent last unless that move was called off."""
     target, last = tracker.positioner.target, tracker.positioner.last_move
     if target is None and last is not None and last.outcome is not MoveOutcome.INTERRUPTED:
         return Target(last.target_a_deg, last.target_b_deg, last.why)
@@ -209,7 +209,7 @@ def _location(seen: Snapshot) -> list[int]:
 
 
 def _weather(seen: Snapshot) -> list[int]:
-    """Return the strongest wind that any source tells now [m/s]; nothing else is known."""
+    """Return the weather, of which only the strongest wind that any source reports now [m/s] is known."""
     speeds = [status.speed_m_s for tracker in seen.trackers for status in tracker.wind]
     known = [speed for speed in speeds if math.isfinite(speed)]
     wind = words_for(max(known), "int16")[0] if known else _NO_INT16
@@ -223,7 +223,7 @@ def _control(tracker: TrackerState, manual: Mapping[str, ManualTarget]) -> list[
 
 
 def in_manual(tracker: TrackerState) -> bool:
-    """Tell whether a person, or a control room, keeps the tracker from what the law says."""
+    """Tell whether a person, or a control room, keeps the tracker from following the law."""
     wishes = tracker.wishes
     return wishes.stillness is not None or any(wish is not None for wish in (wishes.stow, wishes.snow, wishes.hold))
 

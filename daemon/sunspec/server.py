@@ -27,11 +27,11 @@ log = logging.getLogger("heliocube.sunspec")
 _AGAIN_S = 10.0
 _IDLE_S = 300.0
 _MOST_CLIENTS = 16
-# A control room asks every few seconds; who has asked nothing for so long makes room when all places are taken.
+# A control room asks every few seconds. If all places are taken, a client that was silent for this long makes room.
 _MAKES_ROOM_S = 10.0
-# A client waits about a second; what takes longer than this goes on, and shows in the registers.
+# A client waits about a second; a command that takes longer than this goes on, and its effect shows in the registers.
 _ANSWER_WITHIN_S = 0.5
-# A control room asks once a second; a program in a loop waits for the rest of the service.
+# A control room asks once a second; a program that asks in a loop has to wait, so that the rest of the service goes on.
 _QUESTIONS_PER_S, _QUESTIONS_AT_ONCE, _PAUSE_S = 100.0, 200, 0.05
 _NO_SUCH_UNIT = 11
 # Modbus's guide for TCP: 255 is the device at this address, and 0 is accepted as well.
@@ -50,13 +50,13 @@ class SunSpecServer:
     see
         Takes a snapshot.
     operators
-        Carry out the manual override; the guard of every other way is behind them.
+        Carry out the manual override, with the same checks as for commands that come in by other ways.
     clock
         The service's time.
     alarm
         Raises an alarm, or ends it with None.
     speed
-        How many times as fast as the machine's the clock runs.
+        The clock runs this many times as fast as the machine's.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class SunSpecServer:
         self.port = 0
 
     async def run(self) -> None:
-        """Serve until cancelled; a port that cannot be had is an alarm, and tried again every few seconds."""
+        """Serve until cancelled; a port that cannot be bound raises an alarm, and is tried again every few seconds."""
         address = parse_address(self._own.listen)
         server: asyncio.Server | None = None
         try:
@@ -97,10 +97,10 @@ class SunSpecServer:
                 try:
                     opened = await asyncio.start_server(self._serve, address.host, address.port, limit=_CHUNK)
                 except OSError as error:
-                    # What asyncio makes of the reason has the address once more; of some it has no number.
+                    # The text of asyncio's own error has the address once more; some of its errors have no number.
                     why = os.strerror(error.errno) if error.errno else str(error)
                 else:
-                    # A kind of address that the system does not have is passed over.
+                    # asyncio passes over a kind of address that the system does not have, and opens no socket.
                     server, why = (opened if opened.sockets else None), os.strerror(errno.EAFNOSUPPORT)
                 if server is None:
                     self._cannot(f"cannot listen on {address}: {why}")
@@ -142,7 +142,7 @@ class SunSpecServer:
         host = str(writer.get_extra_info("peername", ("?",))[0])
         framing, pace = TcpServer(), RateLimit(_QUESTIONS_PER_S / self._speed, _QUESTIONS_AT_ONCE)
         try:
-            # Cancelled by the end of the service: the library reports a connection that ends so as an exception.
+            # The end of the service cancels this task, which the library would report as an exception.
             with contextlib.suppress(OSError, TimeoutError, BrokenStreamError, asyncio.CancelledError):
                 while data := await self._more(reader):
                     for asked in framing.feed(data, 0.0):
@@ -159,7 +159,7 @@ class SunSpecServer:
             writer.transport.abort()
 
     def _has_room(self) -> bool:
-        """Return whether there is a place; where all are taken, the client that is silent longest gives way."""
+        """Return whether there is a place; if all are taken, the client that has been silent longest gives way."""
         if len(self._asked_s) < _MOST_CLIENTS:
             return True
         quietest = min(self._asked_s, key=self._asked_s.__getitem__)

@@ -1,8 +1,8 @@
-"""What a client may read and write: the registers of a snapshot, and the manual override of model 601.
+"""The registers that a client may read and write: those of a snapshot, and the manual override of model 601.
 
-A control room sets elevation and azimuth and then the mode, in one write or in several. So the angles only wait until
-the mode is written, and no longer than some minutes; those of a goto are forgotten with its end, whoever ends it. Half
-an angle, one without the other, mode 2 (calibrate) and a direction that the tracker cannot take are refused.
+A control room sets elevation and azimuth and then the mode, in one write or in several. So the angles have no effect
+until the mode is written, and are forgotten after some minutes; those of a goto are forgotten when somebody ends it.
+Half an angle, one without the other, mode 2 (calibrate) and a direction that the tracker cannot take are refused.
 """
 
 from collections.abc import Callable
@@ -51,7 +51,7 @@ class Override(NamedTuple):
 
 
 class _Before(NamedTuple):
-    """What was kept of a tracker before its last write."""
+    """What was known of a tracker before the last write to it."""
 
     manual: ManualTarget | None
     written_s: float | None
@@ -92,7 +92,7 @@ class SunSpecTable(NoBits):
         self._asked: Override | None = None
 
     def read(self, function: int, register: int, count: int) -> tuple[int, ...]:  # noqa: ARG002 - 3 and 4 alike
-        """Return registers; what is read within a fifth of a second is of one moment."""
+        """Return registers; all that are read within a fifth of a second show the same moment."""
         words = self._current().words
         first = register - BASE
         if not (first >= 0 and first + count <= len(words)):
@@ -100,10 +100,10 @@ class SunSpecTable(NoBits):
         return words[first : first + count]
 
     def write(self, function: int, register: int, values: tuple[int, ...]) -> None:  # noqa: ARG002 - 6 and 16 alike
-        """Take in angles and mode of one tracker; what is asked by that is in `take`."""
+        """Take in angles and mode of one tracker; `take` returns what they ask of it."""
         if not self._writable:
             raise RefusedRequestError(ILLEGAL_FUNCTION)
-        # Not a snapshot of before: a person may have ended what was set a moment ago.
+        # Take a new snapshot: a person may have ended the override a moment ago.
         self._seen_s = -_KEPT_S
         controls = self._current().controls
         start = next((first for first in controls if first <= register < first + _CONTROL_WORDS), None)
@@ -122,22 +122,22 @@ class SunSpecTable(NoBits):
     def is_held(self, tracker: str) -> bool:
         """Tell whether a person's stop, maintenance, stow or snow holds a tracker at this very instant.
 
-        None of them is ended from afar, by a program that writes zeros.
+        A program that writes zeros from afar must end none of them.
         """
-        # Not a snapshot of before: the person may have asked a moment ago.
+        # Take a new snapshot: the person may have given the command a moment ago.
         self._seen_s = -_KEPT_S
         self._current()
         wishes = self._tracker(tracker).wishes
         return wishes.stillness is not None or wishes.stow is not None or wishes.snow is not None
 
     def is_in_force(self, asked: Override) -> bool:
-        """Tell whether a tracker does already what is asked of it, as telemetry shows.
+        """Tell whether a tracker already does what is asked of it, as telemetry shows.
 
-        Many a program writes the same every second: each would be an order, an event and a file that is written.
+        Many programs write the same every second: each write would be an order, an event and a file that is written.
         """
         if self.is_held(asked.tracker):
             return False
-        # Of the instant at which that was looked at.
+        # From the snapshot that `is_held` has just taken.
         tracker = self._tracker(asked.tracker)
         hold, target = tracker.wishes.hold, tracker.positioner.target
         if asked.name == "auto":
@@ -156,10 +156,10 @@ class SunSpecTable(NoBits):
         return asked
 
     def done(self, asked: Override) -> None:
-        """Take note that an override was carried out: with ``auto`` the angles of before are forgotten."""
+        """Take note that an override was carried out: after ``auto`` the earlier angles are forgotten."""
         self._seen_s = -_KEPT_S
         if self._newest.get(asked.tracker) is not asked:
-            # A later write came while its effect was waited for: the angles are of that one.
+            # A later write came while this one waited for its effect: the angles are those of the later one.
             return
         if asked.name == "auto":
             self._forget(asked.tracker)
@@ -167,9 +167,9 @@ class SunSpecTable(NoBits):
             self._gone_to[asked.tracker] = (asked.a_deg, asked.b_deg)
 
     def refused(self, asked: Override) -> None:
-        """Take note that an override was refused: the angles of the same write count no more, those of before do.
+        """Take note that an override was refused: forget the angles of the same write, and restore the earlier ones.
 
-        Else a mode that is written alone would move the tracker later to where it was refused to go.
+        Otherwise a mode that is written alone later would move the tracker to the refused place.
         """
         self._seen_s = -_KEPT_S
         name = asked.tracker
@@ -196,7 +196,7 @@ class SunSpecTable(NoBits):
     def _forget_what_is_over(self, seen: Snapshot, now_s: float) -> None:
         """Forget angles whose goto somebody has ended, and those that have waited too long for the mode.
 
-        Else a mode that is written alone would move the tracker to where nobody wants it now.
+        Otherwise a mode that is written alone would move the tracker to where nobody wants it now.
         """
         for tracker in seen.trackers:
             hold, gone_to = tracker.wishes.hold, self._gone_to.get(tracker.name)
@@ -230,7 +230,7 @@ class SunSpecTable(NoBits):
 
     def _override(self, tracker: TrackerState, target: ManualTarget, mode: int) -> Override:
         if tracker.wishes.held_by_program:
-            # A person is to look first, and a program in a control room has not.
+            # The service holds the tracker until a person has looked at it, and no program in a control room can look.
             raise RefusedRequestError(DEVICE_FAILURE)
         if mode == AUTOMATIC:
             if self.is_held(tracker.name):
@@ -255,7 +255,7 @@ class SunSpecTable(NoBits):
 
 
 def _angle(words: tuple[int, ...], low: int, high: int) -> int | None:
-    """Return an angle; None for the mark that stands where none is set, as of a block that is written back as read."""
+    """Return an angle; None for the mark of an angle that is not set, as in a block that is written back as read."""
     value = int(number(words, "int32"))
     if value == NO_INT32:
         return None
