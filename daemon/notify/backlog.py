@@ -1,4 +1,4 @@
-"""When a notice is sent: at once, after the quiet hours, or gathered with others where there are too many."""
+"""When a notice is sent: at once, after the quiet hours, or gathered with others if there are too many."""
 
 from dataclasses import replace
 from datetime import time
@@ -31,15 +31,15 @@ class QuietHours:
 
 
 class Backlog:
-    """What one recipient is still to be told. What cannot be sent is tried again, by halves; nothing is told twice.
+    """The notices for one recipient. Those that cannot be sent are tried again, by halves; none is sent twice.
 
     Parameters
     ----------
     quiet
         When only urgent notices are sent.
     most_per_hour
-        Messages; more notices are gathered into one as soon as there may be another. Urgent notices have as many more
-        for themselves, so that they never wait for what others have used up.
+        Messages; further notices are gathered into one, which is sent as soon as the rate allows. Urgent notices have
+        as many messages more for themselves, so that they never wait because others have used up the rate.
     """
 
     def __init__(self, quiet: QuietHours, most_per_hour: int) -> None:
@@ -57,14 +57,14 @@ class Backlog:
         return not self._waiting
 
     def put(self, notice: Notice) -> None:
-        """Take a notice; of too many the oldest is lost that is not urgent, and the next message says so."""
+        """Take a notice; if there are too many, the oldest that is not urgent is lost, and the next message says so."""
         self._waiting.append(notice)
         if len(self._waiting) > _MOST_WAITING:
             self._waiting.remove(next((old for old in self._waiting if not old.urgent), self._waiting[0]))
             self._lost += 1
 
     def due(self, now_s: float, local: time) -> tuple[Notice, list[Notice]] | None:
-        """Return what is to be sent now and the notices that it stands for, or None.
+        """Return the message to send now and the notices that it stands for, or None.
 
         Parameters
         ----------
@@ -76,13 +76,13 @@ class Backlog:
         chosen = self._admitted([each for each in self._waiting if each.urgent or not self._quiet.holds(local)], now_s)
         if not chosen:
             return None
-        # A message that was not taken may have been too long for its way, which would keep the urgent ones with it.
+        # A message that was not taken may have been too long for its way. Urgent notices must not wait with the rest.
         chosen = sorted(chosen, key=lambda notice: not notice.urgent)[: max(len(chosen) >> self._failures, 1)]
         self._lost_told = self._lost
         return self._with_lost(gathered(chosen, short=self._short)), chosen
 
     def _admitted(self, chosen: list[Notice], now_s: float) -> list[Notice]:
-        """Return those of the notices that there may be a message for: all, the urgent ones or none."""
+        """Return the notices for which the rate allows a message: all, the urgent ones or none."""
         if not chosen or self._limit.admit(now_s):
             return chosen
         urgent = [notice for notice in chosen if notice.urgent]
@@ -95,18 +95,18 @@ class Backlog:
         return replace(notice, body=f"{lost}\n{notice.body}")
 
     def sent(self, notices: list[Notice]) -> None:
-        """Take off what was sent."""
+        """Take off the notices that were sent."""
         self._failures = 0
-        # Of those on their way some may have counted as lost meanwhile.
+        # Some of them may have been counted as lost while they were on their way.
         on_the_way = sum(all(notice is not each for each in self._waiting) for notice in notices)
         self._lost -= self._lost_told + on_the_way
         self._lost_told = 0
         self._waiting = [notice for notice in self._waiting if all(notice is not each for each in notices)]
-        # What is left of many would be too long again.
+        # The rest of a message that was too long would be too long again.
         self._short = self._short and bool(self._waiting)
 
     def failed(self, now_s: float) -> float:
-        """Note that it could not be sent, and return the pause [s] until the next try."""
+        """Note that the message could not be sent, and return the pause [s] until the next try."""
         pause_s = _AGAIN_S[min(self._failures, len(_AGAIN_S) - 1)]
         self._failures += 1
         self._short = True

@@ -29,9 +29,9 @@ from daemon.notify.told import ToldFile, ToldService
 log = logging.getLogger("heliocube.notify")
 
 _ANSWER_WITHIN_S = 10.0
-# Of a state; the command line reads no more of one either.
+# The longest state that is read; the command line has the same limit.
 _LONGEST_ANSWER = 16 << 20
-# OpenSSL's numbers (x509_vfy.h) of a certificate that is not valid yet, or no more.
+# OpenSSL's numbers (x509_vfy.h) for a certificate that is not valid yet, or no longer.
 _OUT_OF_DATE = (9, 10)
 _Way = Callable[[], Coroutine[Any, Any, None]]
 
@@ -54,9 +54,9 @@ async def test(settings: NotifySettings, recipients: Sequence[Recipient], report
 async def serve(
     settings: NotifySettings, recipients: Sequence[Recipient], clock: Clock, manager: Notifier, folder: StateFolder
 ) -> None:
-    """Tell people of alarms until SIGINT, SIGTERM or SIGHUP; what was told is kept in `folder`.
+    """Tell people of alarms until SIGINT, SIGTERM or SIGHUP; `folder` keeps which alarms were told.
 
-    Raises `UserError` for a service's address that is none.
+    Raises `UserError` if a service's address is not valid.
     """
     try:
         services = [parse_address(text) for text in settings.services]
@@ -68,7 +68,7 @@ async def serve(
         with contextlib.suppress(RuntimeError):  # the loop has ended already
             loop.call_soon_threadsafe(end.set)
 
-    # Proxies of the environment are for the world outside.
+    # The client ignores the environment (`trust_env`): its proxies are for the world outside, not for the services.
     async with httpx.AsyncClient(trust_env=False) as client:
         courier = Courier(settings, services, recipients, clock, client, manager.watchdog, ToldFile(folder))
         with on_signals(end_from_outside):
@@ -82,7 +82,7 @@ async def serve(
 
 
 class Courier:
-    """Tells people of alarms; each has a queue of their own, so that one way that fails keeps no other waiting.
+    """Tells people of alarms; each person has a queue, so that a way that fails does not keep the others waiting.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class Courier:
     alive
         Called after each round.
     file
-        Keeps over a restart what was told; None keeps nothing.
+        Keeps over a restart which alarms were told; None keeps nothing.
     """
 
     def __init__(
@@ -147,10 +147,10 @@ class Courier:
             self._file.close()
 
     async def step(self) -> Collection[asyncio.Task[None]]:
-        """Ask every service once, and begin to tell what there is to tell; return what is under way.
+        """Ask every service once, and begin to send the notices; return the tasks that are under way.
 
-        A way that is still busy with what it was given before gets no more, and keeps neither the others waiting nor
-        the next round.
+        A way that is still busy with an earlier notice gets no other, and delays neither the other ways nor the next
+        round.
         """
         self._keep()
         found = await asyncio.gather(*(self._ask(service, watch) for service, watch in self._watches.items()))
@@ -169,13 +169,13 @@ class Courier:
         return self._under_way.values()
 
     def _keep(self) -> None:
-        """Keep what was told, once everybody has been told: after a restart it is told again otherwise."""
+        """Save which alarms were told, once everybody has been told: otherwise they are told again after a restart."""
         if all(backlog.is_empty for _, backlog in self._backlogs):
             self._file.save(self._told)
 
     async def _ask(self, service: Address, watch: ServiceWatch) -> list[Notice]:
         try:
-            # The client's own limit is for each piece of an answer, of which there may be no end.
+            # The client's own limit holds for each piece of an answer, and an answer may have pieces without end.
             async with asyncio.timeout(_ANSWER_WITHIN_S):
                 state = await self._state(service)
             return watch.answered(state, self._clock.monotonic())
@@ -185,7 +185,7 @@ class Courier:
             return watch.failed("what answers there is not heliocube", self._clock.monotonic())
 
     async def _state(self, service: Address) -> Any:
-        # As it is: a little that is compressed may be gigabytes.
+        # Not compressed: a few compressed bytes may become gigabytes.
         plain, content = {"Accept-Encoding": "identity"}, bytearray()
         url = f"http://{service.reachable}/api/state"
         async with self._client.stream("GET", url, headers=plain, timeout=_ANSWER_WITHIN_S) as reply:
@@ -232,12 +232,12 @@ async def beat(address: str) -> str | None:
             httpx.AsyncClient(timeout=_ANSWER_WITHIN_S, follow_redirects=True) as client,
             client.stream("GET", address) as reply,
         ):
-            # Whatever it says besides is nobody's to read.
+            # The body of the answer is not read.
             reply.raise_for_status()
     except (httpx.HTTPError, httpx.InvalidURL, TimeoutError) as error:
         return _reason(error)
     except (OSError, ValueError, ImportError) as error:
-        # The proxy or the certificates that the environment names are none.
+        # The environment names a proxy or certificates that cannot be used.
         return f"it cannot be asked: {ascii(error)[:200]}"
     return None
 
@@ -253,7 +253,7 @@ def _reason(error: Exception) -> str:
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
-    """Yield an error and what it came from; of an address that is several, what each has met."""
+    """Yield an error and its causes; for a name with several addresses, the error of each."""
     while error is not None:
         yield error
         if isinstance(error, BaseExceptionGroup):
@@ -262,7 +262,7 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def _not_connected(error: BaseException) -> str:
-    """Return what an error says of why there is no connection; empty where it says nothing."""
+    """Return why there is no connection, as far as an error tells; empty if it does not."""
     if isinstance(error, ssl.SSLCertVerificationError):
         if error.verify_code in _OUT_OF_DATE:
             return "its certificate is out of date by this machine's clock"
@@ -273,5 +273,5 @@ def _not_connected(error: BaseException) -> str:
         return "its name cannot be resolved"
     if isinstance(error, ConnectionRefusedError):
         return "nothing listens there"
-    # Without a number it is a library's own, which says less than what it came from.
+    # An error without a number is a library's own, which says less than its cause.
     return f"it cannot be reached: {os.strerror(error.errno)}" if isinstance(error, OSError) and error.errno else ""

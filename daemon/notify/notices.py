@@ -1,4 +1,4 @@
-"""What there is to tell: the changes of alarms from one look at a service to the next, in words."""
+"""Puts into words what people are told: the changes of alarms from one look at a service to the next."""
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -15,9 +15,9 @@ _Shown = dict[tuple[str, str], dict[str, Any]]
 
 SEVERITIES = ("notice", "warning", "critical")
 _NOTHING = ToldService()
-# By the role of a service; the units of both where that is not known.
+# systemd's unit by the role of a service.
 _UNITS = {"cube": "heliocube-cube", "tracker": "heliocube-tracker", "both": "heliocube-tracker"}
-# What Pushover takes is 1024 letters; others take more.
+# Pushover takes 1024 letters; other services take more.
 _LONGEST_WHOLE = 900
 
 
@@ -34,9 +34,9 @@ class Notice:
     good
         Whether it is the end of something.
     since
-        Since when it is or was so, in words; empty where that is not known.
+        Since when the alarm is or was on, in words; empty if that is not known.
     brief
-        What is the matter and what to do, in a line beside others.
+        What is the matter and what to do, in one line, for a message that has several notices.
     """
 
     title: str
@@ -53,24 +53,24 @@ class Notice:
 
 
 class ServiceWatch:
-    """Compares a service with how it was, and returns what to tell.
+    """Compares a service with its state at the look before, and returns the notices.
 
-    The first look tells what is on and acknowledged by nobody: what was told before a restart is told once more, rather
-    than never. What was told then and has ended since is told as over. A latched alarm that has begun and ended between
-    two looks is told in one notice.
+    The first look tells every alarm that is on and acknowledged by nobody: one that was told before a restart is told
+    once more, rather than never. An alarm that was told before and has ended since is told as over. A latched alarm
+    that has begun and ended between two looks is told in one notice.
 
     Parameters
     ----------
     address
         Of the service, as people know it.
     silent_after_s
-        After which time without an answer that is told.
+        The time without an answer after which that is told.
     at_least
         The least severity that is told.
     link
         Where to look, or None.
     now_s
-        Monotonic time: silence counts from here.
+        Monotonic time, from which silence counts.
     before
         What was told before a restart.
     """
@@ -102,7 +102,7 @@ class ServiceWatch:
         return self._told.model_copy(update={"silent": self._silent or self._was_silent})
 
     def answered(self, state: Mapping[str, Any], now_s: float) -> list[Notice]:
-        """Take in the JSON of /api/state; anything else raises an error such as `KeyError`, and is not heard."""
+        """Take in the JSON of /api/state; anything else raises an error such as `KeyError`, and counts as silence."""
         before, self._name = self._name, f"{state['site']['name']}{' SIMULATED' if state['simulated'] else ''}"
         try:
             self._several = len(state["trackers"]) > 1
@@ -121,7 +121,7 @@ class ServiceWatch:
         return notices
 
     def failed(self, why: str, now_s: float) -> list[Notice]:
-        """Take in that it did not answer."""
+        """Take in that the service did not answer."""
         silent_s = now_s - self._heard_s
         if self._silent or not silent_s >= self._silent_after_s:
             return []
@@ -134,7 +134,7 @@ class ServiceWatch:
         return self._notice("answers again", "critical", (f"The service at {self._address} answers.",), good=True)
 
     def _hidden(self, muted: Collection[str], shown: _Shown) -> _Shown:
-        """Return the alarms that maintenance hides: whether they last is not known before its end."""
+        """Return the alarms that maintenance hides: nobody knows before its end whether they are still on."""
         known = self._known.items()
         return {key: alarm | {"hidden": True} for key, alarm in known if key[0] in muted and key not in shown}
 
@@ -153,7 +153,7 @@ class ServiceWatch:
             elif self._heard and (before is None or before["cleared_at"] != alarm["cleared_at"]):
                 yield self._over_already(alarm)
             return
-        # What lasts through maintenance is raised anew at its end, at another time.
+        # An alarm that lasts through maintenance is raised anew at its end, at another time.
         same = "text" if before is not None and "hidden" in before else "raised_at"
         known = before is not None and before["state"] != "cleared" and before[same] == alarm[same]
         if not known and alarm["state"] == "raised":
@@ -196,7 +196,7 @@ class ServiceWatch:
 
 
 def _muted(state: Mapping[str, Any]) -> set[str]:
-    """Return the trackers in maintenance; if all are, the cube is too, which has no name."""
+    """Return the trackers in maintenance; if all are, the cube counts too, under an empty name."""
     trackers = state["trackers"]
     muted = {name for name, tracker in trackers.items() if tracker["mode"]["name"] == "maintenance"}
     return muted | {""} if muted and len(muted) == len(trackers) else muted
@@ -212,7 +212,7 @@ def _stays(alarm: Mapping[str, Any], *, several: bool) -> str:
 
 
 def _local(iso_utc: str) -> str:
-    """Return an instant by this machine's clock on the wall, and how far that is from UTC."""
+    """Return an instant in this machine's local time, and how far that is from UTC."""
     there = local_time(datetime.fromisoformat(iso_utc).timestamp())
     offset = there.strftime("%z")
     zone = f"(UTC{offset[:3]}:{offset[3:5]})" if there.utcoffset() else "UTC"
@@ -220,9 +220,9 @@ def _local(iso_utc: str) -> str:
 
 
 def gathered(notices: list[Notice], *, short: bool = False) -> Notice:
-    """Return several notices as one: the worst severity, a line each; all but names and times as far as there is room.
+    """Return several notices as one: the worst severity, and a line each with name and time.
 
-    `short` leaves the rest out anyway.
+    The line says what is the matter as far as there is room; with `short` it never does.
     """
     if len(notices) == 1:
         return notices[0]

@@ -1,4 +1,4 @@
-"""Whom to tell, and by which way: addresses of apprise, a line each, in a file that only its readers can open."""
+"""Whom to tell, and by which way: addresses of apprise, a line each, in a file that is closed to other users."""
 
 import asyncio
 import logging
@@ -23,7 +23,7 @@ _EXAMPLE = "such as ntfy://ntfy.lab/roof"
 
 
 class Recipient(Protocol):
-    """Whoever can be told something."""
+    """Somebody who can be sent notices."""
 
     name: str
 
@@ -37,7 +37,7 @@ class AppriseRecipient:
     Parameters
     ----------
     address
-        As its documentation writes it.
+        In the form that apprise's documentation gives.
 
     Attributes
     ----------
@@ -47,7 +47,8 @@ class AppriseRecipient:
 
     def __init__(self, address: str) -> None:
         apprise = _apprise()
-        # Where a server has moved, a page is asked for instead of the message sent, and taken for its acceptance.
+        # No redirects: if a server has moved, a page would be requested in place of sending the message, and its answer
+        # would be taken for an acceptance.
         asset = apprise.AppriseAsset(http_redirects=False)
         service = apprise.Apprise.instantiate(address, asset=asset)
         if service is None:
@@ -58,9 +59,9 @@ class AppriseRecipient:
         self.name = str(service.url(privacy=True)).partition("?")[0]
 
     async def tell(self, notice: Notice) -> bool:
-        """Send a notice; whatever the way has against it is a False, and so is its silence of 120 s.
+        """Send a notice; return False if the way fails for any reason, or is silent for 120 s.
 
-        A way that hangs gets no more before it has returned.
+        A way that hangs gets no other notice before it has returned.
         """
         if self._sending is not None and not self._sending.done():
             return False
@@ -76,13 +77,14 @@ class AppriseRecipient:
             log.warning("sending to %s has not ended within %g s", self.name, _TAKEN_WITHIN_S)
             return False
         except Exception:
-            # Of some hundred ways by other hands one may fail as its author did not expect: the others go on.
+            # apprise has some hundred ways by many authors: one may fail as its author did not expect, and the others
+            # must go on.
             log.exception("the way to %s has failed", self.name)
             return False
 
 
 def recipients_of(path: Path | None) -> list[AppriseRecipient]:
-    """Return whom a file names; raises `UserError` with the line that is wrong, and never with what is secret in it."""
+    """Return the recipients in a file; raises `UserError` with the number of a wrong line, never with its secrets."""
     if path is None:
         raise UserError(f"notify.people_file is not set: name a file with one apprise address on each line, {_EXAMPLE}")
     called = f"notify.people_file {path}"

@@ -1,4 +1,4 @@
-"""Which alarms were told, over a restart of what tells them: one that ends meanwhile is told as over."""
+"""Keeps over a restart of the notifier which alarms were told: one that ends meanwhile is then told as over."""
 
 import logging
 from typing import Any
@@ -25,7 +25,7 @@ class ToldAlarm(BaseModel):
     acknowledged_at: str | None = None
 
     def as_shown(self) -> dict[str, Any]:
-        """Return it as one that is on; it has no time, by which one that lasts is told once more."""
+        """Return it as an alarm that is on. It has no time, so that one that is still on is told once more."""
         return {**self.model_dump(), "state": "raised", "raised_at": ""}
 
 
@@ -47,7 +47,7 @@ class ToldOfAll(BaseModel):
 
 
 class ToldFile:
-    """A small file with it; in a folder without a directory nothing is kept.
+    """A small file with what was told; in a folder without a directory nothing is kept.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class ToldFile:
         self._saved: ToldOfAll | None = None
 
     def load(self) -> dict[str, ToldService]:
-        """Return what was kept, by address; nothing of a file that cannot be read, which is logged."""
+        """Return what was kept, by address; nothing if the file cannot be read, which is logged."""
         try:
             kept = self._file.load()
         except UnreadableStateError as error:
@@ -70,7 +70,7 @@ class ToldFile:
         return {} if kept is None else kept.services
 
     def save(self, services: dict[str, ToldService]) -> None:
-        """Have the file replaced as a whole where anything has changed; a disk that failed is tried again."""
+        """Have the file replaced as a whole if anything has changed; after a failure of the disk, try again."""
         whole = ToldOfAll(services=services)
         if whole != self._saved:
             self._saved = whole
@@ -78,5 +78,5 @@ class ToldFile:
         self._folder.retry()
 
     def close(self) -> None:
-        """Give the disk a moment for what it has not taken yet."""
+        """Give the disk a moment for values that it has not taken yet."""
         self._folder.close()
