@@ -1,8 +1,8 @@
 """A second law beside the one that points: it moves nothing, and each night it tells what it would have gained.
 
-While the tracker's own law decides, the other is asked as if it did: by the same scans and the same mean, with a
-positioner of the usual speed and the same rules for moves. In every other mode it stands where the tracker stands, so
-that night, stow, a person or missing readings count alike for both. Both planes are put in one and the same light.
+While the tracker's own law decides, the other one is asked as if it pointed: with the same scans and the same mean, a
+positioner of the usual speed and the same rules for moves. In every other mode its plane stands where the tracker
+stands, so that night, stow, a person or missing readings count alike for both. The same light counts for both planes.
 """
 
 import logging
@@ -27,9 +27,9 @@ from solar.frames import Angles
 
 log = logging.getLogger("heliocube.received")
 
-# A day that one of the two has begun to count later is no comparison.
+# If the times that the two have counted differ by more than this, there is no comparison.
 _AS_LONG_S = 120.0
-# So little light tells nothing.
+# A shorter time of light tells nothing.
 _WORTH_TELLING_S = 600.0
 _SAVE_EVERY_S = 900.0
 
@@ -44,11 +44,11 @@ class Active:
     Attributes
     ----------
     mode
-        In which it is.
+        The mode that it is in.
     pose
         Where it stands; None for not known.
     used
-        What its laws have used of the day.
+        What its laws have used of the day's budget.
     received
         Its own count of the day.
     mean
@@ -86,7 +86,7 @@ class Travel(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class ShadowState:
-    """How the day stands.
+    """The day's count so far.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class ShadowState:
     received
         By the plane that it would have pointed.
     travel
-        Of both.
+        Of both laws.
     """
 
     law: str
@@ -106,7 +106,7 @@ class ShadowState:
     travel: Travel
 
     def gain_over(self, own: Insolation) -> float:
-        """Return the share that it would have received more than the tracker; NaN where the two are no comparison."""
+        """Return the share that it would have received more than the tracker; NaN if the two cannot be compared."""
         alike = own.day == self.received.day and abs(own.known_s - self.received.known_s) <= _AS_LONG_S
         return self.received.actual_kwh_m2 / own.actual_kwh_m2 - 1.0 if alike and own.actual_kwh_m2 > 0.0 else math.nan
 
@@ -125,7 +125,7 @@ class Shadow:
     folder
         Where the day's travel is kept over a restart.
     publish
-        Takes what is told each night.
+        Takes the event of each night.
     utc_s
         The time of construction [s].
     phase
@@ -160,7 +160,7 @@ class Shadow:
 
     @property
     def state(self) -> ShadowState:
-        """How the day stands."""
+        """The day's count so far."""
         return ShadowState(self._named.name, self._failed_why, self._received.today, self._travel)
 
     def relearn(self) -> None:
@@ -206,7 +206,7 @@ class Shadow:
     def _add(self, scan: Scan, active: Active, utc_s: float) -> None:
         now_s = scan.time_monotonic_s
         if now_s - self._heard_s > self._settings.safety.fallback_after_s:
-            # Whatever moved without readings was no law that goes by them.
+            # If the tracker moved without readings, no law that decides by readings has moved it.
             self._mode_before = Mode.FALLBACK
         self._heard_s = now_s
         self._turn(scan, active, utc_s)
@@ -249,11 +249,11 @@ class Shadow:
             self._travel = travel.plus(shadow=(distance_deg, 1))
 
     def _count_moves(self, active: Active) -> None:
-        """Count what the tracker's laws have moved since the last scan; for both of them where they do not differ."""
+        """Count what the tracker's laws have moved since the last scan; outside of tracking, it counts for both."""
         used, mode = active.used, active.mode
         before, self._used_before = self._used_before, used
         if before is None:
-            # The first move of a service that has just begun is often ordered before the first scan is handed on.
+            # The first move of a service that has just begun is often ordered before the first scan gets here.
             before = Used(day=used.day) if used.moves <= 1 and self._travel.active_moves == 0 else used
         elif before.day != used.day:
             before = Used(day=used.day)
@@ -265,7 +265,7 @@ class Shadow:
         self._travel = self._travel.plus(active=more, shadow=more if alike else (0.0, 0))
 
     def _turn(self, scan: Scan, active: Active, utc_s: float) -> None:
-        """Tell the day that has ended, and begin the next."""
+        """Report the day that has ended, and begin the next."""
         if self._named.law.turn(utc_s):
             self._keep()
         day = self._received.day_of(utc_s)
@@ -276,7 +276,7 @@ class Shadow:
             log.info("%s", told)
             self._publish(Event(utc_s, scan.time_monotonic_s, "shadow", told))
         self._travel, self._later = turn_day(day, self._travel, self._later, Travel(day=day))
-        # Saved with the next scan.
+        # So that the new day is saved with the next scan.
         self._saved_s = -math.inf
 
     def _told(self, own: Insolation) -> str | None:
@@ -313,7 +313,7 @@ class _Axes:
 
     @property
     def heading(self) -> Angles | None:
-        """Where they will stand when nothing else is ordered."""
+        """Where they will stand if nothing else is ordered."""
         return self._aim or self._here
 
     def pose(self, utc_s: float) -> Pose | None:
@@ -333,7 +333,7 @@ class _Axes:
         self._aim = there
 
     def go_on(self, now_s: float, pose: Pose) -> None:
-        """Move until now; from where the tracker stands where nothing was known."""
+        """Move until now; begin where the tracker stands if the place was not known."""
         if self._here is None:
             self.stand(now_s, pose)
         elif self._aim is not None:

@@ -21,7 +21,7 @@ log = logging.getLogger("heliocube.received")
 FILE_NAME = "received.json"
 
 _MEAN_S = 60.0
-# A minute's mean costs a fraction of a millisecond when it is taken in with others.
+# Means are taken in together: then each costs a fraction of a millisecond.
 _MOST_WAITING = 15
 # No reading stands for longer than this: the slowest cube reads once a minute, now and then a little late.
 _LONGEST_S = 90.0
@@ -66,7 +66,7 @@ class ReceivedToday:
     site, limits
         Of the tracker.
     albedo
-        Returns what is known of the ground around the cube.
+        Returns the albedo of the ground around the cube, as far as it is known.
     folder
         Where the count is kept over a restart.
     utc_s
@@ -146,18 +146,18 @@ class ReceivedToday:
             self._in_turn(self._take_in)
 
     def _in_turn(self, work: Callable[[], None]) -> None:
-        """Work at once, or while the next mean is made: all trackers of a process have the same to do at one scan."""
+        """Work at once or during the next mean: all trackers of a process would do this at the same scan."""
         if self._phase.place == 0:
             work()
         else:
             asyncio.get_running_loop().call_later(self._phase.delay_s(_MEAN_S), work)
 
     def _end_day(self) -> None:
-        """Take in what waits of the day that has ended, and begin the next or go on with a later one."""
+        """Take in the means that wait of the day that has ended, and begin the next or go on with a later one."""
         if self._today.day == self._day:
             return
         self._take_in()
-        # By a clock of years ago the sun was sought where it was not: what it counted is no part of the later day.
+        # With a clock that was years behind, the sun was reckoned at a wrong place: that count is no part of this day.
         fresh = Insolation(day=self._day)
         self._today, self._later = turn_day(self._day, self._today, self._later, fresh)
 
