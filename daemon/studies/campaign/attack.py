@@ -26,7 +26,7 @@ class Attack:
     say
         Called with what people are to read.
     keep
-        Where failures are written, whole as soon as they are seen and then reduced; made with the first one.
+        Folder for failures, made with the first one. Each is written whole as soon as it is seen, and reduced later.
     show
         Whether each schedule and its log are printed.
 
@@ -49,8 +49,8 @@ class Attack:
     def run(self, progress: Callable[[float], None]) -> int:
         """Carry them out, reduce what fails, and return an exit code; `progress` takes the share done, 0..1.
 
-        1: a promise was broken. 130: none was, and Ctrl-C has ended it before all were carried out. Raises
-        `WorkersError` where nobody is left to carry them out, when it has said what was done by then.
+        1: a promise was broken. 130: none was, but Ctrl-C ended the campaign before all were carried out. Raises
+        `WorkersError` if no worker is left to carry them out, after it has said what was done by then.
         """
         done = 0
 
@@ -91,7 +91,7 @@ class Attack:
         for violation in outcome.violations:
             self._say(f"seed {schedule.seed}: {violation}")
         if outcome.violations:
-            # Hours of other seeds may come before it is reduced, and a Ctrl-C in them.
+            # Other seeds may run for hours before this failure is reduced, and Ctrl-C may end them.
             try:
                 self._say(f"again: heliocube campaign --schedule {self._write(schedule)} --show")
             except UserError as error:

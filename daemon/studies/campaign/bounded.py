@@ -1,4 +1,4 @@
-"""What must not grow without bound: lines of the log, and moves."""
+"""What must not grow without bound: lines of the log, moves, and memory."""
 
 import gc
 import logging
@@ -12,13 +12,13 @@ from daemon.studies.campaign.schedule import Schedule
 LINES_OF_AN_OUTAGE = 50
 LINES_OF_A_COMMAND = 8
 MOVES_OF_AN_HOUR = 70
-"""A law may order one in a minute; and some."""
+"""A law may order one in a minute; the rest is a margin."""
 MOVES_OF_AN_EVENT = 6
 WARM_AFTER_S = 3600.0
-"""By then the windows of laws and judgements are full, and what is imported when it is needed first is there."""
+"""By then the windows of laws and judgements are full, and modules that are imported on first use are there."""
 MOST_MORE = 2_000
 """Objects, and items in queues, of each tracker: less than two for each minute of a day."""
-# In lists the simulated sky has its numbers, of some hours at a time; a table of numbers alone Python does not show.
+# Not lists: the simulated sky keeps its numbers there, some hours at a time. A table of numbers alone gc does not list.
 _CONTAINERS = frozenset((dict, set, deque))
 _ROUTINE = ("moving", "staying")
 _HOUR_S = 3600
@@ -34,7 +34,7 @@ class LogLine(NamedTuple):
 
 
 class Bounded(logging.Handler):
-    """Keeps the service's log lines with their time, and compares what there was with what happened.
+    """Keeps the service's log lines with their time, and compares lines, moves and memory with what happened.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Bounded(logging.Handler):
         self._alive_when_warm = self._alive(records)
 
     def _alive(self, records: Sequence[Record]) -> int:
-        """Return how much is in memory but for what the campaign itself keeps."""
+        """Return how much is in memory, apart from what the campaign itself keeps."""
         gc.collect()
         found = gc.get_objects()
         kept = len(records) + len(self.lines)
@@ -69,7 +69,7 @@ class Bounded(logging.Handler):
         self.lines.append(LogLine(self._now(), record.levelname, record.name, record.getMessage()))
 
     def check(self, schedule: Schedule, records: Sequence[Record], fails: Callable[[str, str], None]) -> None:
-        """Compare an hour's lines and moves with what happened to the trackers, the memory with the first hour's."""
+        """Compare each hour's lines and moves with what happened then, and the memory with the first hour's."""
         self._check_lines(schedule, fails)
         self._check_memory(schedule, records, fails)
         moves = Counter(int(record.time_monotonic_s // _HOUR_S) for record in records if isinstance(record, Move))

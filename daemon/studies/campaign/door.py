@@ -12,14 +12,14 @@ from daemon.service.service import Service
 
 @dataclass(frozen=True, slots=True)
 class DoorReply:
-    """What is said to have come of a command: whether all of it is done, and a sentence."""
+    """The answer to a command: whether all of it is said to be done, and a sentence."""
 
     done: bool
     text: str
 
 
 class Door(Protocol):
-    """A way for commands. Raises `daemon.service.operator.CommandError` for what is refused."""
+    """A way for commands to a service. Raises `daemon.service.operator.CommandError` if a command is refused."""
 
     def has(self, name: str) -> bool:
         """Tell whether there is a command."""
@@ -50,12 +50,12 @@ class DirectDoor:
 
 
 class Together:
-    """Gives one command to all trackers, which several persons take for one of their own each.
+    """Gives one command to all trackers, though the person of each tracker asks for it.
 
     Parameters
     ----------
     door
-        Through which it goes.
+        Through which the command goes.
     """
 
     def __init__(self, door: Door) -> None:

@@ -1,7 +1,7 @@
 """Schedules drawn from seeds.
 
-A schedule is made of episodes. Something is set right first or not, a far move is often begun, and into that fall one
-to three things at nearly the same time: a fault of a component, a person's command, or a wrong one.
+A schedule is made of episodes. An episode often sets the tracker right first, and often begins a far move. Then one to
+three things happen at nearly the same time: a fault of a component, a person's command, or a wrong command.
 """
 
 import math
@@ -77,15 +77,15 @@ SPANS: dict[str, Span] = {
     "bridge_forged": (2, None, None),
     "disk_full": (3, 1, 900),
 }
-"""Weight, shortest and longest time [s] of each fault, drawn evenly over the logarithm; None: over at once."""
+"""Weight, shortest and longest time [s] of each fault, drawn evenly over its logarithm; None: over at once."""
 ROTATOR_SPANS: dict[str, Span] = {"gone": (6, 0.3, 600), "stopless": (3, 10, 3000)}
-"""Those that only a rotator behind rotctld can have, likewise."""
+"""The same for faults that only a rotator behind rotctld can have."""
 COMMANDS: dict[str, float] = {
     "stop": 14, "stow": 6, "hold": 5, "goto": 8, "auto": 9, "home": 5, "clear": 6, "snow": 3, "maintenance": 3, "bad": 3
 }  # fmt: skip
 """Weight of each command; ``bad`` is a goto with wrong degrees."""
 _FACES = (0, 1, 2, 3)
-# What a service keeps for each; of fewer each is drawn as often as another.
+# How many files a service keeps for a tracker. The number drawn for `kill_torn` wraps round where there are fewer.
 _FILES_OF_A_TRACKER = 12
 _VALUES: dict[str, tuple[tuple[float, ...], ...]] = {
     "clock_step": ((-43200.0, -3600.0, -40.0, 3.0, 40.0, 3600.0, 43200.0),),
@@ -104,11 +104,11 @@ _VALUES: dict[str, tuple[tuple[float, ...], ...]] = {
     "bridge_late": ((1.0, 8.0, 40.0),),
     "bridge_forged": ((1, 30, 300),),
 }
-"""What goes with a fault, each drawn from its choices."""
+"""The numbers that go with a fault, each drawn from its choices."""
 _WIND_M_S = (15.1, 30.0)
 _BAD = ((math.nan, 60.0), (0.0, math.nan), (51.0, 60.0), (-50.0001, 60.0), (0.0, 14.99), (math.inf, 90.0))
 _PAUSES_S = (150.0, 150.0, 600.0, 2400.0)
-"""From hands that never rest to a rig that is left alone for most of a day."""
+"""Mean pauses between episodes: from a rig that never has a rest to one that is left alone for most of an hour."""
 _LEFT_AT_END_S = 300.0
 _TO_ALL = 0.25
 _RELEASED_TOGETHER = 0.6
@@ -133,7 +133,7 @@ def draw(
     without
         Faults and commands that are left out.
     only
-        Faults that there are; empty for all. Commands are not touched by it.
+        The only faults to draw; empty for all. It leaves commands as they are.
     trackers
         How many the service has. The same things happen at the same times as with one, each to one of them or to all.
     positioner
@@ -186,7 +186,7 @@ def _tracker(random: Random, trackers: int, event: Happening, shared: Collection
 def value_ranges(name: str) -> tuple[tuple[float, float], ...]:
     """Return the lowest and highest of each number that goes with a fault or a command.
 
-    A command may have others: the service is to refuse them.
+    A command may have numbers beyond these: the service has to refuse them.
     """
     if name in ("goto", "bad"):
         return (-50.0, 50.0), (15.0, 90.0)

@@ -21,7 +21,7 @@ FAULT, HOLD, STOW, FALLBACK, STARTING = (
 _BEGINS_S: dict[Phase, tuple[float, ...]] = {
     # The slow screens take 3.24 s to come round, and control decides every 5 s.
     "at rest": (300.0, 301.7, 303.1),
-    # The first move after the start, of a minute and a half.
+    # Within the first move after the start, which takes a minute and a half.
     "in mid-move": (45.0, 51.6, 58.2),
 }
 _PERSON_COMES_AFTER_S = 20.0
@@ -39,17 +39,17 @@ class Drill:
     fault, value, lasts_s
         As in a schedule.
     mode
-        What the tracker has to be in; empty: it goes on.
+        The tracker has to be in one of these; empty: it keeps its mode.
     within_s
         How soon after the fault began.
     commands
-        What a person has to say before it works again, 20 s after the fault is over; empty: nothing.
+        What a person has to say before the tracker works again, from 20 s after the fault is over; empty: nothing.
     back_s
-        How soon it works again, after the fault is over or after the last of these commands.
+        How soon the tracker works again, after the fault is over or after the last of these commands.
     phase
-        Whether the axes stand when it begins.
+        Whether the axes stand when the fault begins.
     positioner
-        Driver of the positioner that has it.
+        Driver of the positioner that has the fault.
     """
 
     fault: str
@@ -63,7 +63,7 @@ class Drill:
     positioner: Literal["pozsol", "rotctld"] = "pozsol"
 
     def schedules(self) -> Iterator[Schedule]:
-        """Yield the runs of it."""
+        """Yield the drill's runs."""
         for seed, begin_s in enumerate(_BEGINS_S[self.phase]):
             events = [
                 Happening(at_s=begin_s, what="fault", name=self.fault, value=self.value, lasts_s=self.lasts_s),
@@ -94,7 +94,8 @@ class WorstSeen:
     Attributes
     ----------
     reached_s, back_s
-        From the fault, or the second one, to the declared mode; from the end, or the last command, to work.
+        From the fault (of a pair: the second one) to the declared mode; from its end, or from the last command, until
+        the tracker works again.
     broken
         Promises that were broken.
     runs
@@ -108,7 +109,7 @@ class WorstSeen:
 
 
 def not_kept(name: str, modes: str, within_s: float, back_s: float, seen: WorstSeen) -> Iterator[str]:
-    """Yield what was seen beyond what is declared, a sentence each."""
+    """Yield a sentence for each thing that was worse than declared."""
     if not seen.reached_s <= within_s:
         yield f"{name}: {modes} after {seen.reached_s:.1f} s, {within_s:g} s are declared"
     if not seen.back_s <= back_s:
@@ -132,7 +133,7 @@ def drill_schedule(events: Sequence[Happening], ends_s: float, seed: int = 0) ->
 
 
 def person_says(commands: Sequence[str], over_s: float) -> Iterator[tuple[float, str]]:
-    """Yield when [s] a person says what, who comes after all faults are over at `over_s`."""
+    """Yield time [s] and name of each command of a person, who comes after all faults are over at `over_s`."""
     at_s = over_s + _PERSON_COMES_AFTER_S
     for name in commands:
         yield at_s, name

@@ -1,4 +1,4 @@
-"""Settings drawn from a seed: people change them, and a promise that holds with the defaults alone is half of one."""
+"""Settings drawn from a seed: people change settings, so a promise has to hold with others than the defaults."""
 
 from random import Random
 
@@ -58,7 +58,7 @@ CHOICES: tuple[tuple[Chosen, ...], ...] = (
     ({"cube": {"dark_correction": False}},),
     ({"law": {"shadow": "optimal"}},),
 )
-"""What belongs together, each in several ways."""
+"""Groups of settings that belong together, each with several choices."""
 BUILT: tuple[Chosen, ...] = (
     {"positioner": {"a_axis": {"sense": "lowers", "low_deg": 52.0, "apex_deg": 90.0}, "status_layout": "stm"}},
     {
@@ -89,9 +89,9 @@ def draw_settings(seed: int, law: str, positioner: str) -> Chosen:
     seed
         The same seed has the same settings, whatever else is drawn from it.
     law
-        That points: it is not run in its own shadow.
+        The law that points the tracker: it is not run in its own shadow.
     positioner
-        Its driver: a rotator is not built in other ways.
+        Driver of the positioner: a rotator is not built in other ways.
     """
     random = Random(f"{seed} settings")  # noqa: S311 - reproducibility is the point; nothing secret depends on it
     chosen: Chosen = {}

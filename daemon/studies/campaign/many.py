@@ -1,4 +1,4 @@
-"""Many schedules, whoever carries them out, with the same results."""
+"""Carries out many schedules; the results are the same whoever carries them out."""
 
 import statistics
 from collections import Counter
@@ -21,17 +21,17 @@ class CampaignSummary:
     Attributes
     ----------
     hours
-        Of virtual time.
+        Hours of virtual time.
     events, moves
         How many there were.
     stop_latencies_s
-        How soon stops stood, in truth.
+        How soon the axes truly stood after each stop in motion.
     failed
         The schedules that broke a promise, each with what it showed.
     done
-        Their number, failed or not.
+        How many schedules were carried out, failed or not.
     lost
-        Why nobody could carry out the others.
+        Why the other schedules could not be carried out, or None.
     """
 
     hours: float = 0.0
@@ -53,7 +53,7 @@ class CampaignSummary:
             self.failed.append((schedule, outcome))
 
     def page(self) -> dict[str, Any]:
-        """Return it for scripts; `failed` has the broken promises of each seed."""
+        """Return the summary for scripts; `failed` has the broken promises of each seed."""
         latencies = self.stop_latencies_s
         return {
             "schedules": self.done,
@@ -67,7 +67,7 @@ class CampaignSummary:
         }
 
     def lines(self) -> Iterator[str]:
-        """Yield it for people; the same for the same schedules, in whatever order they ended."""
+        """Yield the summary in lines for people; they do not depend on the order in which the schedules ended."""
         yield (
             f"{counted(self.done, 'schedule')}, {self.hours:g} h of virtual time,"
             f" {counted(self.events, 'event')}, {counted(self.moves, 'move')}, {len(self.failed)} with a broken promise"
@@ -91,7 +91,7 @@ def run_many(
     *,
     with_log: bool = False,
 ) -> CampaignSummary:
-    """Carry out schedules and return the sum of it; Ctrl-C ends it early, and what is done counts.
+    """Carry out schedules and return their summary; Ctrl-C ends it early, and what is done by then counts.
 
     Parameters
     ----------
@@ -101,7 +101,6 @@ def run_many(
         Who carries it out.
     show
         Called with each schedule as soon as it has been carried out.
-
     with_log
         Whether the outcomes that are shown have the log of runs that broke nothing, too.
 
@@ -111,7 +110,7 @@ def run_many(
         A schedule asks for something that simulator or service cannot do.
     """
     summary = CampaignSummary()
-    # A log is dear to send and costs nothing here.
+    # A log costs much to send from another process, and nothing in this one.
     run = run_schedule if with_log or workers.here else _run_and_forget_log
     with closing(spread(run, schedules, workers, apart=True)) as outcomes:
         try:
@@ -141,6 +140,6 @@ def _run_once(schedule: Schedule) -> CampaignOutcome:
 
 
 def _run_and_forget_log(schedule: Schedule) -> CampaignOutcome:
-    """Carry out a schedule; the log of one that broke nothing is not worth its way between processes."""
+    """Carry out a schedule; the log of a run that broke nothing is not worth sending to another process."""
     outcome = run_schedule(schedule)
     return outcome if outcome.violations else replace(outcome, lines=())

@@ -180,11 +180,11 @@ def chosen_schedules(
     Parameters
     ----------
     seeds, first, hours
-        How many seeds, from which on, of how many hours.
+        How many seeds, the first one, and the hours of each.
     only, without
-        Names of faults, and of cells of the matrix; names of faults and commands.
+        `only`: names of faults, or of cells of the matrix. `without`: names of faults and commands.
     file
-        A schedule that `reduce` has left, in place of all that.
+        A schedule that `reduce` has left, to be run in place of any drawn from seeds.
     trackers
         How many the service has.
     positioner
@@ -277,7 +277,7 @@ def _refuse_impossible(name: str, positioner: Literal["pozsol", "rotctld"]) -> N
 
 
 def _refuse_values(file: Path, events: Iterable[Happening]) -> None:
-    """Raise `UserError` for the first event out of turn, or whose numbers its command or fault does not take."""
+    """Raise `UserError` for the first event out of order, or with numbers that its command or fault does not take."""
     before_s = -math.inf
     for event in events:
         if event.at_s < before_s:

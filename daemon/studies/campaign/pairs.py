@@ -1,4 +1,4 @@
-"""Two faults at once: what is declared for each alone has to hold for both together, the stronger mode first."""
+"""Two faults at once: what is declared for each alone has to hold for both together, and the stronger mode wins."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -29,9 +29,9 @@ from daemon.studies.spread.workers import Workers
 # At rest the second comes while the first is dealt with; in mid-move before the first has ended the move.
 _BEGINS_S: dict[Phase, float] = {"at rest": 300.0, "in mid-move": 45.0}
 _SECOND_AFTER_S: dict[Phase, float] = {"at rest": 7.0, "in mid-move": 0.2}
-# A fault of one axis may be seen or not while a person's hold or a stow goes before the move that would show it.
+# A person's hold or a stow may come before the move that would show a fault of one axis: then either mode is right.
 _STRONGER = (({*HOLD}, {*HOLD, *FAULT}), ({*STOW}, {*STOW, *FAULT}), ({*FAULT}, {*FAULT}), ({*FALLBACK}, {*FALLBACK}))
-# Without readings nothing may be ordered that would show them.
+# Only a move shows these, and without readings there may be none.
 _SHOWN_BY_A_MOVE = frozenset(("deaf", "undervoltage", "a_ignores_targets", "a_hall_loss", "b_hall_loss"))
 _OF_THE_PROCESS = frozenset((*PROCESS, "suspended"))
 _UNSEEN_MEANWHILE = _OF_THE_PROCESS | {"unplug_positioner", "positioner_silent"}
@@ -51,7 +51,7 @@ LEFT_OUT = (
     "still while the clock is set, for it waits to hear the wind then, and readings come meanwhile; nor what only a\n"
     "rotator has. A fault that only a move can show may wait for one."
 )
-"""What is not asked of pairs."""
+"""Which pairs are not tried, as the page says it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class Pair:
 
     @property
     def modes(self) -> frozenset[Mode]:
-        """The modes of which the tracker has to be in one; a mode that lets it work only where both faults do."""
+        """The modes of which the tracker has to be in one: working modes only where both faults let it work."""
         declared = {*self.first.mode, *self.second.mode}
         if declared == {*FAULT, *FALLBACK} and any(one.fault in _SHOWN_BY_A_MOVE for one in (self.first, self.second)):
             return frozenset(declared)
@@ -77,20 +77,20 @@ class Pair:
 
     @property
     def within_s(self) -> float:
-        """How soon after the second fault began [s]: a service that is being restarted sees nothing meanwhile."""
+        """How soon after the second fault began [s]; longer if the service is away and sees nothing meanwhile."""
         bounds = self.first.within_s, self.second.within_s
         return sum(bounds) if self._are & _OF_THE_PROCESS else max(bounds)
 
     @property
     def back_s(self) -> float:
-        """How soon it works again after all is over and said [s]: one fault may be found after the other is gone."""
+        """How soon it works again after faults and commands [s]: one fault may be found after the other is gone."""
         return self.first.back_s + self.second.back_s
 
     @property
     def commands(self) -> tuple[str, ...]:
-        """What a person has to say: what either fault asks for.
+        """The commands that a person has to give: those that either fault asks for.
 
-        A homing that finds a count wrong tells of one axis, so that with a count in doubt it is repeated.
+        A homing that finds a count wrong reports one axis only, so it is repeated while a count is in doubt.
         """
         asked = {*self.first.commands, *self.second.commands}
         hidden = (asked and self._are & _UNSEEN_MEANWHILE) or {"auto", "home"} <= asked
@@ -119,7 +119,7 @@ class Pair:
         )
 
     def schedule(self) -> Schedule:
-        """Return the run of it."""
+        """Return the pair's run."""
         events = [
             Happening(at_s=begin_s, what="fault", name=one.fault, value=one.value, lasts_s=one.lasts_s)
             for begin_s, one in zip(self._begins_s, (self.first, self.second), strict=True)
@@ -137,7 +137,7 @@ class Pair:
         return WorstSeen(reached_s, works_from_s(outcome, over_s), broken, 1)
 
     def beyond(self, seen: WorstSeen) -> Iterator[str]:
-        """Yield what was not declared, a sentence each."""
+        """Yield a sentence for each thing that was worse than declared."""
         name = f"{self.first.fault} and {self.second.fault} {self.first.phase}"
         yield from not_kept(name, self.name_modes(), self.within_s, self.back_s, seen)
 
@@ -147,7 +147,7 @@ class Pair:
 
 
 def declared_pairs(drills: Iterable[Drill]) -> list[Pair]:
-    """Return each two drills of the same phase, but for those that are no question, and those of a rotator."""
+    """Return every two drills of the same phase, except those in `_NO_PAIRS` and those of a rotator."""
     return [
         Pair(first, second)
         for first, second in combinations(drills, 2)
@@ -175,7 +175,7 @@ def pair_rows(pairs: Sequence[Pair], seen: Sequence[WorstSeen]) -> Iterator[str]
 
 
 def _in_one_of_s(outcome: CampaignOutcome, modes: frozenset[Mode], begun_s: float) -> float:
-    """Return how long after `begun_s` the tracker was in one of the modes first, infinite for never."""
+    """Return how long after `begun_s` the tracker first was in one of the modes, infinite for never."""
     before = [mode for at_s, mode in outcome.entered if at_s <= begun_s]
     if before and before[-1] in modes:
         return 0.0

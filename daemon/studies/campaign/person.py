@@ -15,7 +15,7 @@ STANDS_DEG = 0.003
 WORKS = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT)
 _WHY = "the campaign"
 _LONGEST_SENTENCE = 500
-# A stop is sent first and kept then: a process that dies in between has forgotten it.
+# A stop is sent to the unit first and then kept on disk: a process that dies in between has forgotten it.
 _KEPT_WITHIN_S = 0.001
 
 
@@ -126,7 +126,7 @@ class Person:
             watch.fails("bad-input", f"goto {value} changed what was asked before, or sent something")
 
     def _check_sentence(self, name: str, sentence: str, trackers: int = 1) -> None:
-        # One that all refuse has a line for each behind its own.
+        # A command that all trackers refuse has a line for each tracker behind its own.
         lines = 1 if trackers == 1 else 1 + trackers
         if not sentence or len(sentence.split("\n")) > lines or len(sentence) > _LONGEST_SENTENCE * trackers:
             self._watch.fails("sentence", f"{name} is refused with {sentence!r}")
@@ -136,7 +136,7 @@ class Person:
             self._watch.fails("refusal", f"{name} under a stop does not say how it is released: {sentence!r}")
 
     async def _check_done(self, name: str, value: tuple[float, ...], text: str, given: int) -> None:
-        """Compare what is said to be done with the truth."""
+        """Compare the answer that a command is done with the truth."""
         if name in ("stop", "hold"):
             await self._check_standing(name, text, given)
         elif name in ("goto", "stow", "snow"):
@@ -165,7 +165,7 @@ class Person:
         telemetry = self._mount.motion.telemetry
         if telemetry is None or not text.startswith("forgiven"):
             return
-        # What the mode is for is said behind it, and may be a fault that has come since.
+        # Behind "; mode" stands the reason for the mode, which may be a fault that has come since.
         forgiven = text.partition("; mode ")[0]
         left = [fault for fault in telemetry.faults if fault in forgiven]
         if left:

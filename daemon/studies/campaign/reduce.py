@@ -1,4 +1,4 @@
-"""A failure without all that it does not take: so that somebody can read it, and run it in a second."""
+"""Reduces a failure to the events and settings that it takes, so that people can read it and run it in a second."""
 
 from collections.abc import Callable, Collection
 from dataclasses import replace
@@ -26,7 +26,7 @@ def reduce(
     schedule, promises
         What failed, and what it broke.
     broken_s
-        When it broke; what came later is left out first, and then as much as can be of what came long before.
+        When it broke. What came later is left out first, then as much as possible of what came long before.
     again
         Carries out a schedule.
     """
@@ -54,7 +54,7 @@ def reduce(
                 schedule = fewer
             else:
                 at += size
-        # Halves first: a day has hundreds of events, and most have nothing to do with it.
+        # Halves first: a day has hundreds of events, and most have nothing to do with the failure.
         size //= 2
     return schedule
 
@@ -77,7 +77,7 @@ def _until(schedule: Schedule, end_s: float) -> Schedule:
 
 
 def _from(schedule: Schedule, first: int) -> Schedule:
-    """Return what begins shortly before an event, with the sun where it was."""
+    """Return the schedule from shortly before an event on, with the sun where it was."""
     if not 0 < first < len(schedule.events):
         return schedule
     earlier_s = (schedule.events[first].at_s - _BEFORE_FIRST_S) // 60 * 60

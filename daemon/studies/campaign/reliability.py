@@ -86,7 +86,7 @@ def measure_drills(drills: Sequence[Drill], workers: Workers, progress: Callable
 
 
 def beyond(drill: Drill, measured: WorstSeen) -> Iterator[str]:
-    """Yield what a drill has shown that was not declared, a sentence each."""
+    """Yield a sentence for each thing in which a drill was worse than declared."""
     yield from not_kept(f"{drill.fault} {drill.phase}", _modes(drill), drill.within_s, drill.back_s, measured)
 
 

@@ -42,7 +42,7 @@ class CampaignOutcome:
     violations
         Broken promises.
     stop_latencies_s
-        How soon stops stood.
+        How soon the axes stood after each stop in motion.
     lines
         The service's log.
     moves
@@ -112,7 +112,7 @@ class CampaignRun:
         self._fails("defect", f"{context.get('message')}: {context.get('exception')!r}")
 
     async def carry_out(self, *, heal: bool) -> None:
-        """Let everything of the schedule happen; with `heal` set everything right and see the tracker work again."""
+        """Let everything of the schedule happen; with `heal`, then set everything right and see the tracker work."""
         plant, events = self.plant, list(self._schedule.events)
         while events and events[0].at_s < 0:
             # Before there is a service.
@@ -154,7 +154,7 @@ class CampaignRun:
         for outcome in await asyncio.gather(*watching, return_exceptions=True):
             if isinstance(outcome, Exception):
                 raise outcome
-        # What has been cancelled gets the round that it takes to end.
+        # A cancelled task needs one more round of the loop to end.
         await asyncio.sleep(0)
         left = [task.get_name() for task in asyncio.all_tasks() if task is not asyncio.current_task()]
         if left:
@@ -163,7 +163,7 @@ class CampaignRun:
     def _act(self, event: Happening) -> None:
         shared = event.what == "fault" and FAULTS[event.name].of_all
         places = range(len(self.watches)) if event.tracker is None and not shared else (event.tracker or 0,)
-        # One command for all where there is such a one, and else one for each.
+        # One command for all trackers where the service has such a command, otherwise one for each tracker.
         together = Together(self._door) if len(places) > 1 and event.name in OF_ALL else None
         for place in places:
             if event.what == "command":
@@ -200,7 +200,7 @@ class CampaignRun:
         finally:
             for watch in watches:
                 watch.lasting -= 1
-        # Another fault may have taken the sensor away meanwhile, or the service.
+        # Another fault may have silenced the sensor meanwhile, or ended the service.
         served_s = plant.clock.monotonic() - plant.served_since_s
         awake_s = plant.clock.monotonic() - plant.stood_still_s
         blew = event.name == "wind" and plant.wind_m_s == event.value[0]
@@ -215,7 +215,7 @@ class CampaignRun:
                 _note_end(watch, event.name, fault)
 
     def _concerned(self, name: str, place: int) -> list[TruthWatch]:
-        """Return who watches the trackers to which a fault happens; all others have to go on as if it were not."""
+        """Return the watches of the trackers to which a fault happens; all others must go on as without the fault."""
         return self.watches if FAULTS[name].of_all else [self.watches[place]]
 
     async def _set_right(self) -> None:
@@ -239,7 +239,7 @@ class CampaignRun:
             self.plant.renew()
 
     async def _see_it_work(self, person: Person, watch: TruthWatch) -> None:
-        """Set a tracker right as a person would, with the commands there are, and homing; it has to work then."""
+        """Set a tracker right as a person would, with `clear`, `auto` and `home`; then it has to work."""
         mount, begun_s = watch.mount, self.plant.clock.monotonic()
         settings = mount.settings
         within_s = RECOVERS_WITHIN_S + settings.safety.stow_at_least_s + settings.motion.retry_after_s
@@ -252,7 +252,7 @@ class CampaignRun:
                 await person.give("clear")
             homed = mount.has_homed(begun_s) or not mount.has_reference_run
             if not mount.motion.homing and not homed:
-                # Under a stow it is refused, so it is asked for until it has been made.
+                # A stow refuses a reference run, so it is asked for until it has been made.
                 await person.give("home")
             await asyncio.sleep(60.0)
             turn += 1
@@ -282,7 +282,7 @@ def _note(watch: TruthWatch, name: str, value: tuple[float, ...], fault: PlantFa
     if fault.by_hand:
         watch.explained.held(is_held=True, now_s=watch.now_s)
     if name == "machine_sleeps":
-        # Of itself it is no reason for any alarm about the unit.
+        # A sleep alone justifies no alarm about the unit.
         watch.storms.disturbed(watch.now_s)
     else:
         watch.disturbs()
@@ -325,7 +325,7 @@ def run_schedule(schedule: Schedule, door: Door | None = None, *, heal: bool = T
         The schedule asks for something that simulator or service cannot do.
     """
     handles = _open_handles()
-    # In memory where there is such a place: a run writes more often than a disk likes.
+    # In memory where possible: a run writes too often for a disk.
     with (
         tempfile.TemporaryDirectory(dir=_MEMORY if _MEMORY.is_dir() else None) as folder,
         virtual_time() as runner,

@@ -23,7 +23,7 @@ Chosen = dict[_Section, dict[str, JsonValue]]
 
 def _instant(text: str) -> str:
     found = datetime.fromisoformat(text)
-    # As of every simulation: the bridge takes scans of other years for forged.
+    # The same range as in every simulation: the bridge takes scans of other years for forged.
     if found.tzinfo is not None or not FIRST_START <= found.replace(tzinfo=UTC) < END_OF_STARTS:
         raise ValueError(text)
     return text
@@ -40,14 +40,14 @@ class Happening:
     what
         A fault of the rig, or a person's command.
     name
-        Of the fault, as in `daemon.rigs.campaign.faults.FAULTS`, or of the command.
+        Name of the fault, as in `daemon.rigs.campaign.faults.FAULTS`, or of the command.
     value
-        What goes with it: degrees of a goto, m/s of wind, volts of a sensor; empty for most. A wrong command's may be
-        NaN.
+        What goes with it: degrees of a goto, m/s of wind, volts of a sensor; empty for most. That of a wrong command
+        may be NaN.
     lasts_s
         How long a fault lasts; 0 for one that is over at once.
     tracker
-        To which of several it happens, from 0; None: to all at once. What they share is not asked.
+        To which of several it happens, from 0; None: to all at once. A fault of something that they share ignores it.
     """
 
     __pydantic_config__: ClassVar = _AS_WRITTEN
@@ -73,7 +73,7 @@ class Schedule:
     Attributes
     ----------
     seed
-        That it was drawn from.
+        The seed that it was drawn from.
     hours
         How long it is.
     start
@@ -114,7 +114,7 @@ class Schedule:
         return datetime.fromisoformat(self.start).replace(tzinfo=UTC)
 
     def text(self) -> str:
-        """Return it for people: a line for each event."""
+        """Return the schedule for people: a line for each event."""
         of_several = f" {self.trackers} trackers," if self.trackers > 1 else ""
         of_several += " behind rotctld," if self.positioner == "rotctld" else ""
         head = (
@@ -126,7 +126,7 @@ class Schedule:
         return "\n".join([head, *map(str, self.events)])
 
     def json(self) -> str:
-        """Return it for `from_json`."""
+        """Return the schedule as text for `from_json`."""
         return json.dumps(asdict(self))
 
     @classmethod

@@ -8,7 +8,7 @@ from daemon.rigs.campaign.plant import PlantTracker
 from solar.frames import Angles
 
 _BESIDE_DEG = 0.5
-"""So much beyond the tolerance of a move an axis may come to stand that has arrived."""
+"""How far beyond a move's tolerance an axis that has arrived may stand."""
 
 
 def parked_at(settings: Settings) -> dict[Mode, tuple[float, float]]:
@@ -31,7 +31,7 @@ def is_there(at: Angles, place: tuple[float, ...], settings: Settings) -> bool:
 def check_asked_for(mount: PlantTracker, target: tuple[float, float], fails: Callable[[str, str], None]) -> None:
     """Look at a target [deg] that is about to be sent; `fails` is called with a promise and a text.
 
-    A mode that parks the tracker asks for one place alone: any other was asked for before, and has waited.
+    A mode that parks the tracker asks for one place only: any other target is left over from an earlier mode.
     """
     control = mount.control
     hold = control.wishes.hold

@@ -1,4 +1,4 @@
-"""Whether a scan that nobody should believe is taken in as good."""
+"""Whether the service takes a scan as good that nobody should believe."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Whether a tracker that goes by the clock believes one that was set wrong."""
+"""Whether a tracker that follows the clock believes a clock that was set wrong."""
 
 import math
 from collections.abc import Callable
@@ -28,13 +28,13 @@ class ClockSteps:
         self._set.append((now_s, off_s))
 
     def check(self, mount: PlantTracker, target: tuple[float, float], now_s: float, begun_s: float) -> None:
-        """Look at a target [deg] that is sent by the clock, of a service that began at `begun_s`."""
+        """Look at a target [deg] that a service, begun at `begun_s`, sends by the clock."""
         clock, control = mount.clock, mount.control
         # A process that began after a step has never known another time, and believes that one.
         began_off_s = next(off_s for at_s, off_s in reversed(self._set) if at_s <= begun_s)
         known = min(abs(clock.step_s), abs(clock.step_s - began_off_s)) > CLOCK_STEP_S
         wrong = known and now_s - self._set[-1][0] > _NOTICED_WITHIN_S
-        # To be parked when it is night in truth takes no clock; in that of its start a service may believe to the end.
+        # Parking is right while it is truly night, or while it is night by the clock that the service started with.
         true_s, sun_deg = clock.utc() - clock.step_s, mount.service.sun_elevation_deg
         parked = control.mode is Mode.NIGHT and min(sun_deg(true_s), sun_deg(true_s + began_off_s)) < 0.0
         if wrong and not parked and not _ordered_before(mount):
@@ -43,7 +43,7 @@ class ClockSteps:
 
 
 def _ordered_before(mount: PlantTracker) -> bool:
-    """Tell whether the move that is sent was ordered in another mode: it is no decision of this one."""
+    """Tell whether the move that is sent was ordered in an earlier mode: the present one did not decide it."""
     changes = (record for record in reversed(mount.records) if isinstance(record, ModeChange))
     latest = next(changes, None)
     return latest is not None and mount.motion.last_move_started_s < latest.time_monotonic_s

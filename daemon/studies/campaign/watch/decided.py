@@ -1,4 +1,4 @@
-"""Whether what a target was decided by is still true when it is sent."""
+"""Whether the grounds on which a target was decided still hold when it is sent."""
 
 import math
 from collections.abc import Callable
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from daemon.tracker.wishes import Wish
 
 _LATE_S = 1.0
-# So much nearer to its place than a move's tolerance, a goto may have arrived.
+# A goto may have arrived although the axes truly stand this far beyond a move's tolerance.
 _NEARER_DEG = 0.7
 _SAME_DEG = 0.01
 _DECIDES = (Mode.TRACKING, Mode.FALLBACK)
 
 
 class Decided:
-    """Compares targets with the age of what they go by: readings, the clock, and all of before a sleep of the machine.
+    """Checks how old the grounds of a target are: readings, the clock, and all that is from before a machine's sleep.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class Decided:
     Attributes
     ----------
     steps
-        Of the clock.
+        The steps of the clock.
     """
 
     def __init__(self, fails: Callable[[str, str], None]) -> None:
@@ -40,11 +40,11 @@ class Decided:
         self._goto: Wish | None = None
 
     def service_begins(self) -> None:
-        """Take note of a new process: it knows nothing of before."""
+        """Take note of a new process: it knows nothing from before its start."""
         self._woke_s, self._goto = -math.inf, None
 
     def wakes(self, mount: PlantTracker, slept_s: float, now_s: float) -> None:
-        """Take note that the machine has slept for so long [s], until now."""
+        """Take note that the machine has slept for `slept_s`, until now."""
         if slept_s > _stale_s(mount):
             self._woke_s = now_s
             hold, truth = mount.control.wishes.hold if mount.is_served else None, mount.truth()
@@ -65,7 +65,7 @@ class Decided:
             self.steps.check(mount, target, now_s, begun_s)
 
     def _check_woken(self, mount: PlantTracker, target: tuple[float, float], now_s: float) -> None:
-        """See that nothing of before the last sleep moves the tracker: the sun, the wind and the unit have gone on."""
+        """See that nothing from before the last sleep moves the tracker: sun, wind and unit have changed meanwhile."""
         woke_s = self._woke_s
         if woke_s == -math.inf:
             return
@@ -77,14 +77,14 @@ class Decided:
         if mode is Mode.HOLD and self._goto is not None and mount.control.wishes.hold is self._goto:
             self._fails("slept", f"{target} is sent {awake}, by a goto of before it that had not arrived")
         decision = mount.control.state.decision
-        # What another mode has ordered goes on, and may be tried again, until the law has decided.
+        # A move ordered in another mode goes on, and may be tried again, until the law has decided.
         if mode not in _DECIDES or decision is None or not _is_of(decision, target):
             return
         since_s = decision.time_monotonic_s - woke_s
         if since_s < 0.0:
             self._fails("slept", f"{target} is sent in mode {mode} {awake}, and was decided before it")
         elif mode is Mode.TRACKING and decision.irradiances is not None:
-            # The first reading stands for the time until it as well.
+            # The first reading covers the time up to it as well.
             covers_s = decision.irradiances.coverage * mount.settings.windows.mean_s
             if covers_s > since_s + _stale_s(mount):
                 self._fails("slept", f"{target} is sent {awake} by {covers_s:.0f} s of readings")
@@ -96,5 +96,5 @@ def _is_of(decision: Decision, target: tuple[float, float]) -> bool:
 
 
 def _stale_s(mount: PlantTracker) -> float:
-    """Return how old readings may be [s], and a little."""
+    """Return how old readings may be [s], with a margin."""
     return mount.settings.safety.scan_stale_s + _LATE_S

@@ -10,9 +10,9 @@ from drivers.positioners.rotctld.protocol import SET_POSITION
 
 RUN_OUT_S = 3.0
 AT_TARGET_DEG = 0.3
-"""What is left of a way within which direction says nothing any more."""
+"""This close to its destination, an axis may turn either way."""
 _SAME_DESTINATION = 0.5
-# So far from its end switch a reference run drives an axis off it first where that is in doubt.
+# A reference run first drives an axis this far off its end switch if it may stand on the switch.
 _LEAVES_SWITCH_DEG = 6.0
 
 _TARGETS: dict[int, AxisName] = {
@@ -25,9 +25,9 @@ Why = Literal["hand", "home", "order", "run-out"]
 
 
 class Counted(NamedTuple):
-    """What the unit itself says of an axis: position and destination in what it counts in.
+    """What the unit itself says of an axis: position and destination in the unit that it counts in.
 
-    `per_deg` is how much of that a degree is at the most.
+    `per_deg` is the largest count that a degree can have.
     """
 
     position: float
@@ -41,17 +41,18 @@ class Counted(NamedTuple):
 
 
 class Explained:
-    """What has been ordered of each axis and not been taken back.
+    """The orders of each axis that have not been taken back.
 
-    An order counts from when the driver has seen the unit take it, as long as the unit's own destination stays what it
-    was then, and in its direction only. Nobody else's destination is ours.
+    An order counts from when the driver has seen the unit take it, as long as the unit's own destination stays the
+    same, and only for motion towards it. A destination that somebody else has set is no order of the service.
 
     Attributes
     ----------
     packets
         How many packets have reached the unit.
     by_position
-        Whether it tells nobody where it heads: on the way to where it was sent, nobody can know of another target.
+        Whether the unit shows where it is and not where it heads: while it turns towards the target of the service,
+        nobody can know that it has another one.
     """
 
     def __init__(self) -> None:
@@ -65,7 +66,7 @@ class Explained:
         self.packets = 0
 
     def packet(self, data: bytes, now_s: float) -> None:
-        """Note a packet: whatever it was about, the last order is over, or there is a new one to come."""
+        """Note a packet: a target or a reference run begins an order; a stop or a new status takes orders back."""
         self.packets += 1
         if data.startswith(_ROTCTLD):
             self.by_position = True
@@ -89,7 +90,7 @@ class Explained:
 
     def _send_off(self, axis: AxisName, now_s: float) -> None:
         if self._destination[axis] is not None:
-            # On a reversal it runs the old way first.
+            # An axis that reverses runs on the old way first.
             self._run_out_s = now_s + RUN_OUT_S
         self._destination[axis] = None
         self._sent_off.add(axis)
@@ -126,7 +127,7 @@ class Explained:
         now_s
             The time.
         counts_up
-            Which way it turns in truth: to where its position is more, or less.
+            Whether it truly turns to where its counted position is greater.
         homing, heading
             Whether the service itself says that a reference run, or a move to a target, is on.
         """

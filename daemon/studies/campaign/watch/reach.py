@@ -1,14 +1,14 @@
-"""From when on a service can be held to its promises: the unit is plugged in and hears it, and it has had its time."""
+"""From when a service can be held to its promises: the unit is plugged in and hears, and the service has had time."""
 
 import math
 
 from daemon.rigs.campaign.plant import PlantTracker
 
 CONNECTED_S = 2.0
-"""From the first telemetry on the service has this long before everything binds."""
+"""How long after the first telemetry the service has before all promises bind."""
 CONNECTS_WITHIN_S = 15.0
 HEARS_AGAIN_S = 6.0
-"""After a unit was deaf: the service's pauses between stops may have grown by then."""
+"""How long after a unit was deaf: the service's pauses between its stop commands may have grown by then."""
 
 
 class Reach:
@@ -17,9 +17,9 @@ class Reach:
     Attributes
     ----------
     since_s
-        When the unit came within reach last, or went out of it.
+        When the unit last came within reach or went out of it.
     connected_s
-        When the service had telemetry first since it lost it last; infinite while it has none.
+        When the service last began to have telemetry; infinite while it has none.
     begun_s
         When the present service began.
     """

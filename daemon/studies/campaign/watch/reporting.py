@@ -10,11 +10,11 @@ from daemon.rigs.campaign.plant import PlantTracker
 from daemon.studies.campaign.watch.true_count import COUNTED_DEG
 
 WORTH_REPORTING_DEG, WORTH_BY_POSITION_DEG = 0.5, 1.2
-"""What is told by its positions alone shows later: after half a second, and a quarter of a degree beyond."""
+"""The second is for a unit that reports positions alone: motion shows half a second and a quarter degree later."""
 REPORTED_WITHIN_S = 10.0
 """The unit shows some things in its slow screens only, and control decides every 5 s."""
 MOVE_ENDS_WITHIN_S, ATTEMPT_ENDS_WITHIN_S = 60.0, 20.0
-"""What happens to a move is told at its end, after its attempts."""
+"""What goes wrong in a move is reported when the move ends, after its attempts."""
 CAUSE_WITHIN_S = 30.0
 _JUMPED = "the count jumped"
 _SUBJECTS = ("alarm", "positioner", "control")
@@ -54,7 +54,7 @@ class Reporting:
 
     @property
     def waits(self) -> bool:
-        """Whether a report is due some time, or something turns that may be worth one."""
+        """Whether a report is due, or an axis turns so that one may become due."""
         return bool(self._unreported) or self._begun_s is not None
 
     def cause(self, now_s: float) -> None:
@@ -62,7 +62,7 @@ class Reporting:
         self._cause_s = now_s
 
     def unexplained(self, turned_deg: float, now_s: float, *, by_position: bool = False) -> None:
-        """Note that an axis turns without an order while the service could know, `by_position` by that alone."""
+        """Note that an axis turns without an order, and the service could know; `by_position`: by positions alone."""
         self._cause_s = now_s
         if self._begun_s is None or now_s - self._turned_s > REPORTED_WITHIN_S:
             self._begun_s, self._turned_deg = now_s, 0.0
@@ -77,7 +77,7 @@ class Reporting:
         self._begun_s = None
 
     def check(self, mount: PlantTracker, now_s: float, *, by_hand: bool) -> None:
-        """Compare with what has been reported by now; nothing is asked of a service that has ended meanwhile."""
+        """Compare with what has been reported by now."""
         blocked = mount.motion.unexplained
         if by_hand:
             self._cause_s = now_s
@@ -100,7 +100,7 @@ class Reporting:
                 )
 
     def forget(self) -> None:
-        """Hold the service to nothing: it is gone, or cannot be heard."""
+        """Expect no report of what has turned: the service is gone, or out of reach of its unit."""
         self._unreported.clear()
         self._begun_s = None
 
@@ -113,6 +113,6 @@ def _counts(mount: PlantTracker, now_s: float) -> bool:
 
 def _reports(record: Record, since_s: float) -> bool:
     told = isinstance(record, Event) and record.subject in _SUBJECTS
-    # A fault that is over sooner than its alarm would come, on a reference run say, is told by the mode alone.
+    # A fault may be over before its alarm is raised, for example on a reference run: then only the mode tells of it.
     faulty = isinstance(record, ModeChange) and record.after is Mode.FAULT
     return (told or faulty) and record.time_monotonic_s >= since_s - 1.0

@@ -1,7 +1,7 @@
-"""When the watch need not look closely: all goes on as its last close look has found it, and nothing waits for time.
+"""When the watch need not look closely: nothing has changed since its last close look, and no promise waits for time.
 
-Every sample still sees where the axes are and which way they turn. What a close look asks besides has the same answer
-as long as nothing of what it depends on has changed, and no axis can have come to where it would be another.
+Every sample still sees where the axes are and which way they turn. The other questions of a close look have the same
+answers as long as nothing that they depend on has changed, and no axis can have come to where an answer differs.
 """
 
 import math
@@ -11,9 +11,9 @@ from daemon.rigs.campaign.plant import PlantTracker
 from solar.frames import Angles
 
 FASTEST_COUNTED_DEG_PER_S, FASTEST_DEG_PER_S = 2.0, 5.0
-"""No axis of a tracker turns so fast, in what its unit counts of a degree at the most, and in degrees.
+"""No axis turns so fast: in the unit's count, divided by the largest count that a degree can have; and in degrees.
 
-Full speed is a third of that.
+Full speed is a third of these.
 """
 
 
@@ -49,7 +49,7 @@ class Steady:
         self._known = None
 
     def note(self, mount: PlantTracker, now_s: float, turns: Turning, until_s: float) -> None:
-        """Take note of a close look after which nothing is waited for until then, if nothing changes."""
+        """Take note of a close look, whose findings hold until `until_s` if nothing changes."""
         self._known, self._turning, self._until_s = _depends_on(mount, now_s), turns, until_s
 
     def goes_on(self, mount: PlantTracker, turns: Turning, now_s: float) -> bool:

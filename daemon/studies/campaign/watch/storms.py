@@ -9,14 +9,14 @@ from daemon.studies.campaign.watch.asked_for import is_there, parked_at
 from solar.frames import Angles
 
 STORM_S = 11.0
-"""Two decisions of control, and a little."""
+"""How soon the service must answer a strong wind: two decisions of control, and a margin."""
 GUST_STOWS_S = 60.0
 LOOKS_WITHIN_S = 1.5
-"""The wind counts as calm from the last look at a strong one."""
+"""The service counts the wind as calm from its last look at a strong one, up to this long before the gust ends."""
 STOWED_WITHIN_S = 420.0
 """From one corner of the limits to the stow position, one axis after the other, with a second try."""
 SENT_WITHIN_S = 12.0
-"""So long nothing may keep a stow waiting that has not failed: two decisions of control, and a little."""
+"""How soon a stow that has not failed must be sent: two decisions of control, and a margin."""
 FREE = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT, Mode.SNOW)
 
 
@@ -31,7 +31,7 @@ class Storms:
     Attributes
     ----------
     gust_s
-        When a gust ended that lasted longer than the service looks away.
+        When the last gust ended that was long enough for the service to see it.
     excused
         Another fault is on, or the unit's count is wrong: a stow may be impossible, or end elsewhere.
     """
@@ -49,7 +49,7 @@ class Storms:
         self._undisturbed_s = now_s
 
     def waits(self, now_s: float) -> bool:
-        """Tell whether something of a storm, or after a gust, has to show as time goes on."""
+        """Tell whether time alone may break a promise: in a storm, or shortly after a gust."""
         return self._storm_s is not None or now_s < self.gust_s + GUST_STOWS_S
 
     def check(self, mount: PlantTracker, at: Angles, now_s: float, reachable_s: float, *, live: bool) -> None:
@@ -85,7 +85,7 @@ class Storms:
         there = is_there(at, parked_at(mount.settings)[Mode.STOW], mount.settings)
         if now_s - since_s > STOWED_WITHIN_S and not there:
             self._fails("stow", f"the tracker stands at {at} {now_s - since_s:.0f} s into a storm")
-        # One that has failed waits to be tried again.
+        # A move that has failed waits to be tried again.
         failed = last is not None and last.outcome not in (MoveOutcome.ARRIVED, MoveOutcome.INTERRUPTED)
         if there or failed or mount.motion.target is not None:
             self._waits_s = None

@@ -1,4 +1,4 @@
-"""Whether the unit's count is what is true, and whether the service doubts one that is not."""
+"""Whether the unit's count is true, and whether the service doubts a count that is not."""
 
 from collections.abc import Callable
 
@@ -26,11 +26,11 @@ class TrueCount:
     excused
         A person, or a fault that nobody can see, answers for the unit's count.
     lost_s
-        When a fault made the unit lose its count last: it then drives an axis that stood back to where it was sent.
+        When a fault last made the unit lose its count. The unit then drives a standing axis back to where it was sent.
     wrong_s
-        Since when it has been wrong, or None.
+        Since when the count has been wrong, or None.
     compared_s
-        When that was looked at last.
+        When count and truth were last compared.
     """
 
     def __init__(self, fails: Callable[[str, str], None]) -> None:
@@ -41,7 +41,7 @@ class TrueCount:
         self.compared_s = float("-inf")
 
     def counts(self, mount: PlantTracker, axis: AxisName, at_deg: float, now_s: float) -> bool:
-        """Tell whether the unit's count of an axis is the truth, to a hair."""
+        """Tell whether the unit's count of an axis is the truth, to within `COUNTED_DEG`."""
         return abs(mount.unit.shown_deg(axis, now_s) - at_deg) < COUNTED_DEG
 
     def is_wrong(self, mount: PlantTracker, at: Angles, now_s: float) -> bool:
@@ -66,7 +66,7 @@ class TrueCount:
         self.compared_s = now_s
         if not self.is_wrong(mount, at, now_s):
             self.wrong_s = None
-            # What is a hair at one angle may be a degree at another.
+            # A count that is slightly wrong at one angle may be wrong by a degree at another.
             true = self.counts(mount, "a", at.a_deg, now_s) and self.counts(mount, "b", at.b_deg, now_s)
             self.excused = self.excused and (blind or not true)
             return

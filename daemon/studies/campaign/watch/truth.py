@@ -1,7 +1,7 @@
-"""The watch: it sees where the axes truly stand, knows what was ordered, and holds both against the promises.
+"""The watch: it sees where the axes truly stand, knows what was ordered, and compares both with the promises.
 
-What the promises are, and from when on each of them binds, is in the constants here and in the methods that begin with
-``_check``. A promise binds only while the service can keep it: the unit plugged in, hearing, and a service there.
+The constants here and the methods that begin with ``_check`` say what each promise is and from when it binds. A promise
+binds only while the service can keep it: the unit is plugged in and hears, and a service is there.
 """
 
 import asyncio
@@ -27,18 +27,18 @@ from solar.frames import Angles
 SAMPLE_S = 0.1
 IDLE_SAMPLE_S = 2.0
 MOVES_DEG = 0.003
-"""What an axis turns within one sample at least to count as moving; a thirtieth of its full speed."""
+"""An axis that turns this far within one sample counts as moving; a thirtieth of its full speed."""
 
 STANDSTILL_S = 0.7
 UNEXPLAINED_S = 2.0
 SAMPLING_S = 0.15
 UNIT_TRIPS_S = 1.5
 """Without Hall pulses nobody but the unit can see an axis move, and it takes 2 s to notice."""
-LIMIT_DEG, SLEW_RUN_OUT_DEG = 0.02, 0.06  # A slew drive is sent to a limit that is a whole unit, and runs out beyond.
+LIMIT_DEG, SLEW_RUN_OUT_DEG = 0.02, 0.06  # A slew drive is sent to a limit in whole units, and runs out beyond it.
 
 
 class TruthWatch:
-    """Holds what truly happens against what was promised; it is the `Witness` of one tracker.
+    """Compares what truly happens with what was promised; it is the `Witness` of one tracker.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class TruthWatch:
     violations
         The broken promises.
     stop_latencies_s
-        From each stop that was given in mid-move to standstill in truth.
+        How long after each stop in mid-move the axes truly stood still.
     moving
         Which axes turn.
     blind
@@ -84,7 +84,7 @@ class TruthWatch:
         self._noted: set[tuple[str, int]] = set()
 
     def attach(self, mount: PlantTracker) -> None:
-        """Watch a tracker; its plant is built with this watch, so it comes later."""
+        """Watch a tracker. Its plant is built with this watch, so the watch exists before the tracker."""
         self.mount = mount
 
     @property
@@ -108,7 +108,7 @@ class TruthWatch:
 
     @contextlib.contextmanager
     def sending(self, target: tuple[float, float]) -> Iterator[None]:
-        """Accompany a target while it is sent; it counts once the driver says that the unit has taken it."""
+        """Watch a target while it is sent; it counts once the driver says that the unit has taken it."""
         self._check_target(target)
         self._sendings += 1
         try:
@@ -134,7 +134,7 @@ class TruthWatch:
         self.wake()
 
     def wakes(self, slept_s: float) -> None:
-        """Take note that the machine has slept for so long [s]: where the axes went meanwhile nobody could see."""
+        """Take note that the machine has slept for `slept_s`: nobody could see where the axes went meanwhile."""
         self.decided.wakes(self.mount, slept_s, self.now_s)
         self.link_changes()
         self._at = None
@@ -145,7 +145,7 @@ class TruthWatch:
         self.wake()
 
     def sees_again(self, axis: AxisName) -> None:
-        """Take note that an axis gives Hall pulses again: what it did without them, nobody could see."""
+        """Take note that an axis gives Hall pulses again: nobody could see what it did without them."""
         self.blind.discard(axis)
         self._unexplained_s[axis] = None
 
@@ -160,7 +160,7 @@ class TruthWatch:
         self.wake()
 
     def stop_is_released(self) -> None:
-        """Take note that a person has released it."""
+        """Take note that a person has released the stop."""
         self._stop_s, self._stop_measured = None, True
 
     def maintenance_begins(self) -> None:
@@ -170,7 +170,7 @@ class TruthWatch:
         self._steady.forget()
 
     def maintenance_ends(self) -> None:
-        """Take note that it is over, or was refused."""
+        """Take note that maintenance is over, or was refused."""
         self._maintenance_s = None
 
     def gust(self) -> None:
@@ -195,7 +195,7 @@ class TruthWatch:
 
     @property
     def stop_asked_s(self) -> float:
-        """When the stop was asked for that is latched; infinite for none."""
+        """When the latched stop was asked for; infinite without one."""
         return math.inf if self._stop_s is None else self._stop_s
 
     def disturbed(self, within_s: float) -> bool:
@@ -254,7 +254,7 @@ class TruthWatch:
             self._note_motion(now_s)
 
     def _look_closely(self, before: Angles, at: Angles, least_deg: float, now_s: float) -> float:
-        """Return until when [s] another look finds the same if nothing changes; -inf where time alone may tell."""
+        """Return until when [s] another look finds the same if nothing changes; -inf if time alone breaks a promise."""
         self.reach.sample(self.mount, now_s)
         live = self._live(now_s)
         until_s = min(
@@ -265,7 +265,7 @@ class TruthWatch:
         self._check_reference(at, now_s)
         if not any(self.moving.values()):
             until_s = min(until_s, self.reference.compared_s + REFERENCE_EVERY_S)
-        # The storm itself is one of them.
+        # The storm itself is one of the faults.
         self.storms.excused = self.lasting > 1 or self.reference.excused or self.reference.wrong_s is not None
         self.storms.check(self.mount, self.mount.truth(), now_s, self.reach.since_s, live=live)
         if live:
@@ -281,7 +281,7 @@ class TruthWatch:
     def _check_axis(
         self, axis: AxisName, at_deg: float, turned_deg: float, least_deg: float, now_s: float, *, live: bool
     ) -> float:
-        """Return until when [s] the axis goes on by the same right if nothing changes; -inf without one."""
+        """Return until when [s] the same reason explains the motion if nothing changes; -inf if none is sure to."""
         moving = self.moving[axis] = abs(turned_deg) > least_deg
         if not moving:
             self._unexplained_s[axis] = None
@@ -289,14 +289,14 @@ class TruthWatch:
         self._note_motion(now_s)
         counted = self._counted_of(axis)
         motion, left_deg = self.mount.motion, counted.left_deg
-        # A move has arrived within its tolerance; what is left of it the axis may still make up.
+        # A move has arrived once it is within its tolerance; the axis may still turn through the rest.
         heads_until_s = self._headed_s + RUN_OUT_S
         has_arrived = left_deg <= self.mount.settings.motion.tolerance_deg
         heading = motion.target is not None or (has_arrived and now_s < heads_until_s)
         counts_up = (turned_deg > 0.0) is not self.mount.is_lowered(axis)
         why = self.explained.why(axis, counted, now_s, counts_up=counts_up, homing=motion.homing, heading=heading)
         if why is None:
-            # Reason enough for an alarm, whatever the count says, and however late a service comes to tell of it.
+            # This justifies an alarm, whatever the count says, and however late a service starts and raises it.
             self.reporting.cause(now_s)
         if not live:
             self._unexplained_s[axis] = None
@@ -375,7 +375,7 @@ class TruthWatch:
         return self.reference.counts(self.mount, axis, at_deg, self.now_s)
 
     def is_wrong(self) -> bool:
-        """Tell whether the unit's count is not what is true."""
+        """Tell whether the unit's count is wrong."""
         return self.reference.is_wrong(self.mount, self._at or self.mount.axes(), self.now_s)
 
     def _check_reference(self, at: Angles, now_s: float) -> None:
