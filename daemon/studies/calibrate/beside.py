@@ -26,7 +26,7 @@ class FaceResult:
     Attributes
     ----------
     series
-        Its gain and where it comes from.
+        The sensor's gain, and the series that it comes from.
     offset_mv
         Voltage in the dark, with its 95 % interval.
     gain_uncertainty_percent
@@ -54,11 +54,11 @@ class Comparison:
         Minutes of clear and stable sky: shapes (n,), (n,), (n, 4), (n, 4) and (n,); irradiances with the new gains and
         with the old.
     lag_s, lag_known
-        How far the sensors' clock is ahead; whether the readings told, or it was taken as 0 or given.
+        How far the sensors' clock is ahead; whether that was found or given, and not taken as 0.
     night_readings
-        How many readings at night the offsets are from; 0: from the line through the readings.
+        How many readings at night the offsets are from; 0: the offsets are from a line through the readings.
     minutes
-        Common minutes by daylight, of which those of clear and stable sky are a part.
+        Common minutes by daylight, those of clear and stable sky among them.
     """
 
     faces: dict[str, FaceResult]
@@ -88,8 +88,8 @@ def compare(
     Parameters
     ----------
     cube
-        The settings in force when the readings were made: their gains are those of 'before', and turn irradiances back
-        into voltages.
+        The settings in force when the readings were made. Their gains are those of 'before', and they turn irradiances
+        back into voltages.
     lag
         How far the sensors' clock is ahead [s]; None to find out.
     reference_uncertainty_percent
@@ -165,9 +165,10 @@ def compare(
 
 
 def _common(reference: ReferenceReadings, utc_s: Array, voltage: Array) -> tuple[Array, Array, Array]:
-    """Bring both to means over minutes, the sensors' to the instants of the reference's by straight lines.
+    """Take means over minutes, and interpolate those of the sensors to the instants of the reference's.
 
-    Readings a moment apart may fall in different minutes, so that minutes of one number may be a minute apart.
+    Two means of the same minute may be almost a minute apart in time, as readings a moment apart may fall in different
+    minutes.
     """
     minute, ghi = block_means(reference.utc_s, reference.ghi_w_m2, MEAN_S)
     times, mv = block_means(utc_s, voltage, MEAN_S)
@@ -213,7 +214,7 @@ def _face(
         raise UserError(f"the {name} sensor cannot be calibrated: {error}") from None
     gain = series.gain_w_m2_per_mv
     own_percent = 100.0 * gain.half_width / gain.value
-    # What an uncertain zero does to the gain at the mean irradiance of the readings.
+    # The effect of an uncertain zero on the gain, at the mean irradiance of the readings.
     zero_percent = 100.0 * zero.half_width / float(np.mean(mv - zero.value))
     total = float(np.sqrt(own_percent**2 + zero_percent**2 + reference_uncertainty_percent**2))
     return FaceResult(

@@ -25,16 +25,16 @@ _LONGEST_NAME = 100
 
 @dataclass(frozen=True, slots=True)
 class LevelSources:
-    """What tells the level of the gains beside the clear-sky model.
+    """What sets the level of all gains, besides the clear-sky model.
 
     Attributes
     ----------
     referenced
         Faces whose gains in the settings are from a reference, each with its expanded uncertainty (k = 2) [%].
     ghi
-        A pyranometer nearby, or None.
+        Readings of a pyranometer nearby, or None.
     ghi_uncertainty_percent
-        Of its calibration, expanded (k = 2).
+        Expanded uncertainty (k = 2) of its calibration.
     """
 
     referenced: dict[str, float]
@@ -43,7 +43,7 @@ class LevelSources:
 
     @property
     def names(self) -> list[str]:
-        """What they are, for people."""
+        """The sources, for people."""
         faces = [f"the gain of {face} (U {percent:g} %)" for face, percent in self.referenced.items()]
         if self.ghi is None:
             return faces
@@ -62,11 +62,11 @@ class FieldResult:
     fit
         Responses, attitude, albedo and their errors.
     gains_w_m2_per_mv, offsets_mv, offset_uncertainty_mv
-        New ones, shape (4,) each; the uncertainty is expanded (k = 2).
+        New gains and offsets, shape (4,) each; the uncertainty is expanded (k = 2).
     night_readings
-        How many readings the offsets are from; 0 where the old ones stay.
+        How many readings at night the offsets are from; 0 if the old offsets stay.
     level
-        What told the level of the gains beside the clear-sky model.
+        What set the level of the gains, besides the clear-sky model.
     """
 
     fit: FieldCalibration
@@ -78,7 +78,7 @@ class FieldResult:
 
     @property
     def contradictions(self) -> list[str]:
-        """What is said to be known of the level and cannot all be true, k = 2, a clause for each two."""
+        """A clause for each two sources of the level that contradict each other (k = 2)."""
         known, change_percent = self.level.referenced, 100.0 * np.log(self.fit.response)
         vertical = [face for face in known if face != "zenith"]
         found = []
@@ -86,7 +86,7 @@ class FieldResult:
             apart = abs(float(change_percent[FACES.index(one)] - change_percent[FACES.index(other)]))
             found.append((f"of {one} and of {other}", apart, float(np.hypot(known[one], known[other]))))
         if "zenith" in known and self.level.ghi is not None:
-            # The fit lies between the two, as far from each as its variance tells.
+            # The fit lies between the two, at distances in proportion to their variances.
             both = float(np.hypot(known["zenith"], self.level.ghi_uncertainty_percent))
             apart = abs(float(change_percent[FACES.index("zenith")])) * (both / known["zenith"]) ** 2
             found.append(("of zenith and the GHI", apart, both))
@@ -144,7 +144,7 @@ def calibrate_field(
 
 
 def _level(sources: LevelSources, utc_s: Array, site: Site) -> Level:
-    """Return it for the readings at these instants; raises `UserError` where the GHI has none of them."""
+    """Return the level for readings at these instants; raises `UserError` if the GHI covers none of them."""
     east, south, west, zenith = (
         Tie(1.0, sources.referenced[face] / 200.0) if face in sources.referenced else None for face in FACES
     )

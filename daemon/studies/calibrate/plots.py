@@ -15,7 +15,7 @@ _BEFORE, _AFTER, _LINE = "#D55E00", "#0072B2", "#555555"
 
 
 def draw_comparison(found: Comparison, path: Path, *, simulated: bool) -> None:
-    """Draw to a file, by its ending; raises `UserError`."""
+    """Draw to a file of the kind that its ending names; raises `UserError`."""
     save_picture(comparison_figure(found, simulated=simulated), path, dpi=110)
 
 

@@ -1,4 +1,4 @@
-"""Readings to calibrate by: from CSV, or from the store of the service."""
+"""Readings for a calibration, from CSV or from the store of the service."""
 
 import csv
 import sqlite3
@@ -33,7 +33,7 @@ from solar.tables import (
 
 _MV, _W_M2 = "_mv", "_w_m2"
 _REFERENCE_NAMES = ("ghi", "ghi_w_m2")
-# Of a sensor's voltage either way: a gain of 10 W/m2/mV makes of it four times what the sun can do.
+# Largest voltage of a sensor, of either sign: at a gain of 10 W/m2/mV it means four times what the sun can give.
 _LARGEST_MV = 1000.0
 _MADE_UP = "SELECT MAX(simulated) FROM runs WHERE run IN (SELECT run FROM scans WHERE time >= ? AND time < ?)"
 
@@ -45,15 +45,15 @@ class FaceReadings:
     Attributes
     ----------
     source
-        How messages call them.
+        The name that messages give them.
     utc_s, faces
-        Increasing instants [s], shape (n,), and readings, shape (n, 4); NaN where there is none that can be trusted.
+        Increasing instants [s], shape (n,), and readings, shape (n, 4); NaN where no reading can be trusted.
     in_mv
         Whether they are voltages [mV]; else irradiances [W/m2] made with some earlier gains.
     calibrations
-        Identifiers of the calibrations those were made with; empty for the gains of the settings.
+        Identifiers of the calibrations that irradiances were made with; empty for the gains of the settings.
     note
-        What a person should know of the times, and of numbers that cannot be, taken as missing; empty without any.
+        What a person should know of the times, and of impossible numbers, which count as missing; may be empty.
     simulated
         Whether any of them comes from a model or a bench.
     """
@@ -69,7 +69,7 @@ class FaceReadings:
 
 @dataclass(frozen=True, slots=True)
 class ReferenceReadings:
-    """Global horizontal irradiance by a reference pyranometer, shape (n,) each; without gaps. As in `FaceReadings`."""
+    """Global horizontal irradiance by a reference pyranometer, shape (n,) each, without NaN. As in `FaceReadings`."""
 
     source: str
     utc_s: Array
@@ -160,9 +160,9 @@ def span_text(utc_s: Array) -> str:
 
 
 def _table(path: Path, columns: str) -> tuple[pd.DataFrame, Array, str]:
-    """Return a table's rows, their instants [s UTC], and what a person should know of these, or nothing.
+    """Return a table's rows, their instants [s UTC], and a note on these for people, which may be empty.
 
-    Of one that is empty `columns` are told as those to have.
+    The error for an empty file names `columns` as those that it should have.
     """
     separator = check_table(path)
     try:
@@ -211,7 +211,7 @@ def _simulated(frame: pd.DataFrame) -> bool:
 
 
 def _line_of(path: Path, row: int) -> int:
-    """Return the number of the line that a row of a table stands in; lines of blanks and commas are no rows."""
+    """Return the number of a row's line in the file; lines of blanks and commas alone are no rows."""
     lines = pd.read_csv(
         path,
         sep="\0",
@@ -227,7 +227,7 @@ def _line_of(path: Path, row: int) -> int:
 
 
 def _possible(path: Path, frame: pd.DataFrame, names: Sequence[str]) -> tuple[Array, str]:
-    """Return columns of one unit, NaN where a number is missing or cannot be, and the note on the latter."""
+    """Return columns of one unit, NaN where a number is missing or impossible, and a note on impossible ones."""
     numbers = np.stack([_numbers(path, frame[name]) for name in names], axis=-1)
     low, high = (-_LARGEST_MV, _LARGEST_MV) if names[0].endswith(_MV) else (LOWEST_W_M2, HIGHEST_W_M2)
     wrong = (numbers < low) | (numbers > high)

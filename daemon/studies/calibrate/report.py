@@ -1,4 +1,4 @@
-"""What `heliocube calibrate` tells and writes."""
+"""The report of `heliocube calibrate`, and the calibration that it writes."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
@@ -16,10 +16,10 @@ from daemon.studies.calibrate.readings import span_text
 from daemon.studies.calibrate.request import CubeSetup
 from solar.frames import azimuth_from_direction
 
-# Left unexplained: under a simulated sky the right model leaves 0.1 % at most, a wrong one 0.3 %.
+# Largest share left unexplained: under a simulated sky the right model leaves 0.1 % at most, a wrong one 0.3 %.
 _DOUBTFUL = 0.002
 DOUBT = "Doubtful: "
-"""Begins the line of a result that is not to be used before somebody has looked."""
+"""Begins the line of a result that nobody should use before it has been checked."""
 # The order of the paper's Table 1.
 _TABLE_ORDER = ("zenith", "west", "south", "east")
 _ROWS = (
@@ -31,7 +31,7 @@ _ROWS = (
 
 
 def marked(lines: list[str], *, simulated: bool) -> list[str]:
-    """Return the lines, below a mark where they are `simulated`: they stand in the calibration file as well."""
+    """Return the lines, below a mark if they are `simulated`: the calibration file has them as well."""
     mark = "SIMULATED: these readings come from a model or a bench, not from a cube."
     return [mark, *lines] if simulated else lines
 
@@ -83,12 +83,12 @@ def comparison_lines(found: Comparison) -> list[str]:
 
 
 def _strayed(found: Comparison) -> list[str]:
-    """Return the sensors of whose series most disagree with the gain."""
+    """Return the sensors with a gain that most of their series disagree with."""
     return [name for name, face in found.faces.items() if face.series.kept.mean() < 0.5]
 
 
 def comparison_page(found: Comparison) -> dict[str, Any]:
-    """Return what the calibration does not hold for scripts: agreement before and after, and what it is from."""
+    """Return, for scripts, what the calibration file lacks: agreement before and after, and the data behind it."""
     return {
         "clear_minutes": int(found.utc_s.size),
         "common_minutes": found.minutes,
@@ -102,7 +102,7 @@ def comparison_page(found: Comparison) -> dict[str, Any]:
 
 
 def field_page(found: FieldResult, made_on: CubeSetup) -> dict[str, Any]:
-    """Return what the calibration does not hold for scripts: how the cube stands, and how well the sky explains it."""
+    """Return, for scripts, what the calibration file lacks: how the cube stands, and how well the sky explains it."""
     return {
         "days": found.fit.days,
         "standing": _standing(found, made_on.site.latitude_deg),

@@ -19,7 +19,7 @@ from solar.ephemeris import Site
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 _REFERENCE = "reference"
-# Of a gain by a reference [%]: no laboratory is surer, and the maker's own promise is less than the most.
+# Uncertainty of a gain by a reference [%]: no laboratory reaches less, and makers promise less than the most.
 _LEAST_PERCENT, _MOST_PERCENT = 0.1, 20.0
 
 
@@ -54,7 +54,7 @@ def rig(config: Path | None, site: str | None) -> CubeSetup:
 def readings(
     sensors: Path | None, store: Path | None, start: datetime | None, end: datetime | None, made_on: CubeSetup
 ) -> FaceReadings:
-    """Return the readings that one of the two names.
+    """Return the readings of `sensors`, a file, or of `store`, whichever is given.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def readings(
 
 
 def serials(given: list[str]) -> dict[str, str]:
-    """Read serial numbers given as FACE=NUMBER, 'reference' among them; raises `UserError`."""
+    """Read serial numbers given as NAME=NUMBER, of faces or of 'reference'; raises `UserError`."""
     known = (*FACES, _REFERENCE)
     found = {}
     for text in given:
@@ -118,9 +118,9 @@ def referenced(given: list[str]) -> dict[str, float]:
 
 
 def check_before(out: Path, plot: Path | None, *, force: bool) -> None:
-    """Refuse before a long evaluation what could not be written after it; raises `UserError`.
+    """Refuse, before a long evaluation, files that could not be written after it; raises `UserError`.
 
-    A calibration is not overwritten by any option: what was measured under it bears its name.
+    No option overwrites a calibration: records made with it refer to it by name.
     """
     if out.exists():
         raise UserError(f"{out} is there already; a calibration is not overwritten, name another file with --out")

@@ -1,1 +1,1 @@
-"""What `heliocube gain` does between the command line and the science of :mod:`solar.gain`."""
+"""The code of `heliocube gain` between the command line and the science of :mod:`solar.gain`."""

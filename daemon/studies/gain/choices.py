@@ -1,4 +1,4 @@
-"""The choices of `heliocube gain`, apart from what they set off, so that `--help` answers at once."""
+"""The choices of `heliocube gain`, apart from the code that carries them out, so that `--help` answers at once."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -34,6 +34,6 @@ class PlotKind(StrEnum):
 
 
 def check_plot(path: Path) -> None:
-    """Raise `UserError` for a figure's file that is none of the kinds there are."""
+    """Raise `UserError` if the name of a figure's file does not end in one of the kinds there are."""
     if path.suffix.lower() not in _PLOT_SUFFIXES:
         raise UserError(f"--plot: {path} must end in {', '.join(_PLOT_SUFFIXES[:-1])} or {_PLOT_SUFFIXES[-1]}")

@@ -1,4 +1,4 @@
-"""From a request to columns of numbers; one latitude at a time, so that memory does not grow with the grid."""
+"""Turns a request into columns of numbers, one latitude at a time, so that memory does not grow with the grid."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -23,9 +23,9 @@ def evaluate(
 ) -> Columns:
     """Return one row for each latitude, tilt, azimuth deviation and day of the request, in this order.
 
-    Ratios are those of :mod:`solar.gain`; ``..._sky`` are the same under `sky`, which is ``simulated`` or not. With
-    `request.printed` days have the paper's own ratios, and years the smallest eta over the days, as the paper's scripts
-    print it. `progress` takes the share done, 0..1.
+    Ratios are those of :mod:`solar.gain`; ``..._sky`` are the same under `sky`, and ``simulated`` tells whether that
+    is simulated. With `request.printed`, rows of days also have the paper's own ratios, and rows of a year the smallest
+    eta over the days, as the paper's scripts print it. `progress` takes the share done, 0..1.
     """
     latitudes, blocks = request.latitudes_deg.tolist(), list[Columns]()
     for latitude in latitudes:
@@ -35,7 +35,7 @@ def evaluate(
 
 
 def evaluate_points(points: Columns, *, with_printed: bool) -> Columns:
-    """Return the points and their ratios, row by row; ``K_DH`` is the true full day's signed sum."""
+    """Return the points and their ratios, row by row; ``K_DH`` is the signed sum over the true full day."""
     phi, beta, n, deviation = points.values()
     energies = gain.daily(phi, beta, n, deviation)
     columns = points | {

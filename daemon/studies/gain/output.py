@@ -37,9 +37,9 @@ def write(
     *,
     most_rows: int = MOST_ROWS,
 ) -> None:
-    """Write `columns` to `out`, or to standard output without; `UserError` if that cannot be done.
+    """Write `columns` to `out`, or to standard output if it is None; `UserError` if that cannot be done.
 
-    A table has `most_rows` and says how many more there are.
+    A table has at most `most_rows` rows and says how many more there are.
     """
     if kind is AnswerFormat.TABLE:
         if out is not None:
@@ -62,13 +62,13 @@ def write(
 
 
 def as_page(columns: Columns, sky_label: str | None) -> dict[str, Any]:
-    """Return `columns` for scripts, an object a row, under the names of the CSV's columns."""
+    """Return `columns` for scripts: an object for each row, with the names of the CSV's columns."""
     values = [column.tolist() for column in _typed(columns).values()]
     return {"sky": sky_label, "rows": [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]}
 
 
 def _show(columns: Columns, console: Console, sky_label: str | None, most_rows: int) -> None:
-    """Print one row as a comparison of devices, several as they are, beside the inputs in which they differ."""
+    """Print one row as a comparison of devices; several as a table, beside the inputs in which they differ."""
     rows = next(iter(columns.values())).size
     if rows == 1:
         _compare({name: float(column[0]) for name, column in columns.items()}, console, sky_label)
@@ -103,7 +103,7 @@ def _compare(row: dict[str, float], console: Console, sky_label: str | None) -> 
 
 
 def _in_words(name: str) -> str:
-    """Return what a column of the CSV is, with its name there."""
+    """Return in words what a column of the CSV is, with its name."""
     quantity, _, source = name.rpartition("_")
     if name == "K_DS_abs":
         return "dual axis over a static panel that is lit from both sides (K_DS_abs)"
@@ -148,7 +148,7 @@ def _percent(share: float) -> str:
 
 
 def _number(name: str, value: float) -> str:
-    # A search for the best tilt ends some 1e-15 deg beside nothing.
+    # A search for the best tilt may end some 1e-15 deg beside zero.
     if np.isnan(value):
         return "-"
     value = 0.0 if abs(value) < _NOTHING else value

@@ -24,7 +24,7 @@ from solar.gain.real_sky import best_tilt_vertical_sky
 
 # Okabe & Ito's colours, which the colour-blind can tell apart.
 _COLOURS = {Device.STATIC: "#0072B2", Device.VERTICAL: "#D55E00", Device.HORIZONTAL: "#009E73"}
-# What is left of a colour in grey.
+# They tell curves apart where all is printed in grey.
 _LINES = {Device.STATIC: "-", Device.VERTICAL: "--", Device.HORIZONTAL: "-."}
 _DOTS = {Device.STATIC: "o", Device.VERTICAL: "x", Device.HORIZONTAL: "^"}
 _NAMES = {
@@ -63,7 +63,7 @@ def draw(kind: PlotKind, request: Request, columns: Columns, sky: SkySource | No
 
 
 def gain_map(request: Request, columns: Columns, sky: SkySource | None) -> Figure:
-    """Draw what the dual axis gains [%] by latitude and tilt, one panel for each device, one row for each sky."""
+    """Draw what the dual axis gains [%] by latitude and tilt: a panel for each device, a row of panels for each sky."""
     tilts, latitudes = request.tilts_deg, request.latitudes_deg
     if tilts is None or tilts.size < 3 or latitudes.size < 2:
         raise UserError(
@@ -228,9 +228,9 @@ def printed_against_exact(request: Request) -> Figure:
 
 
 def _lowest(tilts: Array, percent: Array) -> Array:
-    """Return the tilt of each column's lowest value, between the tilts by a parabola where they are evenly spaced.
+    """Return the tilt of each column's lowest value; NaN where a column has no value.
 
-    NaN where a column has no value.
+    Where the tilts are evenly spaced, a parabola finds it between them.
     """
     lowest = np.argmin(np.where(np.isnan(percent), np.inf, percent), axis=0)
     inner = np.clip(lowest, 1, tilts.size - 2)
@@ -253,7 +253,7 @@ def _sky_tilts(panel: Axes, latitudes: Array, sky: SkySource) -> None:
 
 
 def _one_case(request: Request, what: str) -> tuple[float, DeviceTilts]:
-    """Return the one latitude and the tilts of a figure through the year."""
+    """Return the latitude and the tilts of a figure of one case; `UserError` if the request has several."""
     tilts = request.tilts_deg
     if request.latitudes_deg.size != 1 or (tilts is not None and tilts.size != 1) or request.azimuths_deg.size != 1:
         raise UserError(f"the {what} is drawn for one latitude, one tilt and one azimuth")
@@ -284,7 +284,7 @@ def _months(panel: Axes) -> None:
 
 
 def _plain_log(panel: Axes) -> None:
-    """Label a logarithmic axis with plain numbers, as many as have room between its ends."""
+    """Label a logarithmic axis with plain numbers, as many as fit between its ends."""
     low, high = panel.get_ylim()
     decades = log10(high / low)
     if decades < 0.2:

@@ -142,7 +142,7 @@ def read_points(path: Path) -> dict[str, Array]:
 
 
 def _row(path: Path, line: int, header: list[str], cells: list[str], separator: str) -> list[float]:
-    # A decimal comma between commas makes two cells of one number, and another one of each behind it.
+    # Where commas separate cells, a decimal comma splits a number in two and shifts all cells behind it.
     if len(cells) > len(header):
         raise UserError(
             f"points file {path}, line {line}: there are {len(cells)} cells where the header has {len(header)}; write"

@@ -28,13 +28,13 @@ from solar.gain.real_sky import (
 CLEAR_STEP_S = 600.0
 FILE_STEP_S = 60.0
 _NEARLY_A_YEAR = 350
-# A year of one latitude is 3 MB, and a figure asks for those that the table asked for.
+# A year of one latitude takes 3 MB, and a figure needs the same latitudes as the table before it.
 _KEPT_LATITUDES = 20
 
 
 @dataclass(frozen=True, slots=True)
 class SkySource:
-    """A sky by latitude, sampled every `step_s`; `simulated` where a model made it."""
+    """A sky for each latitude, sampled every `step_s`; `simulated` if a model made it."""
 
     label: str
     simulated: bool
@@ -45,9 +45,9 @@ class SkySource:
     def energies(
         self, latitude: float, tilts: DeviceTilts, azimuths: Array, days: Array | None, against: tuple[Device, ...]
     ) -> Energies:
-        """Return energies [Wh/m2] of shape (tilts, azimuths, days), or (..., 1) over all there is without `days`.
+        """Return energies [Wh/m2] of shape (tilts, azimuths, days); without `days` (..., 1), summed over the whole sky.
 
-        NaN for devices that are not asked for, and for light on the back of a static panel.
+        Devices that are not asked for are NaN, and so is light on the back of a static panel.
         """
         series = self.series_at(latitude)
 
@@ -95,7 +95,7 @@ def clear_sky_source(longitude_deg: float, altitude_m: float) -> SkySource:
 def file_sky_source(
     path: Path, latitude_deg: float, longitude_deg: float | None, altitude_m: float | None, days: Array | None
 ) -> SkySource:
-    """Return the sky that a weather file tells of, at its one site.
+    """Return the sky of a weather file, at its one site.
 
     Raises
     ------
