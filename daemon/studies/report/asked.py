@@ -1,4 +1,4 @@
-"""What `heliocube plot` and `report` can be asked for, checked before the science is loaded."""
+"""The choices of `heliocube plot` and `report`, checked before scientific libraries are loaded."""
 
 from collections.abc import Sequence
 from datetime import tzinfo
@@ -9,7 +9,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 from daemon.base.errors import UserError
 
 NAMES = ("light", "angles", "received", "motion", "wind", "power")
-"""Of the pictures, in the order in which `pictures` draws them."""
+"""Names of the pictures, in the order in which `pictures` draws them."""
 
 _ENDINGS = (".png", ".svg")
 

@@ -1,4 +1,4 @@
-"""How good the records are, in the terms of IEC 61724-1: available, valid, flagged and missing data, and the gaps."""
+"""The quality of the records, in the terms of IEC 61724-1: available, valid, flagged and missing data, and the gaps."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from solar.frames import Array
 _LEAST_GAP_S = 60.0
 _LEAST_GAP_SCANS = 3.0
 _USUAL_INTERVAL_S = 5.0
-# Of an interval: the first scan and the last are not to the instant.
+# Share of an interval: the first and the last scan do not come at exact instants.
 _JITTER = 0.05
 
 
@@ -25,9 +25,9 @@ class Count:
     Attributes
     ----------
     expected
-        One every interval, from the begin of the reporting period to its end.
+        One in every interval, from the beginning of the reporting period to its end.
     recorded, valid
-        Those that are there, and those of which all four readings are good.
+        Scans that are there, and scans of which all four readings are good.
     """
 
     expected: int
@@ -70,13 +70,13 @@ class Availability:
     Attributes
     ----------
     interval_s
-        From one scan to the next, as a rule.
+        The usual time from one scan to the next.
     period, daylight
         The counts of the whole period, and of its daylight.
     faces
         By face, in daylight: how many readings had each quality.
     gaps
-        Longer than a minute and three intervals.
+        Those longer than a minute and than three intervals.
     """
 
     interval_s: float
@@ -108,12 +108,12 @@ def availability_of(material: Material) -> Availability:
 
 
 def longest_interval_s(utc_s: Array) -> float:
-    """Return the longest time between two records of one kind [s] that is no gap, by the instants of all."""
+    """Return the longest time [s] between two records of one kind that is no gap, from the instants of all of them."""
     return max(_LEAST_GAP_S, _LEAST_GAP_SCANS * _interval_s(utc_s))
 
 
 def _interval_s(utc_s: Array) -> float:
-    # Records that stand there twice are no time apart.
+    # Records may stand in a table twice; they must not count as an interval of zero.
     apart_s = np.diff(np.unique(utc_s))
     return float(np.median(apart_s)) if apart_s.size > 1 else _USUAL_INTERVAL_S
 
@@ -123,7 +123,7 @@ def _count(recorded: int, missing: int, valid: NDArray[np.bool_]) -> Count:
 
 
 def _missing_times(utc_s: Array, start_s: float, end_s: float, interval_s: float) -> Array:
-    """Return when the scans would have been that are not there."""
+    """Return the instants at which missing scans should have been made."""
     if not utc_s.size:
         return np.arange(start_s, end_s, interval_s)
     before = int(max((utc_s[0] - start_s) / interval_s - _JITTER, 0.0))

@@ -1,4 +1,4 @@
-"""A page as a tree: whatever is text is escaped when it is written, for names and reasons come from strangers."""
+"""A page as a tree of elements: all text is escaped when it is written, as names and reasons come from strangers."""
 
 import io
 import re
@@ -32,7 +32,7 @@ def element(tag: str, *parts: Part, **attributes: str) -> Node:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str) -> Node:
-    """Return a table with a caption; the first cell of a row is its heading, cells that are figures are set so."""
+    """Return a table with a caption; the first cell of a row is its heading, and numbers are aligned to the right."""
     return element(
         "div",
         element(
@@ -56,14 +56,14 @@ def picture(figure: Figure, name: str, about: str, colours: dict[str, str]) -> N
     figure
         What is drawn.
     name
-        Of this picture in the page: the names of its parts begin with it.
+        Name of this picture in the page: the names of its parts begin with it.
     about
-        What it shows, for whoever cannot see it.
+        What it shows, for people who cannot see it.
     colours
-        A colour of the figure, such as ``#15191d``, and what stands for it in the page.
+        Colours of the figure, such as ``#15191d``, each with the one that replaces it in the page.
     """
     content = io.BytesIO()
-    # What names an SVG's parts is random otherwise.
+    # Without a fixed salt the names of an SVG's parts are random.
     with rc_context({"svg.hashsalt": "heliocube", "svg.fonttype": "none"}):
         figure.savefig(content, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     root = ET.fromstring(content.getvalue())  # noqa: S314 - our own figure
@@ -85,7 +85,7 @@ def page(title: str, style: str, *parts: Part) -> str:
         "head",
         element("meta", charset="utf-8"),
         element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        # Nothing runs in it and nothing is fetched for it.
+        # The page runs no script and fetches nothing.
         element(
             "meta",
             http_equiv="Content-Security-Policy",
@@ -99,18 +99,18 @@ def page(title: str, style: str, *parts: Part) -> str:
 
 
 def _head(texts: Sequence[str], rows: Sequence[Sequence[str]]) -> list[Node]:
-    """Return the cells of a head, each on the side on which its column's are."""
+    """Return the cells of a table's head, each aligned as its column is."""
     below = rows[0] if rows else [""] * len(texts)
     first, *others = zip(texts, below, strict=True)
     found = [element("th", first[0], scope="col")]
     for text, cell in others:
-        # A heading of nothing is none.
+        # An empty text is no heading.
         found.append(element("th", text, scope="col", class_=_kind(cell)) if text else element("td"))
     return found
 
 
 def _kind(text: str) -> str:
-    """Return how a cell is set: figures on the right, what is short in one line."""
+    """Return the class of a cell: figures are set on the right, short texts in one line."""
     if _FIGURE.match(text):
         return "figure"
     return "short" if len(text) <= _SHORT else "words"
@@ -125,7 +125,7 @@ def _row(cells: Sequence[str]) -> Node:
 
 
 def _settle(node: Node, name: str, used: set[str], colours: dict[str, str]) -> None:
-    """Make an element of a drawing one of the page: no namespaces, names of its own, the page's colours."""
+    """Make an element of a drawing fit the page: without namespaces, with unique names and the page's colours."""
     node.tag = node.tag.rpartition("}")[2]
     for key, value in list(node.items()):
         del node.attrib[key]

@@ -22,7 +22,7 @@ from solar.ephemeris import Site
 from solar.frames import Array, Limits
 from solar.tables import broken_line, unreadable, utc_times
 
-# What no figure is made of would fill the memory in a month.
+# Columns that no figure needs: those of a month would fill the memory.
 _LEFT_OUT = {"session", "source", "sequence", "calibration", "curve", "ghi", *(f"{face}_time" for face in FACES)}
 # The last record belongs to the span.
 _LAST_S = 1.0
@@ -49,25 +49,25 @@ class Material:
     Attributes
     ----------
     span
-        Which time.
+        The time that it covers.
     site, site_name, limits
-        Where, and of its angles.
+        Place and name of the site, and the limits of the tracker's angles.
     tracker
-        Its name.
+        Name of the tracker.
     simulated
-        Whether any of it is: then the page says so everywhere.
+        Whether any record is simulated: then the page says so everywhere.
     source
         Where the records come from, in words.
     runs
-        Of the service, as far as the records know them.
+        Runs of the service, as far as the records know them.
     tables
-        By kind, a frame with a UTC index and the columns of docs/data.md; empty without a record.
+        A frame for each kind, with a UTC index and the columns of docs/data.md; empty without a record.
     before
-        What the run that the span begins in had told before it.
+        What the run in which the span begins had told before the span.
     budget_deg, budget_moves
-        Of a day, as far as they are known.
+        The budget of a day, if it is known.
     stow_wind_m_s
-        From which on the wind stows, as far as that is known.
+        Wind from which the tracker stows, if that is known.
     """
 
     span: ReportSpan
@@ -96,7 +96,7 @@ class Material:
         return table[name].to_numpy(dtype=np.float64, na_value=np.nan)
 
     def faces(self) -> Array:
-        """Return the scans' good readings [W/m2], shape (n, 4), NaN where one is not good."""
+        """Return the scans' readings [W/m2], shape (n, 4), NaN where a reading is not good."""
         scans = self.tables["scans"]
         columns = [
             np.where(scans[f"{face}_quality"] == Quality.OK, self.column("scans", f"{face}_w_m2"), np.nan)
@@ -131,13 +131,13 @@ def from_store(
     wanted
         Which time.
     tracker
-        Whose; None is everybody's.
+        Which tracker; None is all of them.
     now_utc_s
-        What has not happened yet is not missing.
+        The span ends here at the latest: the future does not count as missing.
     progress
         Called with the share that is read, 0..1.
     called
-        Where its records come from, in words, if that is not this folder.
+        Where the records come from, in words, if that is not this folder.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def from_store(
     there = [run for run in runs if run.run in with_records]
     last = there[-1].origin
     site = Site(last.latitude_deg, last.longitude_deg, last.altitude_m)
-    # Each run raises anew what lasts.
+    # One run is enough, as each run raises lasting alarms anew.
     before = told_before(path, there[0].run, span.start_utc_s)
     found = of_tables(tables, span, site, last.site, called, runs=tuple(there), before=before)
     chosen = [material for material in found if tracker in (None, material.tracker)]
@@ -213,7 +213,7 @@ def from_tables(
 ) -> dict[str, pd.DataFrame]:
     """Return the tables of a folder that ``heliocube simulate`` or ``export`` wrote; raises `UserError`.
 
-    `warn` is called with a sentence for each that breaks off in its last line, which is left out.
+    `warn` is called with a sentence for each table that breaks off in its last line, which is left out.
     """
     found: dict[str, pd.DataFrame] = {}
     for kind in KINDS:
@@ -228,7 +228,7 @@ def from_tables(
         except OSError as error:
             raise UserError(f"{path} cannot be read: {error.strerror or _DAMAGED}") from None
         except ValueError:
-            # pandas and pyarrow derive theirs from ValueError.
+            # The errors of pandas and pyarrow derive from ValueError.
             raise UserError(f"{path} is not a table that can be read: {_DAMAGED}") from None
         found[kind] = _slim(_checked(path, kind, table))
     return found
@@ -239,10 +239,10 @@ def _csv(path: Path, warn: Callable[[str], None]) -> pd.DataFrame:
     if not path.stat().st_size:
         raise UserError(f"{path} is empty: export it anew, or take the file away")
     try:
-        # Otherwise pandas takes the name 'NA' for none, even behind a converter, and '01' for 1.
+        # Without the '=' pandas takes the name 'NA' for a missing one, even after a converter, and '01' for 1.
         named: Any = {"tracker": "={}".format}
         broken = broken_line(path, separator)
-        # What stands in it would turn a column of numbers into one of texts; the fast engine skips no last line.
+        # A broken last line would turn a column of numbers into texts. pandas' fast engine cannot skip the last line.
         whole: Any = {"skipfooter": 1, "engine": "python"} if broken else {}
         decimal = "," if separator == ";" else "."
         table: pd.DataFrame = pd.read_csv(path, sep=separator, decimal=decimal, converters=named, **whole)
@@ -256,7 +256,7 @@ def _csv(path: Path, warn: Callable[[str], None]) -> pd.DataFrame:
 
 
 def _checked(path: Path, kind: str, table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table by its times, rising; raises `UserError` for a cell or a column that no figure can be made of."""
+    """Return a table sorted by its times; raises `UserError` for a missing column or a cell that cannot be used."""
     if "time" in table:
         times = utc_times(table["time"].astype("str"))
         _refuse(path, table["time"].fillna(""), times.isna(), ", not such as 2022-10-14T08:00Z")
@@ -273,7 +273,7 @@ def _checked(path: Path, kind: str, table: pd.DataFrame) -> pd.DataFrame:
     for name in _TRUTHS:
         if name in table and not is_bool_dtype(table[name]):
             _refuse(path, table[name], ~table[name].isin([True, False]) & table[name].notna(), "; write true or false")
-    # A clock may have been set back while they were written.
+    # The clock may have been set back while the records were written.
     return table.sort_index(kind="stable")
 
 
@@ -292,7 +292,7 @@ def within(tables: dict[str, pd.DataFrame], span: ReportSpan) -> dict[str, pd.Da
 
 
 def _read_days(directory: Path, span: ReportSpan, progress: Callable[[float], None]) -> dict[str, pd.DataFrame]:
-    """Read day by day, so that of a month only what is needed is held."""
+    """Read day by day, so that only the columns that are needed are held of a month."""
     parts: dict[str, list[pd.DataFrame]] = {kind: [] for kind in KINDS}
     days = span.days()
     for number, day in enumerate(days):
@@ -309,7 +309,7 @@ def _together(tables: list[pd.DataFrame]) -> pd.DataFrame:
     filled = [table for table in tables if len(table)]
     if len(filled) <= 1:
         return filled[0] if filled else tables[0]
-    # Days may know different words: as text they go together, and once together they are few again.
+    # Days may have different categories: join them as text, and make categories of the whole again.
     return _slim(pd.concat([_as_text(table) for table in filled]))
 
 
@@ -318,7 +318,7 @@ def _as_text(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _slim(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table without what no figure is made of, its ever-same words held once."""
+    """Return a table without columns that no figure needs, its repeated words held once."""
     kept = table.drop(columns=[name for name in table.columns if name in _LEFT_OUT])
     return kept.astype({name: "category" for name in kept.columns if name in _WORDS_AGAIN})
 
@@ -328,7 +328,7 @@ def _trackers(tables: Iterable[pd.DataFrame]) -> list[str]:
 
 
 def _of_tracker(table: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Return one tracker's rows; what is of none, such as a scan, is everybody's."""
+    """Return one tracker's rows; rows of no tracker, such as scans, belong to all."""
     if "tracker" not in table or not len(table):
         return table
     return table[table["tracker"].astype("object").fillna("").isin(["", name])]

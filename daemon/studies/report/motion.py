@@ -1,4 +1,4 @@
-"""What the tracker did: its modes, its moves, how near it stood to where it was sent."""
+"""What the tracker did: its modes, its moves, and how near it stood to its set point."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,12 +13,12 @@ from solar.ephemeris import DAY_S
 from solar.frames import Array
 
 TOLERANCE_DEG = 5.0
-"""A greater deviation of either angle from its set point is no availability; independent monitors count so."""
+"""A tracker with A or B further than this from its set point is not available; independent monitors count so too."""
 
 NOT_RECORDED = "not recorded"
 # Poses come every few seconds while the service runs, at rest as well.
 SILENT_S = 900.0
-"""A longer time without a record is one in which nothing was recorded."""
+"""A longer time without any record counts as not recorded."""
 _EDGE_S = 120.0
 _OTHERS_WANT = (Mode.STOW, Mode.SNOW, Mode.MAINTENANCE, Mode.HOLD)
 
@@ -45,13 +45,13 @@ class RecordedMotion:
     Attributes
     ----------
     stretches
-        The modes one after the other; ``not recorded`` where nothing was.
+        The modes one after the other; ``not recorded`` where there are no records.
     outcomes
-        Moves by their outcome.
+        How many moves had each outcome.
     travel_a_deg, travel_b_deg
         Added over all moves, from where each began to where it ended.
     by_day
-        Moves and travel, A and B added, of each of the site's days.
+        Number of moves, and travel with A and B added, of each of the site's days.
     deviation_deg, deviation_p95_deg
         Mean and 95th percentile of the greater deviation of both angles from the set point, at rest in daylight.
     available_pct
@@ -69,7 +69,7 @@ class RecordedMotion:
 
     @property
     def moves(self) -> int:
-        """How many, whatever came of them."""
+        """The number of moves, whatever their outcome."""
         return sum(self.outcomes.values())
 
     def hours(self) -> dict[str, float]:
@@ -103,10 +103,10 @@ def motion_of(material: Material) -> RecordedMotion:
 
 
 def set_points_of(material: Material, angle: str) -> tuple[Array, Array]:
-    """Return when an angle was given a set point [s UTC] and which [deg], each of shape (n,).
+    """Return the set points of an angle: when each was given [s UTC], and its value [deg], each of shape (n,).
 
-    Every move gives one. Before the first move of a span it is the target of the first decision: on an overcast day the
-    tracker may lie where it should without a move until the evening.
+    Every move gives one. Before the first move of a span the target of the first decision is the set point: on an
+    overcast day the tracker may lie at its target until the evening without a move.
     """
     utc_s, values = material.times_of("moves"), material.column("moves", f"target_{angle}")
     decided_utc_s, targets = material.times_of("decisions"), material.column("decisions", f"target_{angle}")
@@ -121,7 +121,7 @@ def _travel(material: Material, angle: str) -> Array:
 
 
 def _stretches(material: Material) -> tuple[Stretch, ...]:
-    """Return the modes, cut where the service told nothing for long."""
+    """Return the modes, with ``not recorded`` where there are no records for long."""
     found: list[Stretch] = []
     for start, end in _recorded(material):
         found += _modes_between(material, start, end)
@@ -138,13 +138,13 @@ def _stretches(material: Material) -> tuple[Stretch, ...]:
 
 
 def _recorded(material: Material) -> list[tuple[float, float]]:
-    """Return from when to when there are records of any kind without a long pause."""
+    """Return begin and end of each stretch of time with records of any kind and no long pause."""
     every = np.sort(np.concatenate([material.times_of(kind) for kind in material.tables]))
     start, end = material.span.start_utc_s, material.span.end_utc_s
     edges = np.concatenate([[start - SILENT_S * 2], every, [end + SILENT_S * 2]])
     quiet = np.flatnonzero(np.diff(edges) > SILENT_S)
     found = [(float(edges[one + 1]), float(edges[other])) for one, other in pairwise(quiet.tolist())]
-    # The first minutes and the last belong to it, wherever its rhythm put the first record.
+    # The first and the last minutes of the span count as recorded, even if the first record comes a little later.
     return [
         (start if first - start < _EDGE_S else first, end if end - last < _EDGE_S else last) for first, last in found
     ]
@@ -168,7 +168,7 @@ def _modes_between(material: Material, start: float, end: float) -> list[Stretch
 
 
 def _mode_before(material: Material, start: float) -> str:
-    """Return the mode of a stretch without a change, by the last change before the span or by its decisions."""
+    """Return the mode of a stretch without a change, from the last change before the span or from its decisions."""
     if material.before.modes and start == material.span.start_utc_s:
         return material.before.modes[-1][2]
     decisions = material.tables["decisions"]
@@ -184,7 +184,7 @@ def _at_set_point(material: Material, stretches: tuple[Stretch, ...]) -> tuple[f
     set_points = [newest(*set_points_of(material, angle), utc_s, DAY_S) for angle in ("a_deg", "b_deg")]
     stands = [held(material, "poses", angle, utc_s, SILENT_S) for angle in ("a_deg", "b_deg")]
     apart = np.maximum(*(np.abs(wanted - is_at) for wanted, is_at in zip(set_points, stands, strict=True)))
-    # Before the first decision or move of a span nobody knows where it was sent.
+    # Before the first decision or move of a span its set point is not known.
     counts &= np.isfinite(set_points[0])
     if not counts.any():
         return np.nan, np.nan, np.nan

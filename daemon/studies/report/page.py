@@ -1,4 +1,4 @@
-"""The report as one page that needs nothing but itself."""
+"""The report as one HTML page that needs no other file."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ _COLOURS = {
     pictures.NIGHT: "var(--night)",
 }
 _MOST_LINES = 300
-# A picture of every reading says something up to here; beyond, the days stand side by side.
+# Up to this many days pictures show every reading; of a longer span they compare the days.
 _MOST_DAYS_IN_LINES = 8.0
 
 
@@ -56,7 +56,7 @@ class Findings:
 
 
 def findings_of(material: Material, zone: tzinfo | None) -> Findings:
-    """Compute what the report says; `zone` is that of the local times, None for this machine's."""
+    """Compute what the report says; `zone` is the time zone of local times, None for this machine's."""
     light = light_of(material)
     span, days = material.span, days_of(material)
     return Findings(

@@ -1,4 +1,4 @@
-"""The pictures of a report and of `heliocube plot`: one way to draw each series, units on every axis."""
+"""The pictures of a report and of `heliocube plot`, with units on every axis."""
 
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, tzinfo
@@ -24,13 +24,13 @@ from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Array, angles_within
 
 INK, FAINT, NIGHT = "#15191d", "#b9c0c7", "#3b4a63"
-"""Of text and lines, of grids and of the night; the page puts its own in their place."""
+"""Colours of text and lines, of grids, and of the night; the page replaces them by its own."""
 
-# Okabe & Ito's colours, which the colour-blind can tell apart; each with a line of its own, which is left in grey.
+# Okabe & Ito's colours, which the colour-blind can tell apart. Each has its own line style, for prints in grey.
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY = (
     "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#7a828a",
 )  # fmt: skip
-# Sine of 2 deg: in less light the diffuse fraction is one of small numbers, and tells the noise.
+# Sine of 2 deg: with a lower sun the diffuse fraction is a ratio of small numbers, and shows only noise.
 _LOWEST_SUN = 0.035
 _FACE_STYLES = dict(zip(FACES, ((BLUE, "-"), (RED, "--"), (GREEN, "-."), (INK, ":")), strict=True))
 _MODE_STYLES = {
@@ -46,7 +46,7 @@ _MODE_STYLES = {
 }
 _WIDTH_IN = 9.0
 _MOST_POINTS = 3000
-# Between ticks of the axis of time; so many steps at most, but for spans of more than a day.
+# Minutes between ticks of the time axis, and the most steps, except for spans of more than a day.
 _STEPS_MIN, _MOST_STEPS = (1, 2, 5, 10, 15, 30, 60, 180), 8
 _RC: Any = {
     "svg.fonttype": "none",
@@ -80,7 +80,7 @@ class Series(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """What pictures are drawn of."""
+    """The data that pictures show."""
 
     material: Material
     light: RecordedLight
@@ -125,7 +125,7 @@ def angles_picture(drawing: Drawing) -> Figure:
 
 
 def received_picture(drawing: Drawing) -> Figure:
-    """Draw what the three planes received, and what the tracker gained over chronometric tracking by then."""
+    """Draw what the three planes received, and what the tracker had gained over chronometric tracking by each time."""
     with rc_context(_RC):
         figure, (upper, lower) = _panels(2, 4.2, (2.0, 1.0))
         light = drawing.light
@@ -146,7 +146,7 @@ def received_picture(drawing: Drawing) -> Figure:
 
 
 def motion_picture(drawing: Drawing) -> Figure:
-    """Draw the strip of modes with a tick for each move, and the travel added up."""
+    """Draw the strip of modes with a tick for each move, and the accumulated travel."""
     with rc_context(_RC):
         figure, (strip, travel) = _panels(2, 3.0, (1.0, 1.8))
         material, motion = drawing.material, drawing.motion
@@ -196,7 +196,7 @@ def power_picture(drawing: Drawing) -> Figure:
 
 
 def wind_picture(drawing: Drawing) -> Figure:
-    """Draw the wind, and from which on it stows, where that is known."""
+    """Draw the wind, and the wind from which the tracker stows, where that is known."""
     with rc_context(_RC):
         figure, (axes,) = _panels(1, 2.2, (1.0,))
         material = drawing.material
@@ -252,7 +252,7 @@ _DRAWN = (
     Series("maximum power of the module by its I-V curves", power_picture),
 )
 PICTURES = dict(zip(NAMES, _DRAWN, strict=True))
-"""By the name that the command line gives it."""
+"""Each picture by the name that the command line gives it."""
 
 
 def _panels(count: int, height_in: float, ratios: Sequence[float]) -> tuple[Figure, list[Axes]]:
@@ -295,7 +295,7 @@ def _finished(figure: Figure, lowest: Axes, drawing: Drawing) -> Figure:
         lowest.set_xlabel(f"{_years(*(f'{datetime.fromtimestamp(at, UTC):%Y}' for at in ticks))}, UTC")
     else:
         here = local_time((span.start_utc_s + span.end_utc_s) / 2.0, drawing.zone)
-        # On a day on which the clocks change there are two; the end is no longer part of the span.
+        # On a day on which the clocks change there are two names. The end itself is not part of the span.
         edges = [local_time(at, drawing.zone) for at in (span.start_utc_s, span.end_utc_s - 1.0)]
         names = ", then ".join(dict.fromkeys(f"{at:%Z}" for at in edges))
         local = f"; below it local time, {names}" if any(at.utcoffset() for at in edges) else ""
@@ -309,7 +309,7 @@ def _years(first: str, last: str) -> str:
 
 
 def _clock(drawing: Drawing) -> Callable[[float, int], str]:
-    """Return how a tick is written."""
+    """Return the function that writes the text of a tick."""
     long = drawing.material.span.duration_s > 1.5 * DAY_S
 
     def text(place: float, _number: int) -> str:
@@ -326,9 +326,9 @@ def _dates(utc_s: Array) -> NDArray[np.datetime64]:
 
 
 def _thinned(utc_s: Array, values: Array, pause_s: float) -> tuple[NDArray[np.datetime64], Array]:
-    """Return a line of at most some thousand points: of each stretch its least and its greatest value, gaps kept.
+    """Return a line thinned to some thousand points: the least and the greatest value of each stretch, with its gaps.
 
-    No line crosses a pause of more than `pause_s`.
+    The line does not cross a pause of more than `pause_s`.
     """
     last = np.flatnonzero(np.diff(utc_s) > pause_s)
     chosen = np.arange(utc_s.size)

@@ -1,4 +1,4 @@
-"""Quick pictures: the report's own, one by one, as files."""
+"""The pictures of the report, written to files one by one, without a report."""
 
 import math
 import time
@@ -33,12 +33,12 @@ def material_of_tables(
     tracker: str | None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> Material:
-    """Return the material of a folder of tables, all of it or a span; `warn` as of `from_tables`.
+    """Return the material of a folder of tables, all of it or a span; `warn` as for `from_tables`.
 
     Raises
     ------
     UserError
-        There are no tables or several trackers, or the site is not said.
+        There are no tables, or several trackers and none is chosen, or the site is not given.
     """
     if site is None and settings is None:
         raise UserError("tables do not say where the site is: add --site LAT,LON[,ALT] or --config FILE")
@@ -51,7 +51,7 @@ def material_of_tables(
     if wanted is None:
         span = reach_of_tables(tables, source)
     else:
-        # Simulated tables may be of days to come.
+        # Simulated tables may hold days of the future.
         span = wanted.span(place.longitude_deg, time.time() if wanted.by_the_clock else math.inf)
     found = of_tables(tables, span, place, name, source)
     if tracker is None and len(found) == 1:
@@ -82,7 +82,7 @@ def draw(material: Material, names: Sequence[str], paths: Sequence[Path], zone: 
     drawing = Drawing(material, light_of(material), motion_of(material), zone)
     for name, path in zip(names, paths, strict=True):
         figure = PICTURES[name].draw(drawing)
-        # On a page the picture has the page's colour behind it; a file has nothing.
+        # On a page a picture shows the page's colour behind it; a file needs a background of its own.
         figure.patch.set(alpha=1.0, facecolor="white")
         with rc_context({"svg.fonttype": "none"}):
             save_picture(figure, path, dpi=_DPI)

@@ -1,4 +1,4 @@
-"""Which time a report is about: days of the site, from one solar midnight to the next, or instants."""
+"""The time that a report is about: days of the site, from one solar midnight to the next, or two instants."""
 
 import re
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class ReportSpan:
     def title(self) -> str:
         """What it is called for people: its day, its days, or both instants."""
         if "T" not in self.name:
-            # The day that --to names is not in it.
+            # The day that --to names is not part of the span.
             day, _, behind = self.name.partition("_")
             last = (date.fromisoformat(behind) - timedelta(days=1)).isoformat() if behind else day
             return day if last == day else f"{day} to {last}"
@@ -39,7 +39,7 @@ class ReportSpan:
         return self.end_utc_s - self.start_utc_s
 
     def days(self) -> list["ReportSpan"]:
-        """Return it in pieces of a day from its beginning on, the last one shorter, to be read one by one."""
+        """Return the span in pieces of a day, to be read one by one; the last one may be shorter."""
         return [
             ReportSpan(at, min(at + DAY_S, self.end_utc_s), "")
             for at in (self.start_utc_s + number * DAY_S for number in range(-int(-self.duration_s // DAY_S)))
@@ -48,7 +48,7 @@ class ReportSpan:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What was asked for, before it is known where the site is: a day or two ends, as on the command line."""
+    """The span as the command line gives it, a day or two ends, before it is known where the site is."""
 
     day: str | None = None
     start: str | None = None
@@ -68,11 +68,11 @@ class Wanted:
 
     @property
     def by_the_clock(self) -> bool:
-        """Whether the day is told from today's."""
+        """Whether the day is given relative to today."""
         return self.day in _WORDS
 
     def span(self, longitude_deg: float, now_utc_s: float) -> ReportSpan:
-        """Return the span at a site [degrees east]; raises `UserError` for one that is empty, too long or to come."""
+        """Return the span at a site [degrees east]; raises `UserError` if it is empty, too long or in the future."""
         if self.day is not None:
             found = _day(self.day, longitude_deg, now_utc_s)
         else:
@@ -94,7 +94,7 @@ def solar_midnight_s(day: date, longitude_deg: float) -> float:
 
 
 def times(utc_s: float, zone: tzinfo | None) -> tuple[datetime, datetime]:
-    """Return the instant in UTC and as the clocks of a zone say it, None being this machine's."""
+    """Return the instant in UTC and in the time of a zone, None for this machine's."""
     return datetime.fromtimestamp(utc_s, UTC), local_time(utc_s, zone)
 
 

@@ -1,4 +1,4 @@
-"""The report of a simulation and of a replay: the same page, made of what they have written."""
+"""The report of a simulation or a replay: the same page, made from the files that they have written."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime, tzinfo
@@ -41,7 +41,7 @@ def report_simulation(
     *,
     force: bool,
 ) -> list[Path]:
-    """Write the report of a simulation from the tables that it has written; returns the paths of its pages."""
+    """Write the report of a simulation from its tables; returns the paths of its pages."""
     site, source = settings.site, f"the simulation in {tables}"
     found = of_tables(from_tables(tables, table_format), span_of(*span), site.place(), site.name, source)
     return _written(found, settings, out, zone, force=force)
@@ -58,7 +58,7 @@ def report_replay(
     *,
     force: bool,
 ) -> list[Path]:
-    """Write the report of a replay from its rows, what became of them and the positions; returns the page's path."""
+    """Write the report of a replay from its rows, its outcome and its positions; returns the page's path."""
     table = pd.read_csv(positions, index_col="time")
     table.index = pd.to_datetime(table.index, utc=True, format="ISO8601")
     found = of_tables(
@@ -85,7 +85,7 @@ def _written(found: list[Material], settings: Settings, out: Path, zone: tzinfo 
 
 
 def _unwatched(_share: float) -> None:
-    """Take the share that is done, where nobody waits for it."""
+    """Take the share that is done and ignore it: nobody waits for it."""
 
 
 def _scans(table: pd.DataFrame, faces: Array, qualities: NDArray[np.uint8]) -> pd.DataFrame:
@@ -109,7 +109,7 @@ def _poses(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _moves(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a move for every change of the set point: from where it stood to where it had come by the next one."""
+    """Return a move for every change of the set point, from where the tracker stood to where it was at the next one."""
     changed = (table[["a_set", "b_set"]].diff().abs().max(axis=1) > 0.0).to_numpy()
     places = np.flatnonzero(changed)
     before, ends = np.maximum(places - 1, 0), np.append(places[1:] - 1, len(table) - 1)[: len(places)]

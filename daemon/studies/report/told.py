@@ -1,4 +1,4 @@
-"""What the service said in words: alarms with their times, and everything else that was worth telling."""
+"""The events that the service recorded in words: alarms with their times, and all others."""
 
 import re
 from dataclasses import dataclass, replace
@@ -8,7 +8,7 @@ from daemon.studies.report.material import Material
 _ALARM = "alarm"
 _CHANGE = re.compile(r"(raised|cleared) ([\w-]+): (.*)\Z", re.DOTALL)
 _ACKNOWLEDGED = re.compile(r"acknowledged ([\w-]+) by (.*)\Z", re.DOTALL)
-# As older services wrote them: the text itself, and its end.
+# Older services recorded an alarm as its text alone, and its end with this before the text.
 _OVER = "over: "
 
 
@@ -21,9 +21,9 @@ class AlarmSpan:
     name, text
         Its kind, empty in older records, and what was wrong.
     start_utc_s, end_utc_s
-        None for one that was on before anything that is known, and for one that is on at the end of the span.
+        None for a start before the first known record, and for an alarm that is still on at the end of the span.
     acknowledged
-        By whom, with the reason if there was one; empty for nobody.
+        By whom, with the reason if there was one; empty if nobody did.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Note:
 
 
 def alarms_of(material: Material) -> list[AlarmSpan]:
-    """Return the alarms of a span, those included that were on when it began, the first raised first."""
+    """Return the alarms of a span, also those that were on when it began, in the order in which they were raised."""
     latest: dict[str, AlarmSpan] = {}
     over: list[AlarmSpan] = []
     before_it = [Note(at, _ALARM, text) for at, _, text in material.before.alarms]
@@ -64,7 +64,7 @@ def alarms_of(material: Material) -> list[AlarmSpan]:
             if before is None or before.end_utc_s is not None:
                 latest[name or text] = AlarmSpan(name, text, note.utc_s, None)
             elif before.text != text:
-                # Raised anew: it tells more than what had been seen.
+                # It was raised anew with another text, which whoever acknowledged it has not seen.
                 latest[name or text] = replace(before, text=text, acknowledged="")
         elif before is None:
             latest[name or text] = AlarmSpan(name, text, None, note.utc_s)

@@ -1,4 +1,4 @@
-"""A report's sentences, and figures as people read them."""
+"""A report's sentences, and numbers as people read them."""
 
 import math
 from datetime import tzinfo
@@ -14,12 +14,12 @@ from solar.ephemeris import DAY_S
 from solar.skies.sky_periods import LOWEST_SUN_DEG
 
 NO_FIGURE = "–"
-# Less is none with one decimal.
+# With one decimal, less than this would be shown as 0.0.
 _LEAST_TOLD_H = 0.05
 
 
 def number(value: float, digits: int = 1, sign: bool = False) -> str:
-    """Return a figure with its decimals and no minus before a zero; a dash for what is no number."""
+    """Return a number with its decimals and no minus before a zero; a dash if it is not finite."""
     if not math.isfinite(value):
         return NO_FIGURE
     text = f"{value:{'+' if sign else ''}.{digits}f}"

@@ -1,4 +1,4 @@
-"""Where reports go: looked at before the work, and nothing overwritten unasked."""
+"""Writes reports: the folder is checked before the work, and no file is overwritten without --force."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -17,16 +17,16 @@ ENDING = ".html"
 
 
 def check_output(out: Path, names: Sequence[str], option: str, *, force: bool) -> None:
-    """Raise `UserError` for a folder that cannot take files, and for one of these names that is there already.
+    """Raise `UserError` if the folder cannot take files, or has one of these names already.
 
-    To be called before the work whose results go there; nothing is made or changed.
+    To be called before the work whose results go there; it makes and changes nothing.
     """
     check_folder(out, option)
     check_outputs([out / name for name in names], option, force=force)
 
 
 def file_name(span_name: str, tracker: str) -> str:
-    """Return what the report of a tracker is called, whatever the tracker is called."""
+    """Return the file name of a tracker's report; characters of its name that a file may not have are replaced."""
     return f"{span_name}-{re.sub(r'[^A-Za-z0-9_.-]', '_', tracker) or 'tracker'}{ENDING}"
 
 
@@ -34,7 +34,7 @@ def with_settings(material: Material, settings: Settings | None) -> Material:
     """Return the material with the limits and the budget that the configuration of its tracker sets."""
     if settings is None:
         return material
-    # The records of a tracker without a name of its own bear that of its role.
+    # The records of a tracker without a name of its own have the name of its role.
     own = dict(settings.trackers).get(material.tracker, settings if not settings.tracker else None)
     if own is None:
         return material

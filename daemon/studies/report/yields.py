@@ -1,4 +1,4 @@
-"""What the tracker's plane received, against chronometric tracking and the best, as the light of the cube gives it."""
+"""What the tracker's plane received by the light of the cube, against chronometric tracking and the best pose."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -17,7 +17,7 @@ from solar.skies.sky_periods import LOWEST_SUN_DEG, Period, diffuse_fraction_of_
 
 USUAL_ALBEDO = 0.2
 DAYLIGHT_EVERY_S = 60.0
-# A tracker at rest is looked at more often than this.
+# The service records the pose of a tracker at rest more often than this.
 _POSE_HOLDS_S = 900.0
 _CHUNK = 20_000
 _ROUNDING_S = 1.0
@@ -25,7 +25,7 @@ _ROUNDING_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class RecordedLight:
-    """The cube's readings of a span and what follows from them.
+    """The cube's readings in a span, and what follows from them.
 
     Attributes
     ----------
@@ -36,9 +36,9 @@ class RecordedLight:
     diffuse_fraction
         DHI/GHI by the paper's approximation, NaN without light.
     albedo, albedo_estimated
-        Of the ground; the law's own mean estimate, or the usual one.
+        Albedo of the ground, and whether it is the law's own mean estimate; otherwise it is the usual one.
     received
-        Of the three planes.
+        What the three planes received.
     """
 
     utc_s: Array
@@ -69,9 +69,9 @@ class Yield:
     Attributes
     ----------
     actual_kwh_m2, chronometric_kwh_m2, best_kwh_m2
-        Of the tracker's plane, a chronometric one, and the bound.
+        Insolation of the tracker's plane, of a chronometric tracker's, and of the bound.
     known_s, daylight_s
-        The time that they stand for, and that of daylight.
+        The time for which they are known, and the time of daylight.
     faces_kwh_m2
         Measured by the faces east, south, west, zenith, each over its own good readings in daylight.
     """
@@ -85,17 +85,17 @@ class Yield:
 
     @property
     def gain_pct(self) -> float:
-        """Of the tracker over chronometric tracking [%]; NaN without light."""
+        """Gain of the tracker over chronometric tracking [%]; NaN without light."""
         return _over(self.actual_kwh_m2, self.chronometric_kwh_m2)
 
     @property
     def bound_pct(self) -> float:
-        """Of the best pointing over chronometric tracking [%]; NaN without light."""
+        """Gain of the best pointing over chronometric tracking [%]; NaN without light."""
         return _over(self.best_kwh_m2, self.chronometric_kwh_m2)
 
     @property
     def of_bound_pct(self) -> float:
-        """What the tracker received of what the best pointing would have [%]; NaN without light."""
+        """What the tracker received, of what the best pointing would have received [%]; NaN without light."""
         return 100.0 * self.actual_kwh_m2 / self.best_kwh_m2 if self.best_kwh_m2 > 0.0 else np.nan
 
     @property
@@ -159,12 +159,12 @@ def daylight_s(material: Material, start_utc_s: float, end_utc_s: float, lowest_
 
 
 def days_of(material: Material) -> list[ReportSpan]:
-    """Return the days of the site that a span is of, each called by its date; a span of a day at most is one.
+    """Return the days of the site in a span, each with its date as its name; a span of up to a day is one.
 
-    They begin at solar midnight. A part at either end without daylight belongs to the day beside it.
+    Days begin at solar midnight. A part at either end without daylight belongs to the day beside it.
     """
     span, longitude_deg = material.span, material.site.longitude_deg
-    # The ends may be midnights themselves, but for rounding.
+    # The ends may be midnights themselves, apart from rounding.
     first, last = (
         int(solar_days(at, longitude_deg)) for at in (span.start_utc_s + _ROUNDING_S, span.end_utc_s - _ROUNDING_S)
     )
@@ -199,7 +199,7 @@ def held(material: Material, kind: str, name: str, utc_s: Array, holds_s: float)
 
 
 def newest(times: Array, values: Array, utc_s: Array, holds_s: float) -> Array:
-    """Return the newest of the values of rising times [s] at each instant, as :func:`held` does."""
+    """Return, at each instant, the newest of `values` at rising `times` [s], as :func:`held` does."""
     if not times.size:
         return np.full(utc_s.shape, np.nan)
     place = np.searchsorted(times, utc_s, side="right") - 1
