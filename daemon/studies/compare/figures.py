@@ -19,11 +19,11 @@ from solar.frames import Array, azimuth_from_direction, equator_azimuth_deg, nor
 
 # Okabe & Ito's colours, which the colour-blind can tell apart.
 _CUBE, _CHRONO, _SUN, _SKY = "#D55E00", "#0072B2", "#E69F00", "0.55"
-# What is left of a colour in grey.
+# It tells curves apart where all is printed in grey.
 _CHRONO_LINE = (0, (4.0, 1.5))
 _SIZE = (9.0, 4.6)
 _MOST_POINTS = 4000
-# Of a plane this near to horizontal nobody can tell the azimuth.
+# A plane this near to horizontal has no clear azimuth.
 _FLAT_DEG = 2.0
 
 
@@ -122,7 +122,7 @@ def save(figure: Figure, folder: Path, name: str) -> Path:
     """Write the figure as PNG and SVG and return the PNG's path; raises `UserError`."""
     path = folder / f"{name}.png"
     save_picture(figure, path, dpi=110)
-    # Where everything stands has been found: to look for it again takes longer than to draw it.
+    # Fix the layout that has been found: to find it again takes longer than to draw.
     figure.set_layout_engine("none")
     save_picture(figure, folder / f"{name}.svg")
     return path
@@ -134,7 +134,7 @@ def _facing(side: Side, site: Site) -> tuple[Array, Array]:
 
 
 def _about_equator(azimuth_deg: Array, site: Site) -> Array:
-    """Return azimuths within half a turn of the equator's, NaN where the next one is a leap over the pole's."""
+    """Return azimuths within half a turn of the equator's, NaN where the next one is a jump across the pole."""
     middle_deg = equator_azimuth_deg(site.latitude_deg)
     about = (azimuth_deg - middle_deg + 180.0) % 360.0 - 180.0 + middle_deg
     leaps = np.abs(np.diff(about, append=about[-1:])) > 180.0
@@ -142,7 +142,7 @@ def _about_equator(azimuth_deg: Array, site: Site) -> Array:
 
 
 def _parted(utc_s: Array, values: Array) -> tuple[NDArray[np.datetime64], Array]:
-    """Return a line with a hole wherever no energy is added, so that none is drawn across."""
+    """Return a line with NaN in each gap over which no energy is counted, so that no line is drawn across it."""
     behind = np.flatnonzero(np.diff(utc_s) > longest_gap_s(utc_s)) + 1
     time = (np.insert(utc_s, behind, utc_s[behind]) * 1e3).astype("datetime64[ms]")
     return time, np.insert(values, behind, np.nan)
@@ -151,6 +151,6 @@ def _parted(utc_s: Array, values: Array) -> tuple[NDArray[np.datetime64], Array]
 def _clock(axes: Axes, utc_s: Array) -> None:
     axes.xaxis.set_major_formatter(DateFormatter("%H:%M"))  # type: ignore[no-untyped-call]  # matplotlib has no type there
     first, last = (datetime.fromtimestamp(at, UTC) for at in utc_s[[0, -1]].tolist())
-    # A day of the site may be halves of two of UTC.
+    # A day of the site may consist of parts of two days in UTC.
     begun = "" if first.date() == last.date() else f"{first:%d %B} to "
     axes.set_xlabel(f"{begun}{last:%d %B %Y}, UTC")

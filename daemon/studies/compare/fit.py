@@ -16,7 +16,7 @@ from solar.agreement import Agreement, agreement
 from solar.compare import ChainBias, fit_chain_bias, lies_flat
 
 LEAST_PAIRS = 100
-# Below this a chain measures its own noise.
+# At lower power a chain measures only its own noise.
 LEAST_W = 1.0
 _FORMAT = "heliocube chain bias 1"
 # The file's names for the fields of `Agreement`, in their order.
@@ -25,20 +25,20 @@ _AGREEMENT_KEYS = ("count", "mbe_w", "rmbe_pct", "mae_w", "rmae_pct")
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """What was fitted, to what, and how well.
+    """The fit of a bias: what was fitted to what, and how well.
 
     Attributes
     ----------
     names
-        The tracker whose power is corrected, and the one it is brought to.
+        The tracker whose power is corrected, and the tracker that is its reference.
     bias
         The polynomial.
     start_utc_s, end_utc_s
-        First and last pair.
+        Instants of the first and the last pair.
     before, after
-        Of the corrected tracker's power against the other's, over the very pairs of the fit.
+        Agreement of the corrected tracker's power with the other's, before and after, over the pairs of the fit itself.
     simulated
-        Whether any of these pairs was simulated; False in files that do not say it.
+        Whether any of these pairs was simulated; False for files that do not tell.
     """
 
     names: tuple[str, str]
@@ -51,9 +51,9 @@ class Fit:
 
 
 def flat_pairs(pairs: Pairs, start: datetime | None = None, end: datetime | None = None) -> Pairs:
-    """Return the pairs from `start` up to `end` with power at which both lay flat; `UserError` if they are too few.
+    """Return the pairs from `start` up to `end` with power while both lay flat; `UserError` if they are too few.
 
-    Where poses are not known, naming `start` or `end` says that both lay flat then.
+    Where poses are not known, both are taken to lie flat if `start` or `end` is given.
     """
     low = -np.inf if start is None else start.timestamp()
     high = np.inf if end is None else end.timestamp()
@@ -135,7 +135,7 @@ def write(found: Fit, path: Path) -> None:
 
 
 def read(path: Path) -> Fit:
-    """Return a fit from its file; `UserError` if it is none."""
+    """Return a fit from its file; `UserError` for a file that is no fit."""
     if path.is_dir():
         raise UserError(f"--bias: {path} is a folder: name the file in it that 'heliocube compare fit' wrote")
     try:

@@ -20,7 +20,7 @@ from solar.frames import Array
 from solar.skies.sky_periods import LOWEST_SUN_DEG, sky_periods
 
 WHOLE_DAY = "day"
-# Share of the hours that both irradiances have to be known for: a gain over fewer is that of another time.
+# Share of the hours for which both irradiances must be known: with fewer, the gain would be that of another time.
 _LEAST_KNOWN = 0.95
 
 
@@ -31,22 +31,24 @@ class Gain:
     Attributes
     ----------
     date, period
-        Solar day of the site, and which part of it; the times [UTC] are of its first and last pair.
+        Solar day of the site, and the part of it.
+    start, end
+        Times [UTC] of the period's first and last pair.
     hours
-        That both were measured.
+        For how long both trackers were measured.
     cube_wh, chrono_wh
         Energies, T-Cube's after correction.
     gain_pct
-        Of T-Cube over T-Chrono.
+        Gain of T-Cube over T-Chrono.
     uncorrected_pct
         The same without the correction.
     irradiation_pct
-        The same of the irradiance on the modules' planes, over the pairs that have both; NaN where they are missing for
-        more than a twentieth of the hours.
+        The same in irradiation on the modules' planes, over the pairs that have both; NaN if they are missing for more
+        than a twentieth of the hours.
     extrapolated_pct
-        Share of T-Cube's measured energy at powers outside those that the correction was fitted to; NaN without one.
+        Share of T-Cube's measured energy at powers outside those of the fit; NaN without a correction.
     simulated
-        Whether any of it was simulated.
+        Whether any pair was simulated.
     """
 
     date: str
@@ -64,7 +66,7 @@ class Gain:
 
 
 def corrected_power(pairs: Pairs, bias: ChainBias | None) -> Array:
-    """Return T-Cube's power after correction; as it is without one."""
+    """Return T-Cube's power after correction, or unchanged if there is no bias."""
     return pairs.cube.pmpp_w if bias is None else bias.corrected(pairs.cube.pmpp_w)
 
 
@@ -95,7 +97,7 @@ def gains(pairs: Pairs, bias: ChainBias | None, spans: Sequence[Span], site: Sit
     for day in np.unique(days).tolist():
         date = iso_utc(day * DAY_S)[:10]
         of_day = pairs.where(days == day)
-        # By the day, for tables that were written at different rates may stand beside one another.
+        # The longest gap is found for each day: tables of several days may have different rates.
         gap_s = longest_gap_s(of_day.utc_s)
         found.append(_gain(of_day, bias, date, WHOLE_DAY, gap_s))
         for span in spans:
@@ -149,7 +151,7 @@ def _irradiation_pct(pairs: Pairs, hours: float, gap_s: float) -> float:
 
 
 def as_text(rows: Sequence[Gain], names: tuple[str, str]) -> str:
-    """Return the gains as a table for people; that in irradiation only where it is known of any."""
+    """Return the gains as a table for people; the gain in irradiation only if any is known."""
     heads = ["hours", f"{names[0]}/Wh", f"{names[1]}/Wh", "gain/%", "uncorrected/%", "irradiation/%"]
     if all(np.isnan(row.irradiation_pct) for row in rows):
         heads.pop()
@@ -163,7 +165,7 @@ def as_text(rows: Sequence[Gain], names: tuple[str, str]) -> str:
 
 
 def extrapolation(rows: Sequence[Gain], name: str) -> str | None:
-    """Return in a sentence which periods are corrected mostly by extrapolation, or None."""
+    """Return a sentence that names the periods that are corrected mostly by extrapolation, or None."""
     found = [f"{row.date} {row.period} ({row.extrapolated_pct:.0f} %)" for row in rows if row.extrapolated_pct > 50.0]
     if not found:
         return None

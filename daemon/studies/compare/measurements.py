@@ -16,21 +16,21 @@ class Measurement(NamedTuple):
     Attributes
     ----------
     time
-        [s UTC].
+        When it was measured [s UTC].
     tracker
-        Name.
+        Name of the tracker.
     pmpp_w
         Power at the maximum power point.
     irradiance_w_m2
-        On the module's plane.
+        Irradiance on the module's plane.
     a_deg, b_deg
         Where the tracker truly stood.
     module_temp_degc
-        Of the module.
+        Temperature of the module.
     ghi_w_m2, dhi_w_m2
         Global and diffuse horizontal irradiance.
     simulated
-        Whether a model or a bench gave it, and no module.
+        Whether it comes from a model or a bench and not from a module.
     """
 
     time: float
@@ -54,5 +54,5 @@ _COLUMNS = [
 
 
 def writer(directory: Path, table_format: Format, *, force: bool) -> TableWriter:
-    """Return what writes measurements to ``powers.csv`` or ``powers.parquet`` in a folder; raises `UserError`."""
+    """Return a writer of measurements to ``powers.csv`` or ``powers.parquet`` in a folder; raises `UserError`."""
     return TableWriter(directory, table_format, {Measurement: ("powers", _COLUMNS)}, force=force)

@@ -1,4 +1,4 @@
-"""Powers of two trackers, instant by instant: read from tables or a simulation and laid side by side."""
+"""Powers of two trackers, instant by instant: read from tables or a simulation, and joined in pairs."""
 
 import zlib
 from collections.abc import Sequence
@@ -47,15 +47,15 @@ class Pairs:
     Attributes
     ----------
     names
-        Of the two trackers.
+        Names of the two trackers.
     utc_s
-        Of the first tracker's measurement.
+        Instants of the first tracker's measurements.
     cube, chrono
         The first tracker and the one it is compared with.
     diffuse_fraction
         DHI/GHI; NaN for unknown.
     simulated
-        Whether any of it was simulated.
+        Whether any measurement was simulated.
     """
 
     names: tuple[str, str]
@@ -82,8 +82,8 @@ def read_tables(paths: Sequence[Path]) -> tuple[pd.DataFrame, list[str]]:
 
     Returns
     -------
-    One frame with all columns of `Measurement`, and what a person should know of it, a sentence each: irradiances that
-    cannot be are NaN in it, and a last line in which a file breaks off is not there.
+    One frame with all columns of `Measurement`, and notes on it for people, a sentence each. Impossible irradiances are
+    NaN in it, and a last line in which a file breaks off is left out.
 
     Raises
     ------
@@ -108,17 +108,17 @@ def frame_of(measurements: Sequence[Measurement]) -> pd.DataFrame:
 
 
 def pair(frame: pd.DataFrame, names: tuple[str, str], within_s: float = TOGETHER_WITHIN_S) -> Pairs:
-    """Lay the measurements of two trackers side by side, each of the first with the other's nearest in time.
+    """Join the measurements of two trackers: each of the first with the other's that is nearest in time.
 
-    A power below zero, which is a wattmeter's offset in the dark, counts as none.
+    A power below zero, which is a wattmeter's offset in the dark, counts as zero.
 
     Raises
     ------
     UserError
-        A tracker has no measurements, or none of theirs are within `within_s` of each other.
+        A tracker has no measurements, or no two of them are within `within_s` of each other.
     """
     usable = frame[np.isfinite(frame["pmpp_w"])]
-    # Of one tracker alone the correction would make it none, and a gain of the other's nights.
+    # Both trackers' offsets go: the correction would remove only one's, and the other's nights would count as a gain.
     usable = usable.assign(pmpp_w=np.maximum(usable["pmpp_w"], 0.0))
     there = sorted(set(usable["tracker"]))
     for name in names:
@@ -157,7 +157,7 @@ def pair(frame: pd.DataFrame, names: tuple[str, str], within_s: float = TOGETHER
 
 
 def _read(path: Path) -> tuple[pd.DataFrame, tuple[str, str]]:
-    """Return a file's measurements, and in a sentence each that it breaks off and names no zone; empty if not."""
+    """Return a file's measurements, and notes that it breaks off and that it names no zone; each may be empty."""
     try:
         table, broken = (pd.read_parquet(path).reset_index(), "") if path.suffix.lower() == ".parquet" else _csv(path)
     except FileNotFoundError:
@@ -165,7 +165,7 @@ def _read(path: Path) -> tuple[pd.DataFrame, tuple[str, str]]:
     except UnicodeDecodeError:
         raise not_utf8(path) from None
     except (OSError, EOFError, zlib.error, ValueError) as error:
-        # pandas and pyarrow derive theirs from ValueError; the others are those of a .gz that was cut off or damaged.
+        # Errors of pandas and pyarrow derive from ValueError; the others come from a .gz that is cut off or damaged.
         raise UserError(f"{path} cannot be read: {why_unread(error)}") from None
     table = table.drop(columns=[name for name in ("index",) if name in table]).dropna(how="all")
     missing = [name for name in REQUIRED if name not in table]
@@ -199,10 +199,10 @@ def _csv(path: Path) -> tuple[pd.DataFrame, str]:
     decimal = "," if separator == ";" else "."
     try:
         names = pd.read_csv(path, sep=separator, nrows=0, skipinitialspace=True).columns
-        # Otherwise pandas takes 'NA' for none, even behind a converter, and '01' for 1.
+        # Without the '=' pandas takes the name 'NA' for a missing one, even after a converter, and '01' for 1.
         as_written: Any = {name: "={}".format for name in names if name.strip().lower() == "tracker"}
         broken = broken_line(path, separator)
-        # What stands in it would turn a column of numbers into one of texts; the fast engine skips no last line.
+        # A broken last line would turn a column of numbers into texts. pandas' fast engine cannot skip the last line.
         whole: Any = {"skipfooter": 1, "engine": "python"} if broken else {}
         table = pd.read_csv(path, sep=separator, decimal=decimal, skipinitialspace=True, converters=as_written, **whole)
     except pd.errors.EmptyDataError:
@@ -214,13 +214,13 @@ def _csv(path: Path) -> tuple[pd.DataFrame, str]:
     if as_written:
         trackers = table["tracker"].str[1:]
         table["tracker"] = trackers.mask(trackers == "")
-    # A comma behind the last name makes a column without one.
+    # A comma after the last name in the header makes a column without a name.
     nameless = [name for name in table if str(name).startswith("unnamed: ") and table[name].isna().all()]
     return table.drop(columns=nameless), f"{path}: {broken.note()}" if broken else ""
 
 
 def _leave_out_impossible(frame: pd.DataFrame, path: Path) -> str | None:
-    """Make irradiances that cannot be NaN, and return in a sentence how many there are, or None."""
+    """Replace impossible irradiances by NaN, and return a sentence on how many there are, or None."""
     columns = list(_IRRADIANCES)
     values = frame[columns].to_numpy(float)
     wrong = ~(possible(values) | np.isnan(values))
@@ -233,7 +233,7 @@ def _leave_out_impossible(frame: pd.DataFrame, path: Path) -> str | None:
 
 
 def _refuse_contradictions(frame: pd.DataFrame) -> None:
-    """Raise `UserError` where a tracker has two powers of one time; the same row twice does no harm."""
+    """Raise `UserError` if a tracker has two powers at one time; the same row twice does no harm."""
     powers = frame[np.isfinite(frame["pmpp_w"])].drop_duplicates()
     again = powers[powers.duplicated(["time", "tracker"])]
     if not again.empty:

@@ -1,4 +1,4 @@
-"""The experiment of Andriamahefa et al. (2023), section 4, on built-in weather, beside what they printed."""
+"""The experiment of Andriamahefa et al. (2023), section 4, on built-in weather, beside the results they printed."""
 
 import csv
 from collections.abc import Callable, Sequence
@@ -43,7 +43,7 @@ def _at(day: int, hour: int, minute: int = 0) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Printed:
-    """What the paper says of one period, and between which gains ours has to lie [%]."""
+    """The paper's gain in one period, and the bounds between which ours has to lie [%]."""
 
     span: Span
     paper_pct: float
@@ -65,7 +65,7 @@ SPANS = tuple(printed.span for printed in PRINTED)
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Both days under one sky model and one seed of the weather; the pairs of the first run alone are kept."""
+    """Both days under one sky model and one seed of the weather; only the first run keeps its pairs."""
 
     sky: SkyModel
     seed: int
@@ -75,7 +75,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """The flat-flat day of August and what was fitted to it."""
+    """The day of August on which both trackers lie flat, and the fit to it."""
 
     flat: Pairs
     found: Fit
@@ -83,7 +83,7 @@ class Correction:
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """What a run takes, sky and seed among the settings."""
+    """What a run depends on; sky and seed are among the settings."""
 
     settings: Settings
     afternoon: WeatherName
@@ -93,7 +93,7 @@ class _Asked:
 
 
 def find_correction(settings: Settings, progress: Callable[[float], None]) -> Correction:
-    """Return what a simulated day of August corrects, on which both trackers lie flat; `progress` takes 0..1."""
+    """Return the correction from a simulated day of August on which both trackers lie flat; `progress` takes 0..1."""
     day = _one_day(settings, ("flat", "flat"), _FLAT_START, _FLAT_DAYS, [(0.0, "clear")], progress)
     flat = flat_pairs(day)
     return Correction(flat, fit(flat))
@@ -109,20 +109,20 @@ def run_paper(
     workers: Workers,
     progress: Callable[[float], None],
 ) -> tuple[list[Run], UserError | None]:
-    """Return 12 and 14 October 2022 under every sky and seed, and what has ended it before all were done.
+    """Return 12 and 14 October 2022 under every sky and seed, and the error that ended the work early, or None.
 
     Parameters
     ----------
     settings
-        Of the rig; its sky and its seed are replaced.
+        Settings of the rig; their sky and their seed are replaced.
     skies, seeds
-        Models of the diffuse light, and how many weathers, with seeds from 1 on.
+        Models of the diffuse light, and the number of weathers, with seeds from 1 on.
     afternoon
         Weather after 12:10 on the 12th.
     cube_law
         Law of T-Cube.
     found
-        Corrects T-Cube's power.
+        The fit that corrects T-Cube's power.
     workers
         Who simulates.
     progress
@@ -177,10 +177,10 @@ def _twelfth(afternoon: WeatherName) -> Parts:
 
 
 def ceilings(site: Site, limits: Limits, albedo: float = 0.2) -> list[tuple[str, str, float]]:
-    """Return what lying flat gains over standing at the sun under a closed sky, for each overcast period and sky.
+    """Return what lying flat gains over facing the sun under a closed sky, for each overcast period and sky.
 
-    Triples of period, sky and gain in irradiation [%]. Horizontal irradiance goes with the sine of the sun's elevation,
-    as under cloud of one thickness.
+    The result has triples of period, sky and gain in irradiation [%]. Horizontal irradiance is proportional to the sine
+    of the sun's elevation, as under cloud of uniform thickness.
     """
     found = []
     for printed in (PRINTED[1], PRINTED[3]):
@@ -197,10 +197,10 @@ def ceilings(site: Site, limits: Limits, albedo: float = 0.2) -> list[tuple[str,
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """One period under one sky: the gains of all weathers [%], and how many of them lie where they are asked to.
+    """One period under one sky: the gains of all weathers [%], and how many of them lie within the bounds.
 
-    A single figure of a single afternoon can neither be met nor missed by a median: what counts is the spread. Only
-    the paper's law has to give the paper's results; of others nothing is asked.
+    The spread counts: a median can neither meet nor miss a single figure of a single afternoon. Only the paper's law
+    has to give the paper's results; other laws have no bounds to keep.
     """
 
     printed: Printed
@@ -215,7 +215,7 @@ class Spread:
 
     @property
     def quartiles_pct(self) -> tuple[float, float]:
-        """Between them lies half of the weathers."""
+        """The quartiles: half of the weathers lie between them."""
         low, high = np.percentile(self.gains_pct, [25, 75])
         return float(low), float(high)
 
@@ -226,7 +226,7 @@ class Spread:
 
     @property
     def of_all(self) -> str:
-        """The same beside the number of all."""
+        """`inside` beside the number of all weathers, as text; empty where there are no bounds to keep."""
         return f"{self.inside} of {len(self.gains_pct)}" if self.asked else ""
 
 
@@ -248,7 +248,7 @@ def spreads(runs: Sequence[Run], cube_law: str) -> list[Spread]:
 
 
 def notes(settings: Settings, afternoon: WeatherName, cube_law: str, seeds: int, *, done: int, asked: int) -> list[str]:
-    """Return what the experiment assumes and what it cannot show, a paragraph each, for `done` of `asked` runs."""
+    """Return paragraphs on what the experiment assumes and what it cannot show, for `done` of `asked` runs."""
     limits = settings.limits.limits()
     cube, simulated = settings.cube, settings.simulation
     closed = ceilings(settings.site.place(), limits)
@@ -287,7 +287,7 @@ def notes(settings: Settings, afternoon: WeatherName, cube_law: str, seeds: int,
 
 
 def as_text(found: Sequence[Spread]) -> str:
-    """Return paper and ours side by side, for people."""
+    """Return the paper's gains and ours side by side, as text for people."""
     heads = ("period", "sky", "paper/%", "asked for/%", "within", "median/%", "quartiles", "lowest..highest")
     lines = [heads, *((one.printed.span.name, one.sky, *_numbers(one)) for one in found)]
     return "\n".join(table(lines, keys=2)) + "\n"

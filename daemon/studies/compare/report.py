@@ -1,4 +1,4 @@
-"""What came of an experiment: tables, figures, and one page that holds them all."""
+"""The report of an experiment: tables, figures, and one page that holds them all."""
 
 import base64
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of the page: its heading, the columns' names, and rows of texts."""
+    """A table of the page: its heading, its columns' names, and rows of texts."""
 
     heading: str
     columns: tuple[str, ...]
@@ -48,7 +48,7 @@ class Table:
 
 
 def experiment_figures(pairs: Pairs, found: Fit | None, site: Site) -> list[Shown]:
-    """Return Figures 11 and 12 of every day with power, or 13 as it is called on the paper's second day."""
+    """Return Figures 11 and 12 for every day with power (Figure 13 is 11 for the paper's second day)."""
     shown = []
     bias = None if found is None else found.bias
     days = solar_days(pairs.utc_s, site.longitude_deg)
@@ -85,7 +85,7 @@ def bias_shown(flat: Pairs, found: Fit) -> Shown:
 
 
 def modelled_curve(pairs: Pairs) -> Shown | None:
-    """Return the I-V curve that the model gives for T-Cube's highest power, if light and warmth are known."""
+    """Return the model's I-V curve for T-Cube's highest power, if irradiance and module temperature are known."""
     side = pairs.cube
     known = np.isfinite(side.irradiance_w_m2) & np.isfinite(side.module_temp_degc) & (side.pmpp_w > 0.0)
     if not known.any():
@@ -108,7 +108,7 @@ def modelled_curve(pairs: Pairs) -> Shown | None:
 
 
 def kept_curve_shown(kept: KeptCurve, pairs: Pairs) -> Shown:
-    """Return the figure of an I-V curve that the load has swept."""
+    """Return the figure of a measured I-V curve."""
     name, when = pairs.names[0], iso_utc(kept.time_utc_s)[:19]
     figure = figures.curve_figure(kept.voltage_v, kept.current_a, f"{_mark(pairs)}{name}, {when}Z")
     caption = (
@@ -164,17 +164,17 @@ def write_report(
     Parameters
     ----------
     pairs
-        Of the experiment.
+        Pairs of the experiment.
     found
-        Corrects T-Cube's power; None leaves it as it is.
+        The fit that corrects T-Cube's power; None leaves the power as it is.
     flat
-        The pairs of the fit, for its figure; None where they are not at hand.
+        The pairs of the fit, for its figure; None if they are not at hand.
     site
-        Of the trackers.
+        Site of the trackers.
     spans
-        Periods; where there are none they are told by the diffuse fraction.
+        Named periods; if there are none, the diffuse fraction divides the time into periods.
     kept
-        A measured I-V curve of T-Cube's module; without one it is modelled where light and warmth are known.
+        A measured I-V curve of T-Cube's module; if None, it is modelled where irradiance and temperature are known.
     force
         Whether files that are there are replaced.
 
@@ -188,7 +188,7 @@ def write_report(
     if found is not None and flat is not None:
         shown.append(bias_shown(flat, found))
     shown += experiment_figures(pairs, found, site)
-    # Which figures there are is known only now; what is written is looked at before any of it is.
+    # Only now it is known which figures there are. All files are checked before any of them is written.
     check_outputs([out / "report.html", out / "gains.csv", *figure_files(out, shown)], "--out", force=force)
     rows = gains(pairs, None if found is None else found.bias, spans or spans_by_sky(pairs, site), site)
     tables = [gain_table(rows, pairs.names)] + ([] if found is None else [fit_table(found)])
@@ -213,12 +213,12 @@ def write_report(
 
 
 def figure_files(out: Path, shown: Sequence[Shown]) -> list[Path]:
-    """Return the files that the figures take in a folder."""
+    """Return the files of the figures in a folder."""
     return [out / f"{one.name}.{ending}" for one in shown for ending in ("png", "svg")]
 
 
 def write_page(path: Path, title: str, notes: Sequence[str], tables: Sequence[Table], shown: Sequence[Shown]) -> None:
-    """Write the figures beside `path`, and to `path` a page that needs nothing else."""
+    """Write the figures beside `path`, and to `path` a page that needs no other file."""
     parts = [
         f"<!DOCTYPE html><html lang='en'><meta charset='utf-8'><title>{escape(title)}</title><style>{_STYLE}</style>",
         f"<h1>{escape(title)}</h1>",

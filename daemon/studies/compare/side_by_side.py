@@ -28,7 +28,7 @@ from solar.pv_module import Q_PEAK_G4_1_305, cell_temperature, maximum_power
 
 CURVE_EVERY_S = 5.0
 T_CUBE, T_CHRONO = "T-Cube", "T-Chrono"
-# Where a file of measured weather tells neither.
+# For measured weather that has neither.
 ASSUMED_AIR_DEGC, ASSUMED_WIND_M_S = 15.0, 1.0
 
 # The paper's trackers had no such limits of a day's motion.
@@ -45,8 +45,8 @@ CUBE_MODULE = replace(
     series_resistance_ohm=0.05 + Q_PEAK_G4_1_305.series_resistance_ohm,
 )
 MODULES = (CUBE_MODULE, Q_PEAK_G4_1_305)
-# Assumed: standard deviation of one measured power, as a share of it. It leaves about the rMAE that the paper was left
-# with after its correction (1.27 %).
+# Assumed: standard deviation of one measured power, as a share of it. It leaves about the rMAE that the paper has after
+# its correction (1.27 %).
 NOISE = 0.01
 
 
@@ -76,30 +76,30 @@ def side_by_side(
 ) -> list[Measurement]:
     """Run both trackers on the readings of one cube over `days` from `start_utc_s`, and measure both modules every 5 s.
 
-    The cube and the first tracker are one process' work, the second tracker is another's: it receives the same
-    datagrams over the bridge, and neither knows of the other.
+    One service has the cube and the first tracker, another has the second tracker, which receives the same datagrams
+    over the bridge. Neither service knows of the other.
 
     Parameters
     ----------
     settings
-        Of both, but for the law; the limits of a day's motion do not hold.
+        Settings of both trackers, except the law; their daily budgets of motion do not hold.
     trackers
-        The first one has the cube beside it.
+        The two trackers; the first one has the cube beside it.
     build
         Makes the instruments of both, on a clock.
     keep
-        Takes the records of both services, with the name of the tracker.
+        Called with each record of both services, and the name of its tracker.
     progress
         Called with the share done, 0..1.
 
     Returns
     -------
-    In the order of time, the first tracker's measurement before the other's; only while there is light.
+    Measurements while there is light, in the order of time, the first tracker's before the other's.
 
     Raises
     ------
     UserError
-        A law has failed, so that another points in its place.
+        A law has failed, so that another one points in its place.
     """
     settings = on_a_port_of_its_own(override(settings, {"motion": _UNLIMITED}), insecure=True).model_copy(
         update={"store": StoreSettings(), "tracker": ()}
@@ -122,7 +122,7 @@ class _Poses:
         self.found = array("d")
 
     async def follow(self) -> None:
-        # Each curve is due at a whole multiple from the start, so that nothing adds up over days.
+        # Each curve is due at a whole multiple from the start, so that no error adds up over days.
         count = 0
         begin_s = self._clock.monotonic()
         while True:
@@ -158,7 +158,7 @@ async def _run_both(
         )
         bus = Bus()
         bus.subscribe(lambda record: keep(tracker.name, record))
-        # A scan's session comes from here: two simulations in one store must not take each other's for their own.
+        # A scan's session comes from here: two simulations in one store must not take each other's scans for their own.
         random = Random(f"{settings.simulation.seed} {start_utc_s} {which}")  # noqa: S311 - nothing secret depends on it
         instruments, unseen = pair.rigs[which], Notifier({}, 0)
         services.append(Service(own, role, instruments, clock, random, bus, None, unseen, polling=SIMULATED))
@@ -175,7 +175,7 @@ async def _run_both(
         cube_stop.set()
 
     async def the_other() -> None:
-        # The second tracker's port is open by now, and the cube can be told of it.
+        # The second tracker's port is open by now, so the cube can send to it.
         assert chrono.receiver is not None  # noqa: S101 - narrowing; a tracker has one
         TRACKER.set(trackers[0].name)
         cube = service(0, Role.BOTH, (chrono.receiver.address,))
@@ -188,7 +188,7 @@ async def _run_both(
 
 
 def _require_laws(services: Sequence[Service], utc_s: float) -> None:
-    """Raise `UserError` where a law has failed: what is measured from then on compares another one."""
+    """Raise `UserError` if a law has failed: later measurements would compare another law."""
     for service in services:
         for tracker in service.trackers:
             why = tracker.control.pointing.failed_why
@@ -199,7 +199,7 @@ def _require_laws(services: Sequence[Service], utc_s: float) -> None:
 def _measure(
     settings: Settings, trackers: tuple[ComparedTracker, ComparedTracker], pair: SimulatedPair, poses: _Poses
 ) -> list[Measurement]:
-    """Return what is measured of both modules at every curve with light."""
+    """Return the measurements of both modules at every curve with light."""
     found = np.frombuffer(poses.found).reshape(-1, 5)
     random = np.random.default_rng([settings.simulation.seed, 2])
     measurements: list[Measurement] = []

@@ -1,4 +1,4 @@
-"""Named stretches of time, as the command line gives them; read before the science is loaded."""
+"""Named stretches of time from the command line, read before scientific libraries are loaded."""
 
 import re
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Measurements of two trackers as the service's own store keeps them: I-V curves, poses and the cube's readings."""
+"""Measurements of two trackers from the service's own store: I-V curves, poses and the cube's readings."""
 
 import base64
 import sqlite3
@@ -25,7 +25,7 @@ from solar.ephemeris import Site
 from solar.frames import Array
 from solar.skies.sky_periods import diffuse_fraction_of_faces
 
-# A tracker at rest is looked at more often than this, and the cube is read more often.
+# The service records the pose of a resting tracker, and reads the cube, more often than this.
 _POSE_HOLDS_S = 900.0
 _SCAN_WITHIN_S = 15.0
 _MOST_WAITING = 20_000
@@ -50,15 +50,15 @@ def parse_store(text: str) -> tuple[str | None, str]:
 
 
 def read_stores(stores: Sequence[tuple[str | None, Path]]) -> tuple[pd.DataFrame, Site]:
-    """Return the measurements of every run in stores, as `read_tables` of pairs does, and the last one's site.
+    """Return the measurements of every run in stores, as `read_tables` of pairs does, and the last run's site.
 
     GHI and DHI are the cube's: its zenith face, and 2 I_min - 0.2 I_Z.
 
     Parameters
     ----------
     stores
-        Folders; a name is that of the tracker of all runs of one tracker in it, and of those of several it chooses the
-        one of that name. None leaves each its own.
+        Folders, each with a name or None. To runs of one tracker the name is given as their tracker's; in runs of
+        several trackers it chooses the tracker of that name. With None each tracker keeps its own name.
 
     Raises
     ------
@@ -89,14 +89,14 @@ class KeptCurve:
 def kept_curve(stores: Sequence[tuple[str | None, Path]], tracker: str) -> KeptCurve | None:
     """Return the kept curve with the highest power of a tracker, or None where no points were kept.
 
-    Stores as for `read_stores`; of those that bear the name of another tracker nothing is read.
+    Stores as for `read_stores`; those that have the name of another tracker are not read.
     """
     best: tuple[float, float, str] | None = None
     for name, directory in stores:
         if name not in (None, tracker):
             continue
         with closing(open_for_reading(directory / FILE_NAME)) as connection:
-            # Neither is there in a store of an older version.
+            # A store of an older version has neither the table nor the column.
             if not (columns_of(connection, "curves") and "tracker" in columns_of(connection, "runs")):
                 continue
             query = _BEST_CURVE.format(tracker=tracker_sql(connection, "curves", "curves"))
@@ -130,7 +130,7 @@ def _measurements(connection: sqlite3.Connection, name: str | None, path: Path) 
 
 
 def _why_none(called: str, name: str | None, trackers: Sequence[tuple[int, str, bool]]) -> str:
-    """Return the sentence for a store of which no curve can be used."""
+    """Return the sentence for a store without a usable curve."""
     if not trackers:
         return f"{called} holds no I-V curves: they need an electronic load, section load of the configuration"
     there = ", ".join(sorted({f"'{own}'" for _, own, _ in trackers}))
@@ -199,14 +199,14 @@ def _refuse_real(path: Path) -> None:
 def keeping(
     settings: Settings, names: Sequence[str], directory: Path, start_utc_s: float
 ) -> Iterator[Callable[[str, Record], None]]:
-    """Keep the records of simulated trackers in one store, as a run for each; yields what takes a record by name.
+    """Keep the records of simulated trackers in one store, as a run for each; yields a function that keeps a record.
 
-    Unlike the service, a simulation waits for the disk, and loses nothing.
+    Unlike the service, a simulation waits for the disk, and loses no record.
 
     Raises
     ------
     UserError
-        The folder is no store's, or one with records of real instruments, or the disk fails.
+        The folder cannot be a store or has records of real instruments, or the disk fails.
     """
     _refuse_real(directory / FILE_NAME)
     site = settings.site
@@ -226,7 +226,7 @@ def keeping(
                 tracker=name,
                 id=new_run_id(),
             )
-            # What a person has had simulated goes when they remove it.
+            # Without an age limit (None): simulated records stay until a person removes them.
             stores[name] = Store(directory, settings.store.batch_s, None, origin, clock, _ignore)
         taken = 0
 
@@ -254,4 +254,4 @@ def _catch_up(store: Store) -> None:
 
 
 def _ignore(_event: object) -> None:
-    """Take an event of the store, whose failures are raised instead."""
+    """Ignore an event of the store: its failures are raised instead."""
