@@ -1,4 +1,4 @@
-"""Laws that failed in a study: what is written from then on is another law's."""
+"""Laws that failed in a study: the results from then on are those of another law."""
 
 from collections.abc import Sequence
 

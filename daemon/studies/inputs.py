@@ -17,10 +17,10 @@ from solar.tables import separator_of
 if TYPE_CHECKING:
     import pandas as pd
 
-    # The command line imports this module to show its help, which must not wait for the science.
+    # The command line imports this module to show its help, which must not wait for scientific libraries.
     from daemon.config.settings import Settings
 
-# In the first and the last year that Python knows, a zone or a longitude carries an instant beyond its calendar.
+# Not Python's first and last year: there a time zone or a longitude can shift an instant beyond its calendar.
 YEARS = range(2, 9999)
 _SKIES = get_args(WeatherName)
 _PACKED = (".bz2", ".tar", ".tar.gz", ".xz", ".zip", ".zst")
@@ -61,7 +61,7 @@ def instant(text: str, option: str) -> datetime:
 
 
 def site_values(text: str) -> dict[str, Any]:
-    """Return the site section's values that LAT,LON or LAT,LON,ALT means; raises `UserError`."""
+    """Return the values of the section site for the text LAT,LON or LAT,LON,ALT; raises `UserError`."""
     latitude, longitude, altitude = parse_site(text)
     return {"name": text, "latitude_deg": latitude, "longitude_deg": longitude, "altitude_m": altitude}
 
@@ -72,9 +72,9 @@ def weather_choice(text: str) -> str | Path:
 
 
 def check_weather_file(path: Path, built_in: Sequence[str] = _SKIES) -> None:
-    """Raise `UserError` where there is no such file, before anything is loaded that could read it.
+    """Raise `UserError` where there is no such file, before the libraries that read it are loaded.
 
-    Of the built-in skies those are named in it that the command takes.
+    The sentence names the built-in skies that the command takes.
     """
     check_ordinary(path, "measured weather")
     if not path.exists():
@@ -91,9 +91,9 @@ def check_weather_file(path: Path, built_in: Sequence[str] = _SKIES) -> None:
 def check_table(path: Path) -> str:
     """Return what stands between the cells of a CSV file: a comma, or the semicolon or the tab of a spreadsheet.
 
-    What cannot be opened is left to the reader, which tells the reason, and so is a pipe. Raises `UserError` for a
-    device, which may have no end, and for a table that is packed otherwise than with gzip, or whose first lines are no
-    table's.
+    A file that cannot be opened is left to the reader, which tells the reason; so is a pipe. Raises `UserError` for a
+    device, which may have no end, for a table that is packed otherwise than with gzip, and for a file whose first lines
+    are not those of a table.
     """
     if path.name.lower().endswith(_PACKED):
         raise UserError(
@@ -117,7 +117,7 @@ def check_table(path: Path) -> str:
     if header.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise UserError(f"{path} is text in UTF-16: save it as a CSV file in UTF-8 ('CSV UTF-8' in a spreadsheet)")
     for number, line in enumerate(lines, 1):
-        # Thousands of columns take pandas minutes.
+        # pandas needs minutes for thousands of columns.
         if len(line) == _LONGEST_LINE:
             raise UserError(
                 f"{path}, line {number} is longer than {_LONGEST_LINE} characters: name a table with one line for each"
@@ -127,25 +127,25 @@ def check_table(path: Path) -> str:
 
 
 def check_names(where: str, found: Sequence[str], counted: Iterable[str]) -> None:
-    """Raise `UserError` where a column that counts stands twice among those found."""
+    """Raise `UserError` if one of the columns in `counted` stands twice among those found."""
     for name in counted:
         if found.count(name) > 1:
             raise UserError(f"{where} has two columns {name}: leave in the one that counts")
 
 
 def check_frame(path: Path, frame: "pd.DataFrame") -> None:
-    """Raise `UserError` for a table in which pandas has found a cell too many in a line, or two columns of one name."""
+    """Raise `UserError` for a table in which pandas found too many cells in a line, or two columns of one name."""
     import pandas as pd  # noqa: PLC0415 - as above
 
     if not isinstance(frame.index, pd.RangeIndex):
         raise UserError(f"{path} has more cells in its lines than names in its header")
-    # pandas gives the second of two that are called alike a number.
+    # pandas adds ".1" to the name of the second of two columns with one name.
     names = [str(name).removesuffix(".1") for name in frame]
     check_names(str(path), names, names)
 
 
 def with_point(number: str, separator: str) -> str:
-    """Return the text of a number in a table with that separator with a decimal point."""
+    """Return the text of a number with a decimal point; tables separated by semicolons may have decimal commas."""
     return number.replace(",", ".") if separator == ";" else number
 
 
@@ -167,7 +167,7 @@ def _no_file(path: Path) -> UserError:
 
 
 def check_data_files(paths: Sequence[Path], what: str) -> None:
-    """Raise `UserError` for the first path at which there is no file with `what`, likewise."""
+    """Raise `UserError` for the first path at which there is no ordinary file with `what`."""
     for path in paths:
         check_ordinary(path, what)
         if not path.exists():
@@ -175,7 +175,7 @@ def check_data_files(paths: Sequence[Path], what: str) -> None:
 
 
 def impossible_note(source: str, count: int, first: str) -> str:
-    """Return in a sentence how many numbers of a file cannot be, and where the first of them stands."""
+    """Return a sentence on how many numbers of a file are impossible, and where the first of them stands."""
     return f"{source} has {counted(count, 'impossible value')}, taken as missing; first {first}"
 
 
@@ -192,7 +192,7 @@ def settings_for(
     positioner: str | None = None,
     rotctld: str | None = None,
 ) -> "Settings":
-    """Return the settings of a file, or of the simulated rig as it comes, with the choices that are given laid over.
+    """Return the settings of a file, or the simulated rig's defaults, overridden by the choices that are given.
 
     Parameters
     ----------
@@ -201,17 +201,17 @@ def settings_for(
     weather
         A built-in weather by name, or the path of a measured one.
     law
-        Of pointing, by name.
+        Name of the pointing law.
     site
         Keys of the section site.
     seed, speed, start
-        Of the simulation.
+        Keys of the section simulation.
     cube
-        What reads its faces, by name or by the only beginning of one.
+        Driver that reads the cube's faces: its name, or a beginning that only one name has.
     positioner
-        What turns it, likewise.
+        Driver of the positioner, named in the same way.
     rotctld
-        Host and port of a rotctld whose rotator turns it.
+        Host and port of a rotctld whose rotator turns the module.
 
     Raises
     ------
@@ -251,7 +251,7 @@ def settings_for(
 
 
 def of_several(settings: "Settings", number: int) -> "Settings":
-    """Return the settings of so many trackers that are all alike, for one process and one cube.
+    """Return the settings of `number` trackers that are all alike, for one process and one cube.
 
     Raises
     ------

@@ -55,16 +55,16 @@ def simulate(
     law
         Pointing law by name, such as ``mu-prime`` or ``optimal``.
     site
-        Where, a `Site` or its three numbers; None is the configuration's.
+        The site, a `Site` or its three numbers; None is the configuration's.
     seed
-        Of weather and noise: the same one gives the same tables.
+        Seed of weather and noise: the same seed gives the same tables.
     config
         Configuration file; None is the simulated rig as it comes.
 
     Returns
     -------
-    By kind (``scans``, ``decisions``, ``moves``, ``poses``, ``modes``, ``events``, ``curves``): a frame with a UTC
-    index named ``time``. docs/data.md has the columns. A kind without a record has an empty frame.
+    A frame for each kind (``scans``, ``decisions``, ``moves``, ``poses``, ``modes``, ``events``, ``curves``), with a
+    UTC index named ``time``. docs/data.md has the columns. A kind without a record has an empty frame.
 
     Raises
     ------
@@ -76,11 +76,11 @@ def simulate(
     Warns
     -----
     UserWarning
-        Of weather that is missing or does not fit the site, and of a law that failed, so that another pointed.
+        For weather that is missing or does not fit the site, and for a law that failed, so that another pointed.
     """
     if not (isinstance(days, int | float | np.integer | np.floating) and 0.0 < days < math.inf):
         raise ValueError(f"days must be a number above 0, not {days}")
-    # A float of numpy in 32 bits would make every later time one, too coarse for the clock to advance.
+    # With a 32-bit float of numpy all later times would be 32-bit floats, too coarse for the clock to advance.
     days = float(days)
     if isinstance(seed, np.integer):
         seed = seed.item()
@@ -114,13 +114,13 @@ def read_store(
 
     Returns
     -------
-    As of `simulate`, with the columns that ``heliocube export`` adds: the same quantities under pvlib's names, the run
-    and its tracker.
+    Frames as from `simulate`, with the columns that ``heliocube export`` adds: the same quantities under pvlib's names,
+    the run and its tracker.
 
     Raises
     ------
     UserError
-        There is no store, the span is empty, or a kind is none.
+        There is no store, the span is empty, or a kind does not exist.
     """
     wanted = [kinds] if isinstance(kinds, str) else list(kinds or ())
     unknown = [kind for kind in wanted if kind not in KINDS]
@@ -151,7 +151,7 @@ def read_faces(path: Path | str) -> pd.DataFrame:
     if recording.broken:
         _warn(f"{path}: {recording.broken.note()}")
     rows = recording.rows
-    # Seconds since 1970 in a float are good for a microsecond, and no more is written.
+    # Seconds since 1970 in a float are exact to a microsecond, and no file has finer times.
     times = pd.to_datetime(rows.utc_s, unit="s", utc=True).round("us")
     index = pd.DatetimeIndex(times, name="time")
     return pd.DataFrame(rows.faces_w_m2, index=index, columns=list(FACES))
@@ -165,8 +165,8 @@ def replay(
     Parameters
     ----------
     faces
-        As of `read_faces`, in rising time, 1 to 60 s apart; gaps are allowed. As there, a number that no face can
-        read is a face without a reading.
+        Readings as from `read_faces`, in rising time, 1 to 60 s apart; gaps are allowed. As there, a number that no
+        face can read means that the face has no reading.
     site, law, config
         As for `simulate`.
 
@@ -179,13 +179,12 @@ def replay(
     Raises
     ------
     UserError
-        The rows are too few, too far apart, not within 1979 to 2099 or hold what is no number, or a choice cannot be
-        used.
+        The rows are too few, too far apart, not within 1979 to 2099 or not all numbers, or a choice cannot be used.
 
     Warns
     -----
     UserWarning
-        Of readings that look like kW/m2, and of a law that failed, so that another pointed.
+        For readings that look like kW/m2, and for a law that failed, so that another pointed.
     """
     settings = settings_for(_path(config, "config"), law=law, site=_place(site))
     with TemporaryDirectory(prefix="heliocube-") as folder:
@@ -199,15 +198,16 @@ def replay(
 
 
 def _warn(*texts: str) -> None:
-    """Warn whoever has called the function that calls this."""
+    """Warn the caller of the function that calls this."""
     for text in texts:
         warnings.warn(text, stacklevel=3)
 
 
 def _in_a_loop_of_its_own(work: Callable[[Callable[[float], None]], Result]) -> Result:
-    """Return the result of what runs an event loop and takes a function for its progress; an interrupt ends it by that.
+    """Return the result of `work`, which runs an event loop, in a thread of its own where one runs here already.
 
-    A thread may run one event loop at a time, and the kernel of a notebook runs one already.
+    A thread may run one event loop at a time, and the kernel of a notebook runs one. An interrupt ends the work at its
+    next call of the progress function.
     """
     try:
         asyncio.get_running_loop()
@@ -223,13 +223,13 @@ def _in_a_loop_of_its_own(work: Callable[[Callable[[float], None]], Result]) -> 
         try:
             return thread.submit(work, advance).result()
         except BaseException:
-            # An interrupt may have come before the submission was over, and the work goes on all the same.
+            # The interrupt may have come before `submit` returned, while the thread is at work already.
             interrupted.set()
             raise
 
 
 def _rows(faces: pd.DataFrame) -> RecordedScans:
-    # Whoever has no frame, such as the array in it, is told the same.
+    # An argument that is no frame, such as the array in one, gets the same sentence.
     index = getattr(faces, "index", None)
     if not isinstance(index, pd.DatetimeIndex) or index.tz is None or not index.is_monotonic_increasing:
         raise UserError("the readings need an index of times with their zone, in rising order, as read_faces gives it")

@@ -1,4 +1,4 @@
-"""A picture as a file: whole, or not there."""
+"""Writes a picture to a file, whole or not at all."""
 
 import io
 from pathlib import Path
@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from daemon.base.errors import UserError
 from daemon.base.files import part_of
 
-# Instants that an SVG or a PDF would have in it.
+# Removes the time of writing that an SVG or a PDF would contain: the same figure has to give the same bytes.
 _UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
@@ -23,9 +23,9 @@ def save_picture(figure: Figure, path: Path, dpi: float = 120.0) -> None:
         The file cannot be written. What was there stays.
     """
     kind = path.suffix.removeprefix(".").lower()
-    # In memory: what a full disk does to the library while it draws is not one error, but several.
+    # Draw in memory: on a full disk the library would fail in several ways, not with one error.
     content = io.BytesIO()
-    # What names an SVG's parts is random otherwise.
+    # Without a fixed salt the names of an SVG's parts are random.
     with rc_context({"svg.hashsalt": "heliocube"}):
         figure.savefig(content, format=kind, dpi=dpi, metadata=_UNDATED.get(kind, {}))
     try:

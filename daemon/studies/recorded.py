@@ -36,7 +36,7 @@ from solar.tables import (
 
 COLUMNS = ("time", *FACES)
 _ROWS_AT_ONCE = 50_000
-# As a logger writes what is above its range or below: a number that no face can read.
+# A logger writes these for a value above or below its range. They count as numbers that no face can read.
 _OUT_OF_RANGE = frozenset({"inf", "+inf", "-inf"})
 _GOOD = ", ".join(f"CASE {face}_quality WHEN '{Quality.OK}' THEN {face}_w_m2 END" for face in FACES)
 _SCANS = f"SELECT time, {_GOOD} FROM scans WHERE time >= ? AND time < ? ORDER BY time"  # noqa: S608 - our own names
@@ -52,7 +52,7 @@ class RecordedScan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedScans:
-    """All of them in two arrays, 40 bytes a row: five numbers that are objects of their own take six times as much.
+    """All rows in two arrays, 40 bytes a row: five numbers as Python objects would take six times as much.
 
     Attributes
     ----------
@@ -90,11 +90,11 @@ class Recording:
     impossible
         Numbers that no face can read, taken as missing.
     first_impossible
-        Where the first of them stands, and what it says; empty without any.
+        Where the first of them stands, and its text; empty without any.
     broken
-        The last line, where the file breaks off in it; it is none of the rows.
+        The last line, if the file breaks off in it; it is not among the rows.
     zone
-        What its times are taken for, where one names no zone, in a sentence; empty where each does.
+        A sentence on how times without a zone were taken; empty where each time names its zone.
     """
 
     rows: RecordedScans
@@ -123,8 +123,8 @@ def read_csv(path: Path) -> Recording:
     """Return the rows of a CSV file, plain or ``.gz``, with the columns time, east, south, west and zenith.
 
     ``time`` is ISO 8601, UTC where it names no zone, and rises from line to line. An empty cell, ``NaN``, ``NA``,
-    ``N/A``, ``null`` and a number that no face can read are a face without a reading. Other columns are ignored, and so
-    are rows of empty cells, and a last line in which the file breaks off.
+    ``N/A``, ``null`` or a number that no face can read means that the face has no reading. Other columns are ignored,
+    and so are rows of empty cells, and a last line in which the file breaks off.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def read_csv(path: Path) -> Recording:
 
 
 def unit_note(name: str, rows: RecordedScans, site: Site) -> str | None:
-    """Return in a sentence that the readings of a source with that name look like kW/m2, or None."""
+    """Return a sentence if the readings of the source `name` look like kW/m2, else None."""
     highest_w_m2 = float(np.fmax.reduce(rows.faces_w_m2, axis=None, initial=np.nan))
     return kilowatts_note(name, "on any face", highest_w_m2, rows.utc_s, site)
 

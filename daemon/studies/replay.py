@@ -39,13 +39,13 @@ from solar.laws.law import Law
 
 COLUMNS = ("time", "a_set", "b_set", "a", "b", "mode", "law", "dni_est", "dhi_est", "albedo_est", "simulated")
 
-# The service starts so long before the first row, to be connected when it comes.
+# The service starts this long before the first row, to be connected when the row comes.
 _WARM_UP_S = 10.0
 _SLOWEST_S, _QUICKEST_S = 60.0, 0.5
-# Nothing breaks here that a look at a resting tracker would show, and nothing in half a second of a move.
+# Slow polling is enough: nothing fails here that polling a resting tracker, or polling a move more often, would show.
 _POLLING = Polling(idle_s=300.0, moving_s=1.0)
 _STALE_AFTER_ROWS = 2.5
-# What a gap in the night is skipped by, how near to its end, and how deep below the horizon the sun must be.
+# With the sun below `_DEEP_NIGHT_DEG`, a gap is skipped in steps of `_SKIP_S`, up to `_AWAKE_S` before its end.
 _SKIP_S = 600.0
 _AWAKE_S = 120.0
 _DEEP_NIGHT_DEG = -1.0
@@ -61,9 +61,9 @@ class Replayed(NamedTuple):
     Attributes
     ----------
     qualities
-        Of their readings, as places in `Quality`, shape (rows, 4).
+        Qualities of their readings, as places in `Quality`, shape (rows, 4).
     events
-        What the service told meanwhile, its alarms among it.
+        The service's events meanwhile, alarms among them.
     failed_laws
         A sentence for each law that failed, so that another one pointed from then on.
     """
@@ -83,9 +83,9 @@ def replay(
     settings
         With the site and the law. The rhythm of the cube is taken from the rows; store, bridge and wind are left out.
     rows
-        To run on.
+        Readings to run on.
     called
-        Where they are from, as messages name it.
+        Where the rows are from, as messages name it.
     out
         CSV file with `COLUMNS`, compressed if it ends in ``.gz``; replaced if it is there, and only when all is done.
     progress
@@ -98,7 +98,7 @@ def replay(
         several trackers.
     """
     settings = _fitted(settings_of_one(settings, None), rows, called)
-    # A folder that cannot be written to is told before the work and not after it.
+    # A folder that cannot be written to is reported before the work and not after it.
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with part_of(out) as part, _opened(part, out.suffix.lower()) as file:
@@ -112,13 +112,13 @@ def replay(
 
 
 class _Log:
-    """What the tracker did, row by row, and what pointed it."""
+    """What the tracker did, row by row, and which law pointed it."""
 
     def __init__(self, trackers: Sequence[Tracker]) -> None:
         self.trackers = trackers
         self.pointing = trackers[0].control.pointing
         self.angles = array("d")
-        # Of each reading, a byte.
+        # One byte for each reading.
         self.qualities = bytearray()
         self.events: list[Event] = []
         self.modes: list[Mode] = []
@@ -131,14 +131,14 @@ class _Log:
         if isinstance(record, Event):
             self.events.append(record)
         elif isinstance(record, Decision):
-            # Not always the mode's own law: one that fails or has used up its share of the day gives way.
+            # Not always the mode's own law: a law that fails or has used up its share of the day gives way to another.
             self.law = record.law
         elif isinstance(record, ModeChange) and record.after not in (Mode.TRACKING, Mode.FALLBACK):
             self.law = ""
 
 
 def _fitted(settings: Settings, rows: RecordedScans, called: str) -> Settings:
-    """Return the settings with the rhythm of the rows, and without what a replay has no business with."""
+    """Return the settings with the rhythm of the rows, and without what a replay must not use."""
     if len(rows) < 2:
         raise UserError(f"{called}: a replay needs two rows at least, to know how far apart they are")
     first_s, last_s = float(rows.utc_s[0]), float(rows.utc_s[-1])
@@ -181,7 +181,7 @@ def _run(settings: Settings, rows: RecordedScans, progress: Callable[[float], No
         )
         log = _Log(service.trackers)
         bus.subscribe(log.note)
-        # What Ctrl-C leaves is what was done: as good as far as it goes.
+        # After Ctrl-C the rows that are done remain, and are valid.
         with contextlib.suppress(KeyboardInterrupt), simulated_time_in_log(clock):
             runner.run(_beside(service, _Feeder(service, truth, loop, clock, log).run(rows, progress)))
     return log
@@ -197,7 +197,7 @@ async def _beside(service: Service, feeding: Coroutine[Any, Any, None]) -> None:
 
 
 class _Feeder:
-    """Stands where the bridge hands scans over, and gives control its rhythm without a task and timers of its own."""
+    """Hands scans over in place of the bridge, and calls control at its times, without a task and timers of its own."""
 
     def __init__(
         self, service: Service, truth: Callable[[float], Angles], loop: VirtualTimeLoop, clock: LoopClock, log: _Log
@@ -237,7 +237,7 @@ class _Feeder:
         progress(1.0)
 
     async def _live_until(self, due_s: float) -> None:
-        """Let control look whenever it would by itself, until it is time for the next reading."""
+        """Let control tick whenever it would by itself, until it is time for the next reading."""
         control, loop = self._control, self._loop
         while True:
             now_s = loop.time()
@@ -248,11 +248,11 @@ class _Feeder:
             control.tick()
 
     async def _wait(self, duration_s: float) -> None:
-        """Let time pass; while the tracker is at rest there is nobody else who would use it, but for a look at rest."""
+        """Let time pass; while the tracker rests time may jump, as nothing else runs but the polling at rest."""
         if self._motion.resting and self._loop.time() - self._woken_s < _POLLING.idle_s:
             self._loop.skip(max(duration_s, 0.0))
         else:
-            # A short move may begin and end in here.
+            # A short move may begin and end during this sleep.
             self._seen_at_rest = False
             await asyncio.sleep(max(duration_s, 0.0))
             self._woken_s = self._loop.time()
@@ -288,7 +288,7 @@ class _Feeder:
         return Quality.STALE if self._repeats.frozen(face, value, rounded=True) else Quality.OK
 
     def _angles(self) -> tuple[float, float, float, float]:
-        """Return where the tracker was sent last and where it stands; what rests need not be looked at twice."""
+        """Return where the tracker was sent last and where it stands; at rest it is looked at only once."""
         motion = self._motion
         if motion.resting and self._seen_at_rest:
             return self._seen
@@ -299,7 +299,7 @@ class _Feeder:
         elif last is not None:
             a_set, b_set = last.target_a_deg, last.target_b_deg
         else:
-            # Never sent anywhere: it is meant to be where it is.
+            # It was never sent anywhere: its set point is where it stands.
             a_set, b_set = truth
         seen = (a_set, b_set, *truth)
         self._seen_at_rest = motion.resting and seen == self._seen
@@ -307,7 +307,7 @@ class _Feeder:
         return seen
 
     async def _pass(self, due_s: float) -> None:
-        """Let a gap pass; at night, with the tracker at rest, nothing happens that would have to be looked at."""
+        """Let a gap pass, in large steps at night while the tracker rests: nothing happens then."""
         while (left_s := due_s - _AWAKE_S - self._loop.time()) > 0:
             skip_s = min(left_s, _SKIP_S)
             if left_s > 2.0 * DAY_S:
@@ -336,7 +336,7 @@ def _write(file: TextIO, settings: Settings, rows: RecordedScans, log: _Log, goo
     writer.writerow(COLUMNS)
     angles = np.frombuffer(log.angles).reshape(-1, 4)
     site = settings.site.place()
-    # Those that were done before Ctrl-C.
+    # Only the rows that were done before Ctrl-C.
     for first in range(0, len(good), _ROWS_AT_ONCE):
         some = slice(first, min(first + _ROWS_AT_ONCE, len(good)))
         utc_s = rows.utc_s[some]
@@ -354,7 +354,7 @@ def _write(file: TextIO, settings: Settings, rows: RecordedScans, log: _Log, goo
 def _estimates(
     law: Law, faces: Array, sun: Array, first: int, learned: Sequence[tuple[int, Any]]
 ) -> list[tuple[str, ...]]:
-    """Return beam, diffuse and albedo for each row, by its own good readings and by what was known of the site then."""
+    """Return beam, diffuse and albedo for each row, from its own good readings and what the law had learned by then."""
     found: list[tuple[str, ...]] = []
     ends = [begin for begin, _ in learned[1:]] + [first + len(faces)]
     for (begin, known), end in zip(learned, ends, strict=True):

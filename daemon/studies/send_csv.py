@@ -1,4 +1,4 @@
-"""The reference sender: measured or made-up irradiances from a CSV file, sent as a cube would send them."""
+"""The reference sender: sends measured or invented irradiances from a CSV file as a cube would send them."""
 
 import asyncio
 import math
@@ -44,15 +44,15 @@ async def send_csv(
     rng
         Names the session.
     site
-        Where the readings are from: whether the sun is high there tells whether so dark a sky can be.
+        Where the readings are from: readings that are far too low while the sun is high there may be in kW/m2.
     speed
         How many times faster than the file's own times.
     keep_times
-        Send the file's UTC instead of the present one; a receiver refuses what is beyond its ``clock_skew_s``.
+        Send the file's UTC instead of the present one; a receiver refuses times beyond its ``clock_skew_s``.
     on_progress
         Called after each scan with the number sent and the number in the file.
     warn
-        Called before the first scan with a sentence for what is missing in the file, and for readings in kW/m2.
+        Called before the first scan with a sentence for anything missing in the file, and for readings in kW/m2.
     source
         Name of the cube.
 

@@ -32,7 +32,7 @@ _PROGRESS_EVERY_S = 900.0
 
 @dataclass(slots=True)
 class Summary:
-    """What came of a simulation.
+    """The results of a simulation.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Summary:
     decisions, moves
         How many, of all trackers.
     travel_deg
-        Sum over both axes of what all trackers turned between starts and ends of their moves.
+        Sum over both axes of the angles by which all trackers turned, from start to end of each move.
     mode_s
         Seconds in each mode, of all trackers.
     warnings
@@ -49,9 +49,9 @@ class Summary:
     failed_laws
         A sentence for each law that failed, so that another one pointed from then on.
     interrupted_utc_s
-        Until when it came before Ctrl-C, or None.
+        The simulated instant at which Ctrl-C ended it, or None.
     insolation
-        What the plane of each tracker received, and a chronometric one would have.
+        What the plane of each tracker received, and what a chronometric tracker's would have received.
     """
 
     scans: int = 0
@@ -100,7 +100,7 @@ def simulate(
     _require_daylight(settings, start_utc_s, end_utc_s)
     calibration = calibration_in_force(settings.cube)
     weather, warning = build_weather(settings, start_utc_s, end_utc_s, with_gaps=True)
-    # Its records go to tables, and what the operator of a real rig has asked for is no business of a simulation.
+    # No store: records go to tables, and a simulation must not obey commands that an operator gave to a real rig.
     settings = on_a_port_of_its_own(settings, insecure=True).model_copy(update={"store": StoreSettings()})
     interrupted_utc_s, latitude_deg, poses = None, settings.site.latitude_deg, Poses()
     tally = _Tally(start_utc_s, [name for name, _ in settings.trackers])
@@ -114,7 +114,7 @@ def simulate(
         full: list[TableError] = []
 
         def write(record: Record) -> None:
-            # Raised where the simulation waits: whoever publishes has nothing to do with the disk.
+            # `count_down` raises it later: code that publishes a record must not fail because of the disk.
             if not full:
                 try:
                     tables.write(placed(record, latitude_deg))

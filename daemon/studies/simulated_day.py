@@ -30,7 +30,7 @@ class PlacedPose(Pose):
     surface_azimuth: float = 0.0
 
 
-# All that a pose has of its own, in its order: a simulated day has 20,000 of them.
+# All fields of a pose, in their order. An attrgetter is fast: a simulated day has 20,000 poses.
 _of_pose = attrgetter(*[field.name for field in fields(Pose)])
 
 
@@ -62,7 +62,7 @@ def _plane(a_deg: float, b_deg: float, latitude_deg: float) -> tuple[float, floa
 
 
 class WeatherOfSpan(Protocol):
-    """Weather by UTC [s], as the simulated rig stands under."""
+    """The simulated rig's weather by UTC [s]."""
 
     def covers(self, utc_s: Array) -> NDArray[np.bool_]:
         """Tell for each instant whether there is weather."""
@@ -73,7 +73,7 @@ class WeatherOfSpan(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PlaneInsolation:
-    """What a tracker's plane received and what it would have where an ideal chronometric tracker stands [kWh/m2]."""
+    """What a tracker's plane received, and what an ideal chronometric tracker's would have received [kWh/m2]."""
 
     tracker: str
     law: str
@@ -90,11 +90,11 @@ class Poses:
     """Where the trackers stood; a subscriber of the bus."""
 
     def __init__(self) -> None:
-        # UTC [s], A and B [deg], one after the other: a year of a hundred trackers has to fit.
+        # UTC [s], A and B [deg], one after the other in a compact array: a year of a hundred trackers has to fit.
         self._poses: dict[str, array[float]] = {}
 
     def note(self, record: Record) -> None:
-        """Take in a pose; one that is like the last is known already."""
+        """Take in a pose, unless it is the same as the last one."""
         if isinstance(record, Pose):
             kept = self._poses.setdefault(record.tracker, array("d"))
             if kept[-2:].tolist() != [record.a_deg, record.b_deg]:
@@ -105,8 +105,9 @@ class Poses:
     ) -> Iterator[PlaneInsolation]:
         """Yield what each tracker's plane received in a span of time [s UTC], under the simulation's own sky.
 
-        Minute by minute by equation (1) of Andriamahefa et al. (2023) and the sky model of the simulation; the other
-        tracker points at the sun at every instant, within the same limits. Minutes without weather count in neither.
+        It is summed minute by minute, by equation (1) of Andriamahefa et al. (2023) and the sky model of the
+        simulation. The chronometric tracker points at the sun at every instant, within the same limits. Minutes without
+        weather count for neither.
         """
         utc_s = np.arange(begin_s + _STEP_S / 2.0, end_s, _STEP_S)
         sun = sun_direction(utc_s, *settings.site.place())

@@ -1,4 +1,4 @@
-"""The stamp of pictures behind which there is no hardware."""
+"""The stamp on pictures of simulated data: no hardware is behind them."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Tables for people: as many columns as a terminal has room for, the rest below, beside the same first ones."""
+"""Tables for people: as many columns as fit a terminal; the rest go below, again beside the first columns."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -8,21 +8,21 @@ _BETWEEN = "  "
 
 
 def signed(value: float, digits: int, missing: str = "-") -> str:
-    """Return a number with its sign, never a minus before what is rounded to nothing; `missing` for NaN."""
+    """Return a number with its sign, with no minus if it rounds to zero; `missing` for NaN."""
     if math.isnan(value):
         return missing
     return f"{value:+z.{digits}f}"
 
 
 def table(rows: Sequence[Sequence[str]], *, keys: int = 1) -> list[str]:
-    """Return the lines of a table, the heads its first row, no line longer than `WIDTH` if the columns let it.
+    """Return the lines of a table, none longer than `WIDTH` if the columns allow it.
 
     Parameters
     ----------
     rows
-        Cells, as many in each row.
+        Cells, as many in each row; the heads are the first row.
     keys
-        How many columns, aligned to the left, stand before every part of a table that has to be continued below.
+        How many of the first columns, aligned to the left, are repeated in each part of a table that is too wide.
     """
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines: list[str] = []
@@ -37,7 +37,7 @@ def table(rows: Sequence[Sequence[str]], *, keys: int = 1) -> list[str]:
 
 
 def _parts(widths: Sequence[int], keys: int) -> Iterator[list[int]]:
-    """Yield the columns that stand beside one another, besides the keys."""
+    """Yield, for each part of a table, its columns without the keys."""
     used = taken = sum(widths[:keys]) + len(_BETWEEN) * (keys - 1)
     part: list[int] = []
     for column in range(keys, len(widths)):

@@ -1,1 +1,1 @@
-"""The energy benchmark: what pointing laws harvest on measured weather, what that is worth, and what is lost where."""
+"""The energy benchmark: what pointing laws harvest on measured weather, what it is worth, and where energy is lost."""

@@ -50,7 +50,7 @@ _HEADS = ("law", "kWh/m2", "gain %", *DAY_TYPES, "share %", "worst clear", "deg/
 _BY_TYPE = tuple(f"gain_{day_type}_pct" for day_type in DAY_TYPES)
 # Where less than this share of the daylight is known, the ways from and to the night position weigh too much.
 _MOSTLY_WHOLE = 0.9
-# What the tables show as a gain of 0.00 %, and a share of so little would be any number.
+# The tables show a smaller gain as 0.00 %, and a share of so little could be any number.
 _LEAST_ROOM_PCT = 0.005
 _OF_TRAVEL = ("travel_deg_per_day", "return_deg_per_day", "moves_per_day")
 CSV_NUMBERS = ("energy_kwh_m2", "gain_pct", *_BY_TYPE, "share_pct", "worst_clear_day_pct", *_OF_TRAVEL)
@@ -67,9 +67,9 @@ class EnergyRow:
     gain_pct
         Over the ideal chronometric tracker, overall and by day type (NaN where there is no such day).
     share_pct
-        Of what the bound gains over the ideal chronometric tracker; NaN where that is next to nothing.
+        Share of what the bound gains over the ideal chronometric tracker; NaN where that is next to nothing.
     worst_clear_day_pct
-        Least gain of a clear day.
+        Least gain of any clear day.
     travel_deg_per_day, return_deg_per_day, moves_per_day
         Means over `DaylightWeather.whole_days`; the return is the way back to the night position, not part of the
         travel. NaN for the bound and for planes that are fixed: nothing moves there.
@@ -98,7 +98,7 @@ class Terms:
 
 @dataclass(frozen=True, slots=True)
 class DaysUnderSky:
-    """The days under one sky, and what the laws are held against there.
+    """The days under one sky, and what the laws are compared with there.
 
     Attributes
     ----------
@@ -148,7 +148,7 @@ def run_benchmark(
 ) -> Iterator[EnergyRow]:
     """Yield the row of every law under every sky, as soon as it is done; `progress` is told the share that is done.
 
-    Raises `UserError` for a law that fails: anybody may have written it.
+    Raises `UserError` for a law that fails: laws may come from anybody.
     """
     done = 0
     total = len(skies) * (len(law_names) + 1)
@@ -178,7 +178,7 @@ def _harvest_of(name: str, days: DaysUnderSky) -> Harvest:
         raise UserError(f"the law {name} has failed on {error}: {_cause(error.__cause__ or error)}") from error
     except Exception as error:
         raise UserError(f"the law {name} has failed: {_cause(error)}") from error
-    # A plane that is fixed does not come from the night position, where the benchmark begins each day.
+    # The benchmark begins each day at the night position. A fixed plane was never there, and has no travel.
     return _never_moving(found.energy_kwh_m2) if name.startswith(FIXED) else found
 
 
@@ -221,7 +221,7 @@ def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *
 
 
 def _of_parts(weather: DaylightWeather) -> list[str]:
-    """Return what to know of means per day where most days are known in part."""
+    """Return a caution on means per day where most days are known only in part; else nothing."""
     whole_days, lit = weather.whole_days(), int(np.count_nonzero(weather.day_types() >= 0))
     if whole_days > _MOSTLY_WHOLE * lit:
         return []
@@ -234,7 +234,7 @@ def _of_parts(weather: DaylightWeather) -> list[str]:
 
 
 def conditions(weather: DaylightWeather, terms: Terms, *, simulated: bool) -> list[str]:
-    """Return what the tables of a benchmark are of and what they assume, in lines for reading."""
+    """Return lines of text on what the tables of a benchmark cover and what they assume."""
     types = weather.day_types()
     days = ", ".join(f"{np.count_nonzero(types == index)} {name}" for index, name in enumerate(DAY_TYPES))
     moves = "ideal moves" if np.isinf(terms.drive.speed_deg_per_s) else f"{terms.drive.speed_deg_per_s:g} deg/s"
@@ -248,7 +248,7 @@ def conditions(weather: DaylightWeather, terms: Terms, *, simulated: bool) -> li
 
 
 def as_page(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *, simulated: bool) -> dict[str, Any]:
-    """Return the same for scripts: gains in percent over ideal chronometric, by type of day under its name."""
+    """Return the rows for scripts: gains in percent over ideal chronometric, by type of day under its name."""
     types = weather.day_types()
     return {
         "simulated": simulated,
@@ -311,7 +311,7 @@ def _gain(energy: Array, reference: Array, chosen: NDArray[np.bool_]) -> float:
 
 
 def steer_of(name: str, weather: DaylightWeather, faces: Array, terms: Terms) -> Steer:
-    """Return what steers the trackers of all days by a law, or a plane that never moves, of this name."""
+    """Return the function that steers the trackers of all days by the law, or the fixed plane, of this name."""
     asked = choice(name)
     if asked.law is None:
         return fixed(weather, asked.tilt_deg or 0.0)
@@ -334,7 +334,7 @@ class Minutes(NamedTuple):
     utc_s
         Whole minutes [s], shape (n,).
     dni_w_m2, dhi_w_m2
-        At each of them, shape (n,).
+        Irradiances at each minute, shape (n,).
     warnings
         What a person should know, a sentence each.
     simulated

@@ -1,23 +1,23 @@
-"""Where the law `optimal` loses what the bound has: one cause after the other, by type of day.
+"""Where the law `optimal` loses energy against the bound: one cause after the other, by type of day.
 
-Each cause is what one step of a row of trackers costs, each with one burden more than the one before:
+The study runs a series of trackers, each with one burden more than the one before. A cause is what its burden costs:
 
 structure
-    A tracker that knows what the four faces show of the same minute, and moves at once, against the bound: what four
-    faces cannot tell of the sky.
+    What four faces cannot tell of the sky: a tracker that knows what the faces show in the same minute, and moves at
+    once, against the bound.
 delay
-    The law at its least thrift, without a budget, moving at once: the light has changed by the time it is known.
+    The light has changed by the time it is known: the law at its least thrift, without a budget, moving at once.
 price
-    The law as it is set: moves that are not worth their wear.
+    Moves that are not worth their wear are left out: the law as it is set.
 motion
-    Its moves take time, and the drive has a deadband.
+    Moves take time, and the drive has a deadband.
 noise
     Readings are off by 1 % and 1 W/m2, at random.
 gaps
     1 % of the minutes are without readings, one or two minutes at a time.
 
-What is kept is the gain over ideal chronometric. Steps depend on each other: in another order each would cost something
-else, and a step can gain, as less restless moves do.
+What is kept is the gain over ideal chronometric. The steps depend on each other: in another order each would cost
+something else. A step can also gain, as less restless moves do.
 """
 
 import csv
@@ -58,9 +58,9 @@ class Losses:
     sky, law
         By name.
     room_kwh_m2
-        What the bound has over ideal chronometric, of each type of day, shape (4,).
+        The bound's energy above ideal chronometric on each type of day, shape (4,).
     lost_kwh_m2
-        Of that, what each cause costs on each type of day, shape (6, 4).
+        How much of that each cause costs on each type of day, shape (6, 4).
     """
 
     sky: str
@@ -70,12 +70,12 @@ class Losses:
 
     @property
     def kept_kwh_m2(self) -> Array:
-        """What the law has over ideal chronometric with all burdens, shape (4,)."""
+        """The law's energy above ideal chronometric with all burdens, shape (4,)."""
         kept: Array = self.room_kwh_m2 - self.lost_kwh_m2.sum(axis=0)
         return kept
 
     def points(self, energy_kwh_m2: Array) -> Array:
-        """Return energy in percent of the whole room, of all days."""
+        """Return energy in percent of `room_kwh_m2`, summed over all days."""
         whole = float(self.room_kwh_m2.sum())
         return 100.0 * energy_kwh_m2 / whole if whole > 0.0 else np.full_like(energy_kwh_m2, np.nan)
 
@@ -95,7 +95,7 @@ def run_losses(
     weather, skies, law_names, terms
         As for the benchmark.
     seed
-        Of noise and gaps.
+        Seed of noise and gaps.
     progress
         Told the share that is done.
     """
@@ -144,7 +144,7 @@ def write_csv(found: Sequence[Losses], path: Path, *, simulated: bool) -> None:
 
 
 def as_page(found: Sequence[Losses], *, simulated: bool) -> dict[str, Any]:
-    """Return the same for scripts: energy [kWh/m2] by type of day under its name."""
+    """Return the losses for scripts: energy [kWh/m2] by type of day under its name."""
     return {
         "simulated": simulated,
         "rows": [
@@ -161,7 +161,7 @@ def as_page(found: Sequence[Losses], *, simulated: bool) -> dict[str, Any]:
 
 
 def _burdened(days: DaysUnderSky, settings: LiveOptimalSettings, random: np.random.Generator) -> Iterator[Array]:
-    """Yield the energy of each day [kWh/m2], shape (days,), after each cause."""
+    """Yield the energy of each day [kWh/m2], shape (days,), after each burden is added."""
     weather, faces, terms = days.weather, days.faces, days.terms
 
     def by_the_law(settings: LiveOptimalSettings, faces: Array, drive: Drive) -> Array:

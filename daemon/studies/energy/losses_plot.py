@@ -1,4 +1,4 @@
-"""The picture of where the law `optimal` loses what the bound has."""
+"""The picture of where the law `optimal` loses energy against the bound."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -47,7 +47,7 @@ def plot(found: Sequence[Losses], path: Path, *, simulated: bool) -> None:
 def _draw(axes: Axes, each: Losses) -> None:
     points = each.points(each.lost_kwh_m2)
     places = np.arange(len(CAUSES))[::-1]
-    # A type of day that gains by a burden goes to the left of those that lose.
+    # A type of day on which a burden gains energy goes to the left of zero, those that lose to the right.
     right, left = np.zeros(len(CAUSES)), np.zeros(len(CAUSES))
     for kind, (colour, hatch) in enumerate(zip(_COLOURS, _HATCHES, strict=True)):
         width = points[:, kind]

@@ -1,4 +1,4 @@
-"""What `heliocube energy` can be asked for by name, checked before the science is loaded."""
+"""The names that `heliocube energy` takes, checked before scientific libraries are loaded."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -15,13 +15,13 @@ from solar.energy import SKIES
 from solar.laws.law import LawSettings
 
 FIXED, BOUND = "fixed", "bound"
-"""What is no law and stands beside them: a plane of some tilt that never moves, and what no controller can beat."""
+"""Two that are no laws but are compared with them: a plane of some tilt that never moves, and the bound."""
 TOLD_APART = "optimal"
-"""The law whose losses are told by cause: no other has a price and an expectation that can be taken from it."""
+"""The law whose losses can be told by cause: no other has a price and an expectation that can be taken away."""
 
 
 def check_names(skies: Sequence[str], law_names: Sequence[str]) -> None:
-    """Raise `UserError` for a sky or law that does not exist, and where there is none."""
+    """Raise `UserError` for a sky or law that does not exist, and for an empty list."""
     if not skies:
         raise UserError(f"--sky: name one of {', '.join(SKIES)} at least")
     if not law_names:
@@ -54,7 +54,7 @@ class AskedLaw(NamedTuple):
 
 
 def choice(name: str) -> AskedLaw:
-    """Return what a name of the command line means; `UserError` for what does not exist."""
+    """Return what a name of the command line means; `UserError` for a name that does not exist."""
     if name == BOUND:
         return AskedLaw()
     law, colon, text = name.partition(":")
@@ -80,6 +80,6 @@ def choice(name: str) -> AskedLaw:
 
 def _laws() -> Iterator[tuple[str, ModuleType]]:
     for name in plugins.names(plugins.LAWS):
-        # One that nobody has asked for may be broken.
+        # A law that nobody has asked for may be broken.
         with suppress(plugins.PluginError):
             yield name, plugins.load(plugins.LAWS, name)

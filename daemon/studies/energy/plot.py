@@ -24,9 +24,9 @@ from solar.frames import Array
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
 
-# Told apart by those who see no red or green, and in print without colour by their brightness (Okabe and Ito).
+# The colour-blind can tell these colours apart; in print without colour their brightness does it (Okabe and Ito).
 _COLOURS = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7", "#000000")
-# What is left of a colour in grey.
+# They tell bars apart where all is printed in grey.
 _HATCHES = ("", "//", "\\\\", "..", "xx", "++", "--")
 _GREY = "0.65"
 _MARKERS = ("o", "s", "^", "D", "v")
@@ -34,7 +34,7 @@ _LINES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 _GAIN_TICKS = (-5, -2, -1, -0.5, 0, 0.5, 1, 2, 5, 10, 20, 50, 100)
 _WORST_BAR_PCT = -5.0
 _LOWEST_SHARE_PCT = -60.0
-# In a narrower panel hundredths of a degree would look like wear.
+# The panel's least width: in a narrower one hundredths of a degree would look like wear.
 _NARROWEST_DEG = 50.0
 _MARK_PX = 6.0
 _LINE_STEP_PX = 4.0
@@ -49,8 +49,8 @@ def plot(rows: Sequence[EnergyRow], path: Path, *, simulated: bool = False) -> N
 def picture(rows: Sequence[EnergyRow], *, simulated: bool = False) -> Figure:
     """Return both panels.
 
-    What loses 5 % or more is named without a bar, and a law that was tried with a parameter alone; a plane that never
-    moves has no mark.
+    A law that loses 5 % or more is named without a bar, and so is one that was tried only with a parameter. A plane
+    that never moves has no mark.
     """
     figure = Figure(figsize=(12.0, 5.6), dpi=120, layout="constrained")
     stamped(figure, simulated, "SIMULATED WEATHER")
@@ -88,7 +88,7 @@ def picture(rows: Sequence[EnergyRow], *, simulated: bool = False) -> Figure:
         ]
     if shown:
         figure.legend(handles=shown, loc="outside lower center", ncols=min(len(shown), 7), frameon=False)
-    # The names find their places once the layout has given the panel its own.
+    # Names can be placed only after the layout has placed the panel.
     figure.draw_without_rendering()
     _name_laws(wear, with_mark)
     return figure
@@ -112,7 +112,7 @@ def _draw_bars(
     axes: Axes, sky: str, shown: Sequence[EnergyRow], colours: Mapping[str, str], hatches: Mapping[str, str]
 ) -> None:
     width = 0.8 / max(len(shown), 1)
-    # A type of which there was no day has no gain.
+    # A type of day that did not occur has no gain.
     heights = np.array([(*row.gain_by_type_pct, row.gain_pct) for row in shown]).reshape(-1, len(DAY_TYPES) + 1)
     there = np.isfinite(heights).any(axis=0)
     places = np.arange(np.count_nonzero(there))
@@ -137,7 +137,7 @@ def _draw_bars(
 
 
 def _name_without_bar(axes: Axes, rows: Sequence[EnergyRow]) -> None:
-    """Say under the bars which laws have none, for theirs would make all others small or be too many."""
+    """Name under the panel the laws without a bar: their bars would make all others small, or be too many."""
     if rows:
         gains = ", ".join(f"{row.law} {row.gain_pct:+z.1f} %" for row in rows)
         axes.set_xlabel(fill(f"without a bar, on all days: {gains}", _NOTE_LETTERS), fontsize="small", color="0.3")
@@ -157,7 +157,7 @@ def _draw_marks(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str
 
 
 def _finish_wear(axes: Axes, with_mark: Sequence[EnergyRow], rows: Sequence[EnergyRow]) -> None:
-    """Give the panel its lines, limits and words, and say below it what has no mark in it."""
+    """Give the panel its lines, limits and labels, and name below it the laws without a mark."""
     axes.axhline(100.0, color=_GREY, linewidth=1.5, zorder=1)
     axes.axhline(0.0, color="black", linewidth=0.8, zorder=1)
     axes.margins(y=0.08)
@@ -186,7 +186,7 @@ def _finish_wear(axes: Axes, with_mark: Sequence[EnergyRow], rows: Sequence[Ener
 
 
 def _name_laws(axes: Axes, rows: Sequence[EnergyRow]) -> None:
-    """Write each law's name above or below its marks of all skies, and what was tried at its highest line."""
+    """Write each law's name above or below its marks, and the parameters that were tried along its highest line."""
     frame = axes.get_window_extent()
     marks = axes.transData.transform(np.reshape([(row.travel_deg_per_day, row.share_pct) for row in rows], (-1, 2)))
     taken = [Bbox([mark - _MARK_PX, mark + _MARK_PX]) for mark in marks]
@@ -206,14 +206,14 @@ def _name_laws(axes: Axes, rows: Sequence[EnergyRow]) -> None:
 
 
 def _tried(name: str) -> tuple[str, str]:
-    """Return what the one parameter of a law is called, and its value under this name of the command line."""
+    """Return the name of a law's one parameter, and its value in this name of the command line."""
     settings = choice(name).settings
     assert settings is not None and settings.knob is not None  # noqa: S101, PT018 - nothing else has two values
     return settings.knob, f"{getattr(settings, settings.knob):g}"
 
 
 def _along(line: Line2D) -> Array:
-    """Return points of a line as it is drawn, one every few pixels [pixels]."""
+    """Return points along a drawn line, one every few pixels [pixels]."""
     corners = np.asarray(line.get_transform().transform(line.get_xydata()))
     reached = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))))
     steps = np.arange(0.0, reached[-1], _LINE_STEP_PX)
@@ -221,7 +221,7 @@ def _along(line: Line2D) -> Array:
 
 
 def _put(text: Text, places: Sequence[Bbox], taken: list[Bbox]) -> None:
-    """Move a text to the first of some places that overlaps nothing, or to the first one, which is taken then."""
+    """Move a text to the first place that overlaps nothing, else to the first of all, and mark that place as taken."""
     free = (box for box in places if not any(box.overlaps(other) for other in taken))
     taken.append(next(free, places[0]))
     assert text.axes is not None  # noqa: S101 - narrowing; it was made in some

@@ -27,13 +27,13 @@ class Prices:
     Attributes
     ----------
     peak_kw
-        Of the modules on the tracker at 1 kW/m2, which turns insolation [kWh/m2] into energy [kWh] without losses.
+        Power of the modules on the tracker at 1 kW/m2; it turns insolation [kWh/m2] into energy [kWh] without losses.
     per_kwh
-        Of energy.
+        Price of energy.
     drive
-        Of new drives for both axes, with the work of changing them.
+        Price of new drives for both axes, with the work of changing them.
     life_deg
-        Travel, A and B added, after which they are changed.
+        Travel, A and B added, after which the drives are changed.
     """
 
     peak_kw: float
@@ -49,9 +49,9 @@ class Worth:
     Attributes
     ----------
     energy, wear
-        What the modules' energy sells for, and what the travel takes off the drives.
+        What the modules' energy sells for, and what the travel costs in wear of the drives.
     drive_years
-        How long these last.
+        How long the drives last.
     """
 
     sky: str
@@ -62,16 +62,15 @@ class Worth:
 
     @property
     def left(self) -> float:
-        """What is left of the energy's price after the wear."""
+        """The price of the energy less the cost of wear."""
         return self.energy - self.wear
 
 
 def years_known(utc_s: Array, weather: DaylightWeather) -> float:
-    """Return how many mean years the weather at these rising instants [s] is of.
+    """Return how many mean years the weather at these rising instants [s] covers.
 
-    Days with light count as `DaylightWeather.whole_days` says. A day whose noon is between the instants and on which
-    the sun does not rise counts too; but a gap of more than half a year is no polar night, but time of which there are
-    no records.
+    Days with light count as `DaylightWeather.whole_days` says. A day on which the sun does not rise counts too, if its
+    noon is between the instants. A gap of more than half a year is no polar night: there are no records of that time.
     """
     stretches = np.split(utc_s, np.flatnonzero(np.diff(utc_s) > _LONGEST_NIGHT_S) + 1)
     sunless = sum(_sunless_between(float(stretch[0]), float(stretch[-1]), weather.site) for stretch in stretches)
@@ -91,19 +90,19 @@ def worths(rows: Sequence[EnergyRow], whole_days: float, years: float, prices: P
     Parameters
     ----------
     rows
-        Of the benchmark.
+        Rows of the benchmark.
     whole_days
-        That they are of, as of `DaylightWeather.whole_days`.
+        How many days they cover, by `DaylightWeather.whole_days`.
     years
-        As of `years_known`.
+        How many years they cover, by `years_known`.
     prices
-        Of energy and drives. The way back to the night position wears as any other.
+        Prices of energy and drives. The way back to the night position counts as wear like any other.
     """
     return [_worth(row, whole_days, years, prices) for row in rows if row.law != BOUND]
 
 
 def as_text(found: Sequence[Worth], years: float, prices: Prices) -> str:
-    """Return the tables of all skies, for reading; `years` as of `years_known`."""
+    """Return the tables of all skies as text for people; `years` as for `worths`."""
     assumed = (
         f"In money, scaled to a year from {years * _YEAR_DAYS:.1f} days of records, whatever their season:"
         f" {prices.peak_kw:g} kW of modules at {prices.per_kwh:g} per kWh, without their losses;"
@@ -118,7 +117,7 @@ def as_text(found: Sequence[Worth], years: float, prices: Prices) -> str:
 
 
 def as_page(found: Sequence[Worth], prices: Prices) -> dict[str, Any]:
-    """Return the same for scripts."""
+    """Return what each law is worth, for scripts."""
     return {"prices": asdict(prices), "rows": [asdict(each) | {"left": each.left} for each in found]}
 
 

@@ -10,7 +10,7 @@ from daemon.base.errors import UserError
 from solar.ephemeris import Site
 
 SITE = Site(48.7176, 2.2090, 156.0)
-# One date each, so that several files make one run of days.
+# Each has a date of its own, so that several files make one run of days.
 DAYS = {"clear": "2022-10-12", "mixed": "2022-10-13", "overcast": "2022-10-14"}
 COLUMNS = (
     *("time", "east", "south", "west", "zenith"),
@@ -26,7 +26,7 @@ def sample(name: str) -> Path:
     Parameters
     ----------
     name
-        Of the day.
+        Name of the day.
 
     Returns
     -------

@@ -1,1 +1,1 @@
-"""The energy benchmark at many sites: a table of them, their weather, and what all of them show."""
+"""The energy benchmark at many sites: the table of sites, their weather, and the results of all."""

@@ -30,8 +30,9 @@ _CROWDED = 200
 def draw_map(outcomes: Sequence[SiteOutcome], path: Path) -> None:
     """Draw to a PNG file where the sites are and what each law gains there, the mean of a site's years.
 
-    Planes that hardly move and the bound are left out, unless there is nothing else; more than four laws too. Longitude
-    and latitude in equal steps, coasts of Natural Earth at 1:110 million. Raises `UserError`.
+    Planes that hardly move and the bound are left out, unless there is nothing else; so are laws after the fourth.
+    Longitude and latitude are in equal steps, the coasts are those of Natural Earth at 1:110 million. Raises
+    `UserError`.
     """
     used = [outcome for outcome in outcomes if outcome.rows]
     sky = used[0].rows[0].sky
@@ -50,7 +51,7 @@ def draw_map(outcomes: Sequence[SiteOutcome], path: Path) -> None:
     for panel, law, (places, gains) in zip(panels, laws, values, strict=False):
         panel.plot(*coast, color="0.55", linewidth=0.6, zorder=1)
         size = 14.0 if len(gains) > _CROWDED else 34.0
-        # At a pole, or where east meets west, half of a mark lies beyond the frame.
+        # No clipping: at a pole, or where east meets west, half of a mark lies beyond the frame.
         shown = panel.scatter(
             *places.T, c=gains, norm=scale, cmap="viridis", s=size, edgecolors="black", linewidths=0.3, zorder=3,
             clip_on=False,
@@ -87,7 +88,7 @@ def _extent(outcomes: Sequence[SiteOutcome]) -> tuple[float, float, float, float
     places = np.array([(outcome.site.longitude_deg, outcome.site.latitude_deg) for outcome in outcomes])
     low, high = places.min(axis=0), places.max(axis=0)
     span = np.maximum((high - low) * (1.0 + 2.0 * _MARGIN), _LEAST_SPAN_DEG)
-    # A map far wider than it is high, or the other way round, is a line of dots.
+    # A map that is far wider than high, or far higher than wide, would show a line of dots.
     span = np.maximum(span, span[::-1] * (0.5, 0.4))
     west_south = np.maximum((low + high - span) / 2.0, (-180.0, -90.0))
     east_north = np.minimum((low + high + span) / 2.0, (180.0, 90.0))

@@ -1,4 +1,4 @@
-"""What all sites show, for people and for programs."""
+"""The results of all sites, for people and for programs."""
 
 import csv
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ _COLUMNS = ("name", "latitude_deg", "longitude_deg", "altitude_m", "weather", "y
 
 
 def is_simulated(outcomes: Sequence[SiteOutcome]) -> bool:
-    """Tell whether the weather of any site is not measured."""
+    """Tell whether the weather of any site is simulated."""
     return any(outcome.simulated for outcome in outcomes)
 
 
@@ -70,7 +70,7 @@ def as_text(outcomes: Sequence[SiteOutcome], benchmark: Benchmark) -> str:
 
 
 def as_page(outcomes: Sequence[SiteOutcome], benchmark: Benchmark) -> dict[str, Any]:
-    """Return the same for scripts, site by site."""
+    """Return the results for scripts, site by site."""
     return {
         "simulated": is_simulated(outcomes),
         "albedo": benchmark.terms.albedo,

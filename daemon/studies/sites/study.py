@@ -1,4 +1,4 @@
-"""The energy benchmark at each site, whoever carries it out."""
+"""Runs the energy benchmark at each site, in this process or on workers."""
 
 import zlib
 from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ class Benchmark:
     terms
         Ground and tracker.
     seed
-        Of built-in weather; each site has its own clouds by it.
+        Seed of built-in weather; each site has clouds of its own from it.
     """
 
     skies: tuple[str, ...]
@@ -42,14 +42,14 @@ class Benchmark:
 
 @dataclass(frozen=True, slots=True)
 class SiteOutcome:
-    """What a site showed.
+    """The results of one site.
 
     Attributes
     ----------
     site
-        Which.
+        The site, as the table has it.
     days
-        With daylight, rounded; one that is known in part counts as its share of a day.
+        Days with daylight, rounded; a day that is known in part counts as its share of a day.
     rows
         One for each sky and law.
     simulated
@@ -77,10 +77,9 @@ class _Task:
 def run_sites(
     sites: Sequence[AskedSite], benchmark: Benchmark, workers: Workers, progress: Callable[[float], None]
 ) -> tuple[list[SiteOutcome], UserError | None]:
-    """Return what the sites show, in their order, and what has ended it before all of them were done.
+    """Return the results of the sites, in their order, and the error that ended the work early, or None.
 
-    A site whose weather cannot be used, or where a law fails, is among them with the reason; it does not keep the
-    others from theirs.
+    A site whose weather cannot be used, or where a law fails, is among them with the reason; the others go on.
     """
     return gather(_run_site, [_Task(site, benchmark) for site in sites], workers, progress)
 
@@ -117,7 +116,7 @@ def _minutes(asked: AskedSite, site: Site, seed: int) -> Minutes:
 
 
 def _model_year(asked: AskedSite, site: Site, seed: int) -> Minutes:
-    """Return the daylight of a calendar year (UTC) of built-in weather, with clouds that are this site's own."""
+    """Return the daylight of a calendar year (UTC) of built-in weather, with this site's own clouds."""
     year = asked.year or 0
     begin_s, end_s = (datetime(each, 1, 1, tzinfo=UTC).timestamp() for each in (year, year + 1))
     utc_s = np.arange(begin_s, end_s, _MINUTE_S)

@@ -1,4 +1,4 @@
-"""A table of sites as a person writes it, read and checked before any of them is worked at."""
+"""Reads and checks a table of sites that a person has written, before work on any of them begins."""
 
 import zlib
 from collections.abc import Iterator
@@ -24,13 +24,13 @@ class AskedSite:
     Attributes
     ----------
     name
-        As the table has it; the same in several lines means several years of one site.
+        As the table has it; one name in several lines means several years of one site.
     latitude_deg, longitude_deg, altitude_m
-        Where.
+        Where the site is.
     weather
         Measured files, or the name of a built-in weather.
     year
-        Of the built-in weather; None for files, which know their time.
+        Year of the built-in weather; None for files, which have their own times.
     """
 
     name: str
@@ -52,7 +52,7 @@ class AskedSite:
 
 
 def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
-    """Return the sites of a CSV; where a line has no weather it is that of the `model`.
+    """Return the sites of a CSV file; a line without weather gets that of the `model`.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""The tasks of a study spread over processes or machines: the same results as in one process, whoever worked."""
+"""The tasks of a study, spread over processes or machines, with the same results as in one process."""

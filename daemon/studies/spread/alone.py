@@ -1,7 +1,7 @@
-"""A task in a process of its own, begun for it: for work that looks at its process as a whole.
+"""Runs a task in a new process of its own: for work that examines its whole process.
 
-A worker of a cluster has sockets, threads and memory that come and go; and as a daemon it may have no processes of
-`multiprocessing`.
+A worker of a cluster will not do: its sockets, threads and memory come and go. As a daemon process it may not start
+processes of `multiprocessing` either.
 """
 
 import os
@@ -20,13 +20,13 @@ _LOOKS_EVERY_S = 1.0
 
 
 class AloneDiedError(Exception):
-    """The process has died over its task."""
+    """The process died while it worked on its task."""
 
 
 def alone(work: Callable[[Task], Result], task: Task) -> Result:
-    """Return what `work` makes of a task in a process of its own, or raise what it raises; `AloneDiedError`."""
+    """Return the result of `work` on a task in its own process, or raise its error; `AloneDiedError` if that dies."""
     command = [sys.executable, "-m", __name__, str(os.getpid())]
-    # Both ends are ours: what is read here was written a line below, by the same program.
+    # Safe to unpickle: the same program writes this answer, in `_main`.
     done = subprocess.run(command, input=pickle.dumps((work, task)), stdout=subprocess.PIPE, check=False)  # noqa: S603
     if done.returncode:
         raise AloneDiedError(f"ended with {done.returncode}")

@@ -25,18 +25,18 @@ WORKERS_WITHIN_S = 60.0
 _CLOSES_WITHIN_S = 5.0
 _COUNTS_EVERY_S = 5.0
 _TASKS_A_THREAD = 2
-# Another release of these may give another last digit; a study has the same bytes everywhere, or says why not.
+# Another release of these may change a last digit. A study gives the same bytes everywhere, or refuses and says why.
 _COUNT = ("heliocube", "numpy", "pandas", "pvlib", "scipy")
-# They print tracebacks of a lost connection, for as long as the program lasts; what matters of it is said here.
+# These loggers print tracebacks of a lost connection for as long as the program runs. Errors here say what matters.
 _TALKATIVE = ("distributed", "distributed.client", "tornado.application")
 _UNREADABLE = "deserialization of the task graph"
-# Whatever the worker's threads: a study has its process for itself.
+# One task at a time in a process, whatever the number of the worker's threads.
 _ALONE = threading.Lock()
 
 
 @contextmanager
 def cluster_pool(address: str, *, apart: bool) -> "Iterator[ClusterPool]":
-    """Be connected to a scheduler for a while; what has been handed out and not ended by then is called off."""
+    """Connect to a scheduler for a while; tasks that are not done at the end are called off."""
     try:
         from distributed import Client, KilledWorker  # noqa: PLC0415 - of an extra
         from distributed.comm.addressing import parse_address, parse_host_port  # noqa: PLC0415 - as above
@@ -71,7 +71,7 @@ def cluster_pool(address: str, *, apart: bool) -> "Iterator[ClusterPool]":
 
 
 class ClusterPool:
-    """What `distributed.Client.get_executor` offers; the scheduler itself hands out again what a dead worker had."""
+    """A pool on `distributed.Client.get_executor`; the scheduler itself hands out again the tasks of a dead worker."""
 
     deaths = 1
     """The scheduler tries some workers before it gives a task up."""
@@ -87,7 +87,7 @@ class ClusterPool:
         self._missing_since: float | None = None
 
     def room(self) -> int:
-        """Return twice the number of threads, so that nobody waits for the way there and back."""
+        """Return twice the number of threads, so that no worker waits for its next task to arrive."""
         if time.monotonic() - self._counted > _COUNTS_EVERY_S:
             self._count()
         return max(_TASKS_A_THREAD * self._threads, 1)
@@ -97,7 +97,7 @@ class ClusterPool:
         return self.executor.submit(partial(_on_worker, _versions(), work, apart=self._apart), task)
 
     def revive(self) -> bool:
-        """Do nothing: the scheduler has given up that one task, and has workers for the others."""
+        """Do nothing: the scheduler has given up that one task only, and has workers for the others."""
         return False
 
     def wait(self) -> None:
@@ -109,7 +109,7 @@ class ClusterPool:
         self._refuse_others()
 
     def look(self) -> None:
-        """Count the workers; there may be none for a minute, while they are started again."""
+        """Count the workers; there may be none for up to a minute, while they are started again."""
         self._count()
         if self._threads:
             self._missing_since = None
@@ -141,7 +141,7 @@ class ClusterPool:
         self._counted = time.monotonic()
 
     def _refuse_others(self) -> None:
-        """Raise `WorkersError` for a worker of other releases: one without heliocube ends over what it is handed."""
+        """Raise `WorkersError` for a worker with other releases: one without heliocube dies over its first task."""
         try:
             told = self._client.get_versions(packages=[name for name, _ in _versions()[1:]])["workers"]
         except (OSError, TimeoutError, ValueError):
@@ -185,7 +185,7 @@ def _other(where: str, name: str, there: str | None, wanted: str) -> WorkersErro
 def _on_worker(
     theirs: tuple[tuple[str, str], ...], work: Callable[[Task], Result], task: Task, *, apart: bool
 ) -> Result:
-    """Carry out a task where it has come to, or refuse it."""
+    """Carry out a task on the worker that it has come to, or refuse it."""
     for (name, wanted), (_, here) in zip(theirs, _versions(), strict=True):
         if wanted != here:
             raise _other(f"on {platform.node()}", name, here, wanted)

@@ -1,4 +1,4 @@
-"""What can be wrong with workers."""
+"""The error of missing or unfit workers."""
 
 from typing import ClassVar
 

@@ -16,7 +16,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def process_pool(jobs: int) -> "Iterator[ProcessPool]":
-    """Have so many processes for a while; whatever they are at when it ends, ends too."""
+    """Have `jobs` processes for a while; an exception ends them, whatever they work on."""
     pool = ProcessPool(jobs)
     try:
         yield pool
@@ -27,7 +27,7 @@ def process_pool(jobs: int) -> "Iterator[ProcessPool]":
 
 
 class ProcessPool:
-    """So many processes, and others in their place when one of them is killed."""
+    """A number of processes; when one of them is killed, all are replaced."""
 
     died: tuple[type[BaseException], ...] = (BrokenProcessPool,)
     deaths = 3
@@ -45,34 +45,34 @@ class ProcessPool:
         return self._executor.submit(work, task)
 
     def revive(self) -> bool:
-        """Start all processes anew: one that dies takes the others' work with it."""
+        """Start all processes anew: when one dies, the executor loses the others' work too."""
         self.end()
         self._executor = self._start()
         return True
 
     def look(self) -> None:
-        """Find nothing: a process that dies is told of at once."""
+        """Do nothing: the executor reports a dead process at once."""
 
     def close(self) -> None:
         """Let the processes end."""
         self._executor.shutdown()
 
     def end(self) -> None:
-        """End the processes, whatever they are at."""
+        """End the processes, whatever they work on."""
         processes = list((self._executor._processes or {}).values())  # noqa: SLF001 - nothing else tells whom to end
         for process in processes:
             process.terminate()
         self._executor.shutdown(cancel_futures=True)
 
     def _start(self) -> ProcessPoolExecutor:
-        # A fork begins at once, and needs no helper that outlives it.
+        # A fork starts at once, and needs no helper process that outlives it.
         context = multiprocessing.get_context("fork" if "fork" in multiprocessing.get_all_start_methods() else None)
         return ProcessPoolExecutor(self._jobs, context, _begin)
 
 
 def _begin() -> None:
-    # Ctrl-C, and what counts as one, is for the process that hands out the work: it knows what is done, and ends the
-    # others by a SIGTERM, whatever its own handler that they have inherited would make of it.
+    # Only the process that hands out the work heeds Ctrl-C and signals like it: it knows what is done. It ends these
+    # processes by SIGTERM, so that signal gets its default action back in place of the inherited handler.
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     for number in (signal.SIGINT, getattr(signal, "SIGHUP", signal.SIGINT)):
         signal.signal(number, signal.SIG_IGN)

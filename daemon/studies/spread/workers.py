@@ -20,9 +20,9 @@ class Pool(Protocol):
     """Workers behind the interface of `concurrent.futures`."""
 
     died: tuple[type[BaseException], ...]
-    """What the future of a task raises whose worker has died."""
+    """What the future of a task raises if its worker has died."""
     deaths: int
-    """So often may that be one and the same task's: then it is the task that kills them, by its memory most likely."""
+    """After this many deaths over one task, the task is the cause, most likely by the memory that it needs."""
 
     def room(self) -> int:
         """Return how many tasks are worth handing out at a time, 1 at least."""
@@ -31,10 +31,10 @@ class Pool(Protocol):
         """Hand out a task."""
 
     def revive(self) -> bool:
-        """Make good what died; tells whether the tasks that were handed out are lost with it."""
+        """Replace workers that died, and tell whether all tasks that were handed out are lost with them."""
 
     def look(self) -> None:
-        """Raise `WorkersError` where nobody is left to work; asked while nothing ends."""
+        """Raise `WorkersError` if no worker is left; called while no task ends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +44,9 @@ class Workers:
     Attributes
     ----------
     jobs
-        So many processes of this machine; 1 is this one alone.
+        How many processes of this machine; 1 is this process alone.
     cluster
-        In their place, the address of a dask scheduler: HOST:PORT.
+        Address of a dask scheduler to use in their place: HOST:PORT.
     """
 
     jobs: int = 1
@@ -66,21 +66,22 @@ def spread(
 ) -> Generator[tuple[int, Result], None, None]:
     """Yield the place of each task with its result, in the order in which they end.
 
-    A task whose worker dies is handed out again. Closing the generator, as Ctrl-C does, ends what is being worked at.
+    A task whose worker dies is handed out again. Closing the generator, as Ctrl-C does, ends the tasks under way.
 
     Parameters
     ----------
     work
-        A function of a module; what it returns follows from its task alone, so that it is the same wherever it runs.
+        A function of a module; its result depends on its task alone, so that it is the same wherever it runs.
     tasks, workers
         What is to be done, and by whom.
     apart
-        Whether the work looks at its process as a whole, as a search for leaks does; a cluster's own will not do then.
+        Whether the work examines its whole process, as a search for leaks does; on a cluster it then runs in a process
+        of its own, and not in the worker's.
 
     Raises
     ------
     WorkersError
-        There is no such cluster, it runs something else, it is gone, or a task has cost too many workers their lives.
+        There is no such cluster, it runs something else, it is gone, or too many workers have died over one task.
     """
     if workers.here:
         for place, task in enumerate(tasks):
@@ -91,7 +92,7 @@ def spread(
 
 
 def check_workers(workers: Workers) -> None:
-    """Raise `UserError` where a cluster cannot be worked with, for a study that begins with work of its own."""
+    """Raise `UserError` if the cluster cannot be used: for studies that begin with long work in this process."""
     if workers.cluster is not None:
         with _pool(workers, 1, apart=False):
             pass
@@ -100,9 +101,9 @@ def check_workers(workers: Workers) -> None:
 def gather(
     work: Callable[[Task], Result], tasks: Sequence[Task], workers: Workers, progress: Callable[[float], None]
 ) -> tuple[list[Result], UserError | None]:
-    """Return the results in the order of their tasks, and what has ended the work before all were there.
+    """Return the results in the order of their tasks, and the error that ended the work early, or None.
 
-    That is Ctrl-C, workers that are gone, or a task that cannot be done; where there is no result yet, it is raised.
+    Ctrl-C, lost workers or a task that cannot be done end it early; without any result yet, the error is raised.
     `progress` takes the share done, 0..1.
     """
     found: dict[int, Result] = {}
@@ -134,7 +135,7 @@ def _pool(workers: Workers, tasks: int, *, apart: bool) -> AbstractContextManage
 
 
 class _Hands(Generic[Task, Result]):
-    """Hands out tasks, no more than there is room for: thousands of them would weigh on a scheduler."""
+    """Hands out tasks, no more than there is room for: thousands of them would burden a scheduler."""
 
     def __init__(self, pool: Pool, work: Callable[[Task], Result], tasks: Sequence[Task]) -> None:
         self._pool = pool
@@ -162,7 +163,7 @@ class _Hands(Generic[Task, Result]):
                 self._bury(dead)
 
     def _hand_out(self) -> list[int]:
-        """Return the task that found nobody alive, if there was one."""
+        """Hand out tasks while there is room; return the task that found no worker alive, if there was one."""
         while self._waiting and len(self._out) < self._pool.room():
             place = self._waiting.popleft()
             try:
