@@ -35,18 +35,18 @@ def plant_settings(
     law, rehome
         As in the settings.
     positioner
-        Its driver.
+        Driver of the positioners.
     trackers
         How many there are.
     chosen
-        What else is not as in the defaults, by section and key; ``positioner`` for ``instruments.positioner``.
+        Other settings that differ from the defaults, by section and key; ``positioner`` for ``instruments.positioner``.
     directory
         Where the service keeps its files.
 
     Raises
     ------
     ConfigError
-        There are no such settings.
+        The settings are not valid.
     """
     settings = Settings.model_validate(
         {
@@ -93,7 +93,7 @@ def build_plant(
 
 
 def _tables(trackers: int) -> tuple[TrackerTable, ...]:
-    """Return a table for each of several trackers, whose stow positions differ: an order for another one shows."""
+    """Return a table for each of several trackers; their stow positions differ, so that a misdirected order shows."""
     if trackers == 1:
         return ()
     places = (_STOW_APART_DEG * place for place in range(trackers))
@@ -104,5 +104,5 @@ def _tables(trackers: int) -> tuple[TrackerTable, ...]:
 
 
 def _own_target(now_s: float) -> Angles:
-    """Return where the unit's own tracking points: it never stays for long."""
+    """Return where the unit's own tracking points; it moves on every 5 min."""
     return UNIT_GOES_TO if int(now_s // _OWN_TARGET_EVERY_S) % 2 else Angles(-20.0, 60.0)

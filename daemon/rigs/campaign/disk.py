@@ -8,24 +8,24 @@ from daemon.base.state import ROOM_BYTES, replace_kept, reserve_room, spare_of
 
 
 class Disk:
-    """What the service writes its kept files to.
+    """The disk to which the service writes the files that it keeps.
 
     Attributes
     ----------
     is_full
-        Whether there is no room at present but what files have already.
+        Whether the disk has no room at present, except what files have already.
     """
 
     def __init__(self) -> None:
         self.is_full = False
 
     def replace(self, path: Path, text: str) -> None:
-        """Replace a file as a whole; `OSError` while the disk is full and what the file has is not enough."""
+        """Replace a file as a whole; `OSError` if the disk is full and the file's reserved room does not suffice."""
         if self.is_full and not (spare_of(path).is_file() and len(text.encode()) <= ROOM_BYTES):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
         replace_kept(path, text)
 
     def reserve(self, path: Path) -> None:
-        """Keep room for a file, where there is some."""
+        """Reserve room for a file, unless the disk is full."""
         if not self.is_full:
             reserve_room(path)

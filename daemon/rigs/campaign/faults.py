@@ -20,7 +20,7 @@ Call = Callable[[PlantTracker, Value], Awaitable[None] | None]
 _PlantCall = Callable[[Plant, Value], Awaitable[None] | None]
 
 FORGED_W_M2 = 1234.5
-"""What every face of a forged scan says."""
+"""The irradiance of every face in a forged scan."""
 _STRANGER = ("127.0.0.1", 9)
 _FORGED_EVERY_S = 1.0
 
@@ -32,15 +32,15 @@ class PlantFault:
     Attributes
     ----------
     begin, end
-        Called with a tracker and the event's value; `end` is None for what is over at once.
+        Called with a tracker and the event's value; `end` is None for a fault that is over at once.
     moves
         The unit may begin to move by itself.
     by_hand
-        A person moves it.
+        A person moves the unit.
     uncounts
-        The unit may lose counts without a word.
+        The unit may lose counts without reporting it.
     of_all
-        It is not a tracker's own: whichever it is called with, it happens to all.
+        It concerns what all trackers share: whichever tracker it is called with, it happens to all.
     """
 
     begin: Call
@@ -76,7 +76,7 @@ def _unplugged(device: str) -> PlantFault:
 
 
 async def _restart_unit(mount: PlantTracker, _value: Value, *, keep_position: bool) -> None:
-    """Switch it off and on: the unit's USB is gone for a second."""
+    """Switch the unit off and on: its USB is gone for a second."""
     assert isinstance(mount.unit, Sleepless)  # noqa: S101 - narrowing; it is no fault of a rotator
     mount.plug(up=False)
     mount.unit.power_cycle(mount.clock.monotonic(), keep_position=keep_position)
@@ -141,7 +141,7 @@ _OPENS_WITHIN_S = 0.05
 
 
 class _Bridge:
-    """Stands in the place of the bridge's sender, and loses, delays or repeats what goes through it."""
+    """Stands in the place of the bridge's sender, and loses, delays or repeats scans."""
 
     def __init__(self, plant: Plant, kind: str, delay_s: float = 0.0) -> None:
         sender = plant.service.sender
@@ -153,7 +153,7 @@ class _Bridge:
         self._last: Scan | None = None
 
     def send(self, scan: Scan) -> None:
-        """Do with a scan what the fault does."""
+        """Lose, delay or repeat a scan, as the fault does."""
         if self._kind == "lost":
             return
         if self._kind == "late":
@@ -166,7 +166,7 @@ class _Bridge:
         self._last = scan
 
     def _send_late(self, scan: Scan) -> None:
-        # The process that had it may be gone.
+        # The process that had the sender may be gone.
         with contextlib.suppress(RuntimeError):
             self.kept.send(scan)
 
@@ -176,11 +176,11 @@ def _again(plant: Plant) -> None:
 
 
 def _disturb_bridge(plant: Plant, value: Value, *, kind: str) -> None:
-    # The network stays as it is when the process ends and another one begins.
+    # The network's fault goes on when the process ends and another one begins.
     plant.when_renewed = partial(_disturb_bridge, plant, value, kind=kind)
     sender: object = plant.service.sender
     if sender is None:
-        # It opens a moment after the service has begun; by then the network may be right.
+        # The sender opens a moment after the service has begun. By then the network may be right again.
         asyncio.get_running_loop().call_later(_OPENS_WITHIN_S, _again, plant)
     elif not isinstance(sender, _Bridge):
         plant.service.sender = _Bridge(plant, kind, *value)  # type: ignore[assignment] # it passes for the sender
@@ -194,7 +194,7 @@ def _set_bridge_right(plant: Plant, _value: Value) -> None:
 
 
 def _forgeries(plant: Plant) -> Iterator[bytes]:
-    """Yield datagrams that must not be believed: no scan at all, one of another key, one that nobody signed."""
+    """Yield datagrams that must not be believed: one that is no scan, one signed with another key, one unsigned."""
     utc_s, now_s = plant.clock.utc(), plant.clock.monotonic()
     face = FaceReading(irradiance_w_m2=FORGED_W_M2, quality=Quality.OK, time_utc_s=utc_s, time_monotonic_s=now_s)
     scan = Scan(
@@ -228,7 +228,7 @@ def _fill_disk(plant: Plant, _value: Value, *, full: bool) -> None:
 
 
 async def _kill_while_writing(plant: Plant, value: Value) -> None:
-    """Die in the middle of writing one of the kept files, as no file system should let it happen."""
+    """Kill the process and cut one of its kept files, as if it died while writing; no file system should allow that."""
     await plant.kill()
     files = plant.kept_files()
     if files:
@@ -265,7 +265,7 @@ def _replace_process(plant: Plant, _value: Value) -> None:
 _AXIS_LASTING = ("hall_loss", "cable", "switch_closed", "switch_open", "ignores_targets")
 _AXIS_AT_ONCE = ("overcurrent", "pulse_loss", "destination", "slip")
 PROCESS = ("kill", "kill_torn", "end")
-"""Those that need a process, and bring another one."""
+"""Faults that end the process and start another one."""
 
 FAULTS: dict[str, PlantFault] = {
     "unplug_positioner": PlantFault(
@@ -337,4 +337,4 @@ OF_A_ROTATOR = frozenset(
         *(name for name, fault in FAULTS.items() if fault.of_all),
     )
 )
-"""Those that a rotator behind rotctld can have."""
+"""The faults that a rotator behind rotctld can have."""

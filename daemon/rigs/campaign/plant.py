@@ -1,4 +1,4 @@
-"""The rig as it goes on while processes die on it: its units, one cube, one sky, and one service after another."""
+"""The rig of a campaign: units, one cube and one sky, which go on while one service after another runs on them."""
 
 import asyncio
 import math
@@ -34,9 +34,9 @@ ROTCTLD = "rotctld"
 UNIT_GOES_TO = Angles(35.0, 30.0)
 """Where the unit's own tracking and its stow modes drive, far from what the service ever asks for by itself."""
 _WRITE_S = 0.004
-"""As to a real port through its thread: what else happens while a packet is on its way can come in between."""
+"""As long as a write to a real port through its thread takes: other events can happen while a packet is on its way."""
 _MOST_PER_DEG = 5.0
-"""Millimetres that actuators extend for a degree; of what counts degrees more than there are."""
+"""Most millimetres that an actuator extends for a degree; for a unit that counts degrees it is more than enough."""
 
 
 def nothing() -> None:
@@ -49,7 +49,7 @@ class PlantTracker:
     Parameters
     ----------
     plant
-        Whose tracker it is.
+        The plant that it belongs to.
     place
         Its place among the trackers, from 0.
     witness
@@ -60,11 +60,11 @@ class PlantTracker:
     unit
         The simulated unit; built before the first service.
     plugged, is_silent, is_gone
-        Whether its cable is in; whether nothing comes from the unit although it is; whether rotctld has lost it.
+        Whether its cable is in; whether the unit sends nothing although it is in; whether rotctld has lost the rotator.
     records
-        Its own of those that the plant keeps, and those of no tracker.
+        Those of the plant's records that concern this tracker or no tracker.
     called
-        Begins what is said of it among others; empty for a tracker alone.
+        Stands before each sentence on this tracker if there are several; empty for a single one.
     """
 
     def __init__(self, plant: "Plant", place: int, witness: Witness) -> None:
@@ -82,7 +82,7 @@ class PlantTracker:
     def drive(
         self, unit: PositionerCore, settings: Settings, build: Callable[[PositionerCore, Settings], Positioner]
     ) -> Positioner:
-        """Return the driver of the unit with a tap before and behind it."""
+        """Return the unit's driver, with a tap on either side of it."""
         rotator: object = unit
         if isinstance(rotator, SleeplessRotator):
             self.unit, self.line = rotator, (tap := RotatorTap(rotator, self.clock, self.witness))
@@ -96,12 +96,12 @@ class PlantTracker:
 
     @property
     def clock(self) -> SteppingClock:
-        """The plant's."""
+        """The plant's clock."""
         return self.plant.clock
 
     @property
     def service(self) -> Service:
-        """The one that runs at present."""
+        """The service that runs at present."""
         return self.plant.service
 
     @property
@@ -143,7 +143,7 @@ class PlantTracker:
         return self.unit.axes(self.clock.monotonic())
 
     def range_deg(self, axis: AxisName) -> tuple[float, float]:
-        """Return what an order may never drive an axis beyond: the limits, or on its way a rotator's own range."""
+        """Return the range that no order may drive an axis out of: the limits, or for a rotator its own range."""
         if isinstance(self.unit, SleeplessRotator):
             return self.unit.limits[axis]
         limits = self.settings.limits
@@ -157,13 +157,13 @@ class PlantTracker:
         )
 
     def units_per_deg(self, axis: AxisName) -> float:
-        """Return how much of what its unit counts in a degree is at the most."""
+        """Return the largest count that a degree can have in its unit."""
         positioner = self.settings.instruments.positioner
         by_impulses = positioner.position_unit == "impulse"
         return float(getattr(positioner, f"{axis}_axis").impulses_per_deg) if by_impulses else _MOST_PER_DEG
 
     def is_lowered(self, axis: AxisName) -> bool:
-        """Tell whether an axis counts upwards where its angle goes down."""
+        """Tell whether an axis counts upwards while its angle goes down."""
         positioner = self.settings.instruments.positioner
         return positioner.position_unit == "mm" and getattr(positioner, f"{axis}_axis").sense == "lowers"
 
@@ -173,7 +173,7 @@ class PlantTracker:
         return self.settings.instruments.positioner.has_reference_run
 
     def wishes(self) -> bytes:
-        """Return what persons have asked of it, as it is kept."""
+        """Return the wishes of persons for it, as the service keeps them."""
         directory = self.settings.store.directory
         assert directory is not None  # noqa: S101 - narrowing; every plant has one
         kept = directory / "operator.json"
@@ -187,7 +187,7 @@ class PlantTracker:
         )
 
     def lay(self) -> None:
-        """Let a new cable be as the one before was."""
+        """Put a new cable in the state of the one before."""
         self._cable.link_up, self._cable.silent, self._cable.write_s = self.plugged, self.is_silent, _WRITE_S
 
     def plug(self, *, up: bool) -> None:
@@ -196,12 +196,12 @@ class PlantTracker:
         self.witness.link_changes()
 
     def silence(self, *, silent: bool) -> None:
-        """Let nothing come from the unit any more, or let it be heard again."""
+        """Let the unit send nothing any more, or let it be heard again."""
         self.is_silent = self._cable.silent = silent
         self.witness.link_changes()
 
     def lose(self, *, is_gone: bool) -> None:
-        """Let rotctld not reach its rotator any more, or reach it again."""
+        """Let rotctld lose its rotator, or reach it again."""
         self.is_gone = is_gone
         (self.unit.inject if is_gone else self.unit.repair)(GONE, self.clock.monotonic())
         self.witness.link_changes()
@@ -220,7 +220,7 @@ class Plant(HandledRig):
     loop, settings, start, weather, setup
         As for `HandledRig`.
     witnesses
-        One for each tracker: is told of its orders and its plug, and of services.
+        One for each tracker, which is told of its orders and its plug, and of services.
 
     Attributes
     ----------
@@ -235,15 +235,15 @@ class Plant(HandledRig):
     served_since_s
         When the present service began.
     stood_still_s
-        When a service that stood still went on last.
+        When a service that stood still last went on.
     wind_silent_since_s
         When the wind sensor fell silent last.
     disk
-        What the service writes to.
+        The disk that the service writes to.
     commands
-        Tasks of persons whose command is under way; they die with the service.
+        Tasks of persons' commands that are under way; they die with the service.
     when_renewed
-        Called with each new service before it runs: for what lasts outside of the process.
+        Called for each new service before it runs, to apply a fault that lasts outside of the process.
     """
 
     def __init__(
@@ -291,15 +291,15 @@ class Plant(HandledRig):
         return super().build_unit(settings, setup and as_built(settings, setup))
 
     def drive(self, unit: PositionerCore, settings: Settings) -> Positioner:
-        """Return the driver of the next unit with a tap before and behind it."""
+        """Return the driver of the next unit, with a tap on either side of it."""
         return self.mounts[len(self.cables.positioners)].drive(unit, settings, super().drive)
 
     def keep_in(self, directory: Path | None) -> StateFolder:
-        """Return what writes the files that a service keeps, to a disk that can be full."""
+        """Return the folder of the files that a service keeps, on a disk that can be full."""
         return StateFolder(directory, replace=self.disk.replace, reserve=self.disk.reserve)
 
     def note(self, record: Record) -> None:
-        """Keep what somebody may ask for, and show scans to the witness."""
+        """Keep the records that a watch may ask for, and show scans to the witness."""
         if isinstance(record, Event | Move | ModeChange):
             self.records.append(record)
             for mount in self.mounts:
@@ -314,13 +314,13 @@ class Plant(HandledRig):
         return self.served.is_set()
 
     def sleep(self, lasts_s: float) -> None:
-        """Let the machine sleep for so long [s], its services in it, and the world go on."""
+        """Let the machine sleep for `lasts_s`, with its services, while the world goes on."""
         self.clock.slept_s += lasts_s
         for mount in self.mounts:
             mount.witness.wakes(lasts_s)
 
     def kept_files(self) -> list[Path]:
-        """Return what the service has kept for its next start."""
+        """Return the files that the service has kept for its next start."""
         return sorted(path for path in self.directory.rglob("*") if path.is_file())
 
     def plug(self, device: str, *, up: bool) -> None:
@@ -343,7 +343,7 @@ class Plant(HandledRig):
             self.mounts[0].witness.fails("service-died", f"the service ended by itself: {task.exception()!r}")
 
     async def kill(self) -> None:
-        """Let the process die at once: not a byte goes out any more, and no file changes."""
+        """Let the process die at once: it sends no more bytes and changes no file."""
         serving, self._serving = self._serving, None
         self.served.clear()
         self._hang_up()
@@ -363,7 +363,7 @@ class Plant(HandledRig):
         self._hang_up()
 
     def _hang_up(self) -> None:
-        """Let not a byte of the process go out any more."""
+        """Let the process send no more bytes."""
         for mount in self.mounts:
             mount.line.dead = True
 

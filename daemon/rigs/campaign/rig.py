@@ -1,4 +1,4 @@
-"""The whole service on simulated instruments under one hand-made sky, every instrument within reach."""
+"""The whole service on simulated instruments under a sky set by hand, with access to every instrument."""
 
 from datetime import datetime
 from pathlib import Path
@@ -44,7 +44,7 @@ _FACES = 4
 
 
 class HandWeather:
-    """Weather that is set by hand [W/m2]; the scene computes an hour ahead, so set it before the hour begins."""
+    """Weather that is set by hand [W/m2]. The scene computes an hour ahead, so set it before the hour begins."""
 
     def __init__(self, dni: float = 700.0, dhi: float = 90.0) -> None:
         self.dni, self.dhi = dni, dhi
@@ -62,30 +62,30 @@ class HandWeather:
         )
 
     def covers(self, utc_s: Array) -> "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]":
-        """Tell that it has every instant."""
+        """Tell that there is weather at every instant."""
         return np.ones(utc_s.shape, dtype=bool)
 
 
 class SteppingClock(LoopClock):
-    """A clock whose UTC can be set, as somebody sets that of a PC, and that stands still while the machine sleeps.
+    """A clock whose UTC can be set, as on a PC, and whose monotonic time stands still while the machine sleeps.
 
     Attributes
     ----------
     step_s
         By how much UTC is off.
     slept_s
-        How long the machine has slept so far: UTC and the world have gone on by as much more than monotonic time.
+        How long the machine has slept so far: UTC and the world have gone on by this much more than monotonic time.
     """
 
     step_s = 0.0
     slept_s = 0.0
 
     def slept_too(self, monotonic_s: float) -> float:
-        """Return a monotonic time [s] since the machine slept last, and all that it has slept."""
+        """Return a monotonic time [s] plus all the time that the machine has slept."""
         return monotonic_s + self.slept_s
 
     def asleep_s(self) -> float:
-        """Return `slept_s`, as a machine tells it that knows."""
+        """Return `slept_s`, as a machine does that knows how long it slept."""
         return self.slept_s
 
     def utc(self) -> float:
@@ -93,7 +93,7 @@ class SteppingClock(LoopClock):
         return self.true_utc() + self.step_s
 
     def true_utc(self) -> float:
-        """UTC [s] as it is: the sun does not follow a clock that somebody has set."""
+        """UTC [s] as it truly is: the sun does not follow a clock that somebody has set."""
         return super().utc() + self.slept_s
 
 
@@ -103,32 +103,32 @@ class HandledRig:
     Parameters
     ----------
     loop
-        Whose time it has.
+        The loop whose time the rig has.
     settings
-        Of the service.
+        Settings of the service.
     start
         The instant at the loop's time 0.
     weather
         The sky.
     role
-        Of the service.
+        Role of the service.
     setup
-        How the positioners are built; as the settings say where it is None.
+        How the positioners are built; None: as the settings say.
     polling
-        How often the positioner is looked at.
+        How often the positioner is polled.
 
     Attributes
     ----------
     wind_m_s
         What the wind sensor says; None: it is silent.
     noise_v
-        Standard deviation [V] of what disturbs the cables of the sensors.
+        Standard deviation [V] of the noise on the sensors' cables.
     hold_why
-        Why the service is to hold its trackers from the start, or None.
+        Why the service has to hold its trackers from the start, or None.
     synchronised
         What the kernel says of the PC's clock; None: nothing.
     begins_anew
-        Whether where the positioner rested before says nothing.
+        Whether the place at which the positioner rested before tells nothing about where it is.
     """
 
     hold_why: str | None = None
@@ -179,7 +179,7 @@ class HandledRig:
         self.records.append(record)
 
     def keep_in(self, directory: Path | None) -> StateFolder:
-        """Return what writes the files that a service keeps."""
+        """Return the folder of the files that a service keeps."""
         return StateFolder(directory)
 
     def connect(self, settings: Settings) -> None:
@@ -198,7 +198,7 @@ class HandledRig:
         cables.positioner, *cables.others = cables.positioners
 
     def drive(self, unit: PositionerCore, settings: Settings) -> Positioner:
-        """Return the driver of a unit, or of what stands between, and lay its cable."""
+        """Lay the cable of a unit, or of a tap that stands for it, and return the driver."""
         line = InMemoryStream(unit, self.clock.monotonic)
         self.cables.positioners.append(line)
         return build_pozsol(settings, self.clock, line)

@@ -1,4 +1,4 @@
-"""A rotator behind rotctld as the campaign's plant has it, and the way to it."""
+"""A rotator behind rotctld as the campaign's plant has it, and the line to it."""
 
 import asyncio
 import math
@@ -18,22 +18,22 @@ from sim_drivers.transports import InMemoryRotctld
 from solar.frames import Angles, equator_azimuth_deg
 
 DEAF, GONE, STOPLESS, SENT_AWAY = "deaf", "gone", "stopless", "own_tracking"
-"""What may happen to a rotator: it is switched off behind its rotctld, which does not notice; it is unplugged from its
-rotctld, until that is restarted with the plug in; it is of a make without a stop; another client sends it away."""
+"""Faults of a rotator: it is switched off behind its rotctld, which does not notice; it is unplugged from its rotctld,
+until that is restarted with the plug in; it is of a make without a stop; another client sends it away."""
 _SPEED_DEG_PER_S = 1.5
 
 
 class SleeplessRotator:
-    """A rotator that goes on while the machine sleeps, asked by the machine's monotonic time.
+    """A rotator that goes on while the machine sleeps; its methods take the machine's monotonic time.
 
     Its axes are azimuth and elevation, and it never counts wrong.
 
     Parameters
     ----------
     settings
-        Of its tracker.
+        Settings of its tracker.
     clock
-        The plant's.
+        The plant's clock.
     sent_to
         Where another client sends it, A and B [deg].
     """
@@ -60,11 +60,11 @@ class SleeplessRotator:
         return Angles(*self.core.position(self._at(now)))
 
     def next_event(self, _now: float) -> float | None:
-        """Tell that nothing begins by itself."""
+        """Return None: nothing begins by itself."""
         return None
 
     def changes(self, now: float) -> int:
-        """Return a number that changes when its course does."""
+        """Return a number that changes whenever its course changes."""
         destination = self.core.destination()
         return hash((destination, self.core.position(self._at(now)) == destination))
 
@@ -74,7 +74,7 @@ class SleeplessRotator:
         return self.core.position(self._at(now))[at], self.core.destination()[at]
 
     def shown_deg(self, name: AxisName, now: float) -> float:
-        """Return the angle [deg] that it shows of an axis."""
+        """Return the angle [deg] that it shows for an axis."""
         return self.course(name, now)[0]
 
     def inject(self, fault: str, now: float) -> None:
@@ -87,7 +87,7 @@ class SleeplessRotator:
             raise ValueError(f"a rotator has no fault {fault!r}")
 
     def repair(self, fault: str, _now: float) -> None:
-        """End a condition that `inject` began; where it was sent it goes all the way."""
+        """End a condition that `inject` began; a rotator that was sent away still goes all the way."""
         self.core.faults.discard(fault)
 
 
@@ -99,18 +99,18 @@ class RotatorTap(InMemoryRotctld):
     rotator
         The simulated rotator.
     clock
-        The plant's.
+        The plant's clock.
     witness
         Notes every order.
 
     Attributes
     ----------
     dead
-        Whether the process is.
+        Whether the process is dead.
     silent
         Whether rotctld answers nothing.
     write_s
-        How long it takes to write an order, of which half is over when the rotator has it [s].
+        How long it takes to write an order [s]; the rotator has it after half of that.
     """
 
     def __init__(self, rotator: SleeplessRotator, clock: SteppingClock, witness: Witness) -> None:

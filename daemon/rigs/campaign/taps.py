@@ -1,4 +1,4 @@
-"""What stands before and behind a positioner's driver, and notes every order that goes through it."""
+"""Taps before and behind a positioner's driver, which note every order that goes through it."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -12,7 +12,7 @@ from solar.frames import Angles
 
 
 class Witness(Protocol):
-    """Who is told of orders, services and plugs, and keeps what was broken."""
+    """Is told of orders, services and plugs, and keeps the promises that were broken."""
 
     def fails(self, promise: str, text: str) -> None:
         """Take note of a broken promise."""
@@ -21,7 +21,7 @@ class Witness(Protocol):
         """Take note of a packet that reaches the unit."""
 
     def sending(self, target: tuple[float, float]) -> AbstractContextManager[None]:
-        """Accompany a target [deg] while the driver sends and confirms it."""
+        """Watch a target [deg] while the driver sends and confirms it."""
 
     def homes(self, axis: AxisName) -> None:
         """Take note that a reference run is ordered."""
@@ -30,7 +30,7 @@ class Witness(Protocol):
         """Take note that a plug was pulled or put back."""
 
     def wakes(self, slept_s: float) -> None:
-        """Take note that the machine has slept for so long [s]."""
+        """Take note that the machine has slept for `slept_s`."""
 
     def service_begins(self) -> None:
         """Take note that a new process is there."""
@@ -40,14 +40,14 @@ class Witness(Protocol):
 
 
 class Sleepless:
-    """A unit that goes on while the machine sleeps, asked by the machine's monotonic time; see `PositionerCore`.
+    """A `PositionerCore` that goes on while the machine sleeps; its methods take the machine's monotonic time.
 
     Parameters
     ----------
     core
         The simulated unit.
     slept_too
-        Returns a monotonic time [s] and what the machine has slept.
+        Adds to a monotonic time [s] the time that the machine has slept.
     """
 
     def __init__(self, core: PositionerCore, slept_too: Callable[[float], float]) -> None:
@@ -78,7 +78,7 @@ class Sleepless:
         return self._core.screens(self._at(now))
 
     def live_screens(self, now: float) -> bytes:
-        """Return what changes while axes move."""
+        """Return the screens that change while axes move."""
         return self._core.live_screens(self._at(now))
 
     def changes(self, now: float) -> int:
@@ -90,7 +90,7 @@ class Sleepless:
         return self._core.course(name, self._at(now))
 
     def shown_deg(self, name: AxisName, now: float) -> float:
-        """Return the angle [deg] that the unit shows of an axis."""
+        """Return the angle [deg] that the unit shows for an axis."""
         return self._core.shown_deg(name, self._at(now))
 
     def inject(self, fault: str, now: float) -> None:
@@ -107,7 +107,7 @@ class Sleepless:
 
 
 class UnitTap:
-    """The unit as one process reaches it: what is sent is noted, and a dead process sends nothing more.
+    """The unit as one process reaches it: every packet is noted, and a dead process sends nothing more.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class UnitTap:
 
 
 class Line(Protocol):
-    """What one process sends through."""
+    """The line that one process sends through."""
 
     dead: bool
 
@@ -144,7 +144,7 @@ class DriverTap:
     Parameters
     ----------
     driver, line
-        The driver, and what it sends through.
+        The driver, and the line that it sends through.
     witness
         Notes targets and reference runs.
     """
@@ -173,7 +173,7 @@ class DriverTap:
 
 
 class PozsolTap(DriverTap):
-    """The same of the POZSOL's driver, which tells more than others."""
+    """A tap of the POZSOL's driver, which has more methods than others."""
 
     def __init__(self, driver: PozsolPositioner, line: Line, witness: Witness) -> None:
         super().__init__(driver, line, witness)
