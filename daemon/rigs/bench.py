@@ -1,4 +1,4 @@
-"""Running the bench: simulated instruments in a process of their own, for the real drivers of another one."""
+"""Runs the bench: simulated instruments in one process, for the real drivers in another."""
 
 import asyncio
 import contextlib
@@ -60,7 +60,7 @@ def serve_bench(settings: Settings, directory: Path) -> None:
         anchor = datetime.fromtimestamp(SystemClock().utc(), UTC)
         start = settings.simulation.start_utc or DEFAULT_START
         clock = LoopClock(loop.time, start.timestamp())
-        # A voltmeter has a sign for "no value"; the sensors of the other cubes would need one each.
+        # A voltmeter can show "no value". Each kind of sensor of the other cubes would need its own sign for that.
         with_gaps = settings.instruments.cube.driver == MULTIPLEXED
         weather, warning = build_weather(settings, clock.utc(), clock.utc() + DAY_S, with_gaps=with_gaps)
         if warning:
@@ -85,11 +85,11 @@ def serve_bench(settings: Settings, directory: Path) -> None:
 
 
 def _on_one_line(settings: Settings) -> Settings:
-    """Return the settings with other addresses for sensors on Modbus that share one on lines of their own."""
+    """Return the settings with distinct addresses for Modbus sensors, which on lines of their own may share one."""
     own = settings.instruments.cube
     if not isinstance(own, PyranometersSettings):
         return settings
-    # A device with several faces has all of them at one place.
+    # A device with several faces has all of them at one line and address.
     places = [(own.line_of(face), own.face(face).address) for face in FACES]
     devices = list(dict.fromkeys(places))
     if len({address for _, address in devices}) == len(devices):
@@ -101,7 +101,7 @@ def _on_one_line(settings: Settings) -> Settings:
 
 
 def _claim(directory: Path) -> Path:
-    """Make the directory and return the path of the file to write, unless somebody else's stands there."""
+    """Make the directory and return the file to write; `UserError` if there is one that no bench has written."""
     file = directory / FILE_NAME
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -113,7 +113,7 @@ def _claim(directory: Path) -> Path:
 
 
 def _served(settings: Settings, directory: Path, ports: BenchPorts, start: datetime, anchor: datetime) -> Settings:
-    """Return the settings with what makes a service drive this bench, under the same sun."""
+    """Return the settings with which a service drives this bench under the same sun."""
     instruments = settings.instruments.model_dump() | {
         "kind": "real",
         "bench": True,
@@ -130,7 +130,7 @@ def _served(settings: Settings, directory: Path, ports: BenchPorts, start: datet
 
 
 def _positioner(settings: Settings, directory: Path, ports: BenchPorts) -> dict[str, Any]:
-    """Return the section of the positioner; a rotctld that the basis names stays named."""
+    """Return the section of the positioner; a rotctld that `settings` name stays."""
     own = settings.instruments.positioner
     if not isinstance(own, RotctldSettings):
         return POSITIONER.changed(own, {"port": str(directory / "positioner")})
@@ -138,7 +138,7 @@ def _positioner(settings: Settings, directory: Path, ports: BenchPorts) -> dict[
 
 
 def _cube(settings: Settings, directory: Path, ports: BenchPorts) -> dict[str, Any]:
-    """Return the section of the cube; sensors on Modbus are on one line, by network where the basis has them so."""
+    """Return the section of the cube; Modbus sensors are on one line, over TCP if they are in `settings`."""
     own = settings.instruments.cube
     if own.driver == MULTIPLEXED:
         return {"driver": MULTIPLEXED}
@@ -146,7 +146,7 @@ def _cube(settings: Settings, directory: Path, ports: BenchPorts) -> dict[str, A
         return CUBE.changed(own, {"line": f"tcp:127.0.0.1:{ports.modbus}"})
     if own.driver == SCANNING_METER:
         return CUBE.changed(own, {"resource": f"ASRL{directory / 'cube'}::INSTR", "visa": "py"})
-    # Of a pseudo-terminal Linux takes no parity.
+    # Linux pseudo-terminals have no parity.
     values: dict[str, Any] = CUBE.changed(own, {"line": str(directory / "cube"), "serial_form": "8N1"})
     if str(getattr(own, "line", "")).startswith("tcp:"):
         values["line"] = f"tcp:127.0.0.1:{ports.modbus}"
@@ -157,7 +157,7 @@ def _cube(settings: Settings, directory: Path, ports: BenchPorts) -> dict[str, A
 
 
 def _values(settings: Settings, chosen: Chosen) -> dict[str, Any]:
-    """Return every value by its key's path; the keys of drivers and laws that are not chosen have none."""
+    """Return every value by its key's path; keys of drivers and laws that are not chosen have no value."""
     values = {}
     for path in every_key(chosen):
         with contextlib.suppress(AttributeError):

@@ -1,4 +1,4 @@
-"""Asking a bench that runs: apart from the simulators, so that a command to it waits for none of them to load."""
+"""Commands to a running bench; apart from the simulators, so that a command does not wait for them to load."""
 
 from pathlib import Path
 from typing import Any

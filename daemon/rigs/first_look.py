@@ -1,4 +1,4 @@
-"""A look at a positioner that something other than the service is about to move."""
+"""The look at a positioner before a program other than the service moves it."""
 
 import asyncio
 
@@ -13,14 +13,14 @@ from drivers.errors import RefusedError
 from drivers.interfaces import Positioner, Telemetry
 
 LONG_ENOUGH_S = 7.0
-"""For two statuses, of which a POZSOL sends one every 3.24 s."""
+"""Long enough for two statuses: a POZSOL sends one every 3.24 s."""
 _LOOKS_EVERY_S = 0.1
 
 
 async def watched(positioner: Positioner, clock: Clock, seconds: float = LONG_ENOUGH_S) -> Telemetry:
-    """Return the last look of so long a time: what contradicts itself shows in two statuses, one after the other.
+    """Read telemetry for `seconds` and return the last: a contradiction shows only in two statuses after each other.
 
-    Raises `DeviceError` where the positioner falls silent.
+    Raises `DeviceError` if the positioner falls silent.
     """
     until_s = clock.monotonic() + seconds
     while True:
@@ -31,9 +31,9 @@ async def watched(positioner: Positioner, clock: Clock, seconds: float = LONG_EN
 
 
 def refuse_noted(settings: Settings, seen: Telemetry) -> None:
-    """Raise `RefusedError` for what its service, which is not at work now, has noted: that would not move it either."""
+    """Raise `RefusedError` if the service, which does not run now, has noted why it would not move the positioner."""
     directory = settings.store.directory
-    # What a simulated rig has noted is of another unit.
+    # The notes of a simulated rig are about another unit.
     if directory is None or not settings.real:
         return
     folder = StateFolder(directory)

@@ -1,6 +1,6 @@
-"""Measured weather and the holes in it: bridged up to an hour, dark while the sun is down, otherwise missing data.
+"""Measured weather and its gaps: bridged up to an hour, dark while the sun is down, otherwise missing data.
 
-`simulate`, `run` and the studies count them alike. While weather is missing by day, the simulated cube does not answer.
+`simulate`, `run` and the studies treat gaps alike. While weather is missing by day, the simulated cube does not answer.
 """
 
 import math
@@ -20,12 +20,12 @@ from solar.ephemeris import Site, sun_position
 from solar.frames import Array
 
 _STEP_S = 60.0
-# No scan takes longer: one that has begun is not caught by a hole.
+# No scan takes longer, so a scan that has begun ends before a gap.
 _AHEAD_S = 60.0
 
 
 def missing_by_day(weather: MeasuredWeather, site: Site, utc_s: Array) -> Array:
-    """Return those of the instants [s UTC] at which the sun is up and the file has nothing, its outside included."""
+    """Return those of the instants [s UTC] at which the sun is up and the file has no weather, within it or outside."""
     uncovered = utc_s[~weather.covers(utc_s)]
     return uncovered[sun_position(uncovered, *site).elevation_deg > 0.0] if uncovered.size else uncovered
 
@@ -33,7 +33,7 @@ def missing_by_day(weather: MeasuredWeather, site: Site, utc_s: Array) -> Array:
 def gap_note(
     weather: MeasuredWeather, site: Site, from_utc_s: float = -math.inf, to_utc_s: float = math.inf
 ) -> str | None:
-    """Return in a sentence how much daylight is missing within the weather in a span of time, or None."""
+    """Return a sentence on how much daylight is missing within the weather in a span of time, or None."""
     begin, end = max(from_utc_s, weather.start_utc_s), min(to_utc_s, weather.end_utc_s)
     missing = missing_by_day(weather, site, np.arange(begin, end, _STEP_S))
     if not missing.size:
@@ -64,10 +64,10 @@ def weather_notes(
 
 
 def by_the_minute(weathers: Sequence[MeasuredWeather], site: Site) -> tuple[tuple[Array, Array, Array], list[str]]:
-    """Return whole minutes [s UTC] with DNI and DHI then [W/m2], and what a person should know of the files.
+    """Return whole minutes [s UTC] with DNI and DHI [W/m2] at each, and notes on the files for people.
 
-    What lies between two files is bridged as within one, and told as missing where it is too long. Where they overlap,
-    the first counts. Raises `UserError` where no two whole minutes follow each other.
+    A gap between two files is bridged like one within a file, and reported as missing if it is too long. Where files
+    overlap, the first counts. Raises `UserError` if no two whole minutes follow each other.
     """
     parts = zip(*map(_minutes, weathers), strict=True)
     utc_s, dni, dhi = (np.concatenate(columns) for columns in parts)
@@ -93,14 +93,14 @@ def _minutes(weather: MeasuredWeather) -> tuple[Array, Array, Array]:
 
 
 class CubeInGaps:
-    """A simulated cube that does not answer while its weather is missing by day; beyond the file its weather says so.
+    """A simulated cube that does not answer while its weather is missing by day; beyond the file the weather raises.
 
     Parameters
     ----------
     cube
-        As it is under weather.
+        The cube that answers while there is weather.
     weather, site, clock
-        What it stands in, where, and when.
+        The weather, the place and the time.
     """
 
     def __init__(self, cube: Cube, weather: MeasuredWeather, site: Site, clock: Clock) -> None:

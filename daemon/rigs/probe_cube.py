@@ -1,4 +1,4 @@
-"""Looking at one real instrument: what it says, and what docs/hardware.md wants checked before it is trusted."""
+"""Probes of the real voltmeter and multiplexer: their answers, and the checks that docs/hardware.md asks for."""
 
 import asyncio
 from collections.abc import Callable
@@ -41,11 +41,11 @@ async def probe_voltmeter(
     Parameters
     ----------
     settings
-        Where it is.
+        Settings that say where the voltmeter is.
     now
         Monotonic time [s].
     tap
-        Told what goes over the line.
+        Called with all bytes on the line.
     say
         Takes the lines of the report.
 
@@ -57,9 +57,9 @@ async def probe_voltmeter(
     Raises
     ------
     UserError
-        The configured cube has none.
+        The configured cube has no voltmeter.
     DeviceError
-        It cannot be reached, or does not do as it should.
+        The voltmeter cannot be reached, or does not do as it should.
     """
     _require_multiplexed(settings, "a voltmeter")
     line = voltmeter_line(settings, tap)
@@ -117,14 +117,14 @@ async def _answers(line: ScpiLine, deadline_s: float) -> dict[str, str]:
 async def probe_multiplexer(settings: Settings, tap: Tap, say: Say, *, write: bool) -> dict[str, Any]:
     """Reserve the multiplexer's lines; with `write`, select each input, and measure it if there is a voltmeter.
 
-    Returns for scripts what was found, and what each input is for and read.
+    Returns, for scripts, the identity that was found, and each input with its use and its reading.
 
     Raises
     ------
     UserError
-        The configured cube has none.
+        The configured cube has no multiplexer.
     DeviceError
-        It cannot be reached, or does not do as it should.
+        The multiplexer cannot be reached, or does not do as it should.
     """
     _require_multiplexed(settings, "a multiplexer")
     multiplexer = build_multiplexer(settings, tap)

@@ -1,4 +1,4 @@
-"""Looking at a real electronic load."""
+"""The probe of a real electronic load."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -28,7 +28,7 @@ async def probe_load(
     now
         Monotonic time [s].
     tap
-        Told what goes over the line.
+        Called with all bytes on the line.
     say
         Takes the lines of the report.
 
@@ -42,7 +42,7 @@ async def probe_load(
     UserError
         The settings do not say which load it is, or where.
     DeviceError
-        It cannot be reached, or does not do as it should.
+        The load cannot be reached, or does not do as it should.
     """
     own = settings.load
     if isinstance(own, chroma63600.ChromaSettings):

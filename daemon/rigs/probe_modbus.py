@@ -1,4 +1,4 @@
-"""Looking at what answers on lines of Modbus, clearing an old error, and giving new sensors their addresses."""
+"""The probe of Modbus lines: what answers there, old errors cleared, and addresses given to new sensors."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -39,11 +39,11 @@ class Answering(NamedTuple):
     unit
         Its address.
     text
-        Who it is, as far as that is known, and what it tells.
+        Its identity, as far as that is known, and its reading.
     make
-        By which make's registers that is; None for an unknown one.
+        The make whose registers it was read by; None for an unknown one.
     serial
-        Its serial number, if it tells one.
+        Its serial number, if it has one to read.
     """
 
     unit: int
@@ -58,22 +58,22 @@ class ModbusProbe:
     Parameters
     ----------
     settings
-        With the cube that is looked at.
+        Settings with the cube that is looked at.
     line
-        Instead of the lines of the configuration.
+        Line to use instead of those of the configuration.
     clock
         The service's time.
     say
         Takes the lines of the report.
     tap
-        Told what goes over the lines.
+        Called with all bytes on the lines.
     path
-        Returns the way over a line by its name; by default the one that the name says.
+        Returns the transport of a line by its name; None: the transport that the name means.
 
     Raises
     ------
     UserError
-        The cube is another one and no line is given, or no line is known.
+        The cube is not one of pyranometers on Modbus, or no line is known.
     """
 
     def __init__(
@@ -102,9 +102,9 @@ class ModbusProbe:
         self._path = path
 
     async def report(self, units: Sequence[int], *, clear: bool) -> dict[str, Any]:
-        """Say who answers at which address; with `clear` take old errors away. Raises `DeviceError`.
+        """Say which device answers at which address; with `clear`, clear old errors. Raises `DeviceError`.
 
-        Returns the same for scripts, by line.
+        Returns the devices by line, for scripts.
         """
         answering: dict[str, list[dict[str, Any]]] = {}
         for line in self._lines:
@@ -129,9 +129,9 @@ class ModbusProbe:
         return {"lines": answering}
 
     async def set_addresses(self, ask: Ask, units: Sequence[int]) -> dict[str, Any]:
-        """Lead through giving each face's sensor its address, one sensor on the line at a time.
+        """Guide a person through giving each face's sensor its address, with one sensor on the line at a time.
 
-        Nothing is written before the person has said so twice. Raises `DeviceError`.
+        Nothing is written before the person has confirmed it twice. Raises `DeviceError`.
         """
         for face in FACES:
             line = self._own.line_of(face) if len(self._lines) > 1 else self._lines[0]
@@ -155,7 +155,7 @@ class ModbusProbe:
                 break
             many = f"{len(found)} devices answer, at {', '.join(str(each.unit) for each in found)}: take the others off"
             if garbled:
-                # What is written there would go to all of them.
+                # A write to this address would reach all sensors that have it.
                 many = f"at {', '.join(garbled)} what answers is garbage: leave one sensor on the line, not two"
             self._say(f"  {many if found else 'nothing answers: is it on, and are speed and parity right?'}")
         sensor = found[0]
@@ -207,7 +207,7 @@ class ModbusProbe:
             try:
                 await self._greet(bus, unit, twice=self._face_at(line, unit) is not None)
             except DeadlineError as error:
-                # A gateway answers in the place of everybody who is not there.
+                # A gateway answers in place of devices that are not there.
                 if error.message and not isinstance(error, UnreachedError):
                     found.append(Answering(unit, _GARBLED))
                 continue
@@ -215,12 +215,12 @@ class ModbusProbe:
         return found
 
     async def _greet(self, bus: ModbusBus, unit: int, *, twice: bool) -> None:
-        """Ask an address for anything; raises `DeadlineError` where it is silent."""
+        """Ask an address for any register, to see whether it answers; raises `DeadlineError` if it is silent."""
         with suppress(RefusedError):
             await self._read(bus, unit, _ANYTHING, times=2 if twice else 1)
 
     async def _read(self, bus: ModbusBus, unit: int, block: Block, *, times: int = 2) -> tuple[int, ...]:
-        """Ask, and again where there is no proper answer: a question may be lost, and two tell."""
+        """Read a block, up to `times` times if there is no proper answer: one question may be lost, hardly two."""
         for _ in range(times - 1):
             with suppress(DeadlineError):
                 return await bus.read(unit, *block, self._within_s)
@@ -247,7 +247,7 @@ class ModbusProbe:
         return Answering(unit, f"{who.text}: {value}{', ' if told.note else ''}{told.note}", name, who.serial)
 
     def _candidates(self, line: str, unit: int) -> Iterator[tuple[MakeName, Make]]:
-        """Yield the makes that say who they are, then what is configured for this place."""
+        """Yield the makes that can be recognised, then the one that is configured for this address."""
         for name in _RECOGNISED:
             yield name, make_of(name, self._own.map)
         for face in FACES:
@@ -299,7 +299,7 @@ class ModbusProbe:
 
 @contextmanager
 def _silence_in_words(unit: int) -> Iterator[None]:
-    """Say whose answer is missing, where the error of a device that has sent nothing is for a person."""
+    """Name the address whose answer is missing, in an error that a person reads."""
     try:
         yield
     except DeadlineError as error:
@@ -308,7 +308,7 @@ def _silence_in_words(unit: int) -> Iterator[None]:
 
 
 def unit_range(text: str) -> range:
-    """Return the addresses that `1-32` or `7` means; `UserError` for what is none."""
+    """Return the addresses of a text such as `1-32` or `7`; `UserError` for any other text."""
     first, _, last = text.partition("-")
     try:
         units = range(int(first), int(last or first) + 1)

@@ -1,4 +1,4 @@
-"""Looking at the real positioner: identity, stream, settings, geometry, own modes, and a small move by the clock."""
+"""The probe of the real positioner: identity, stream, settings, geometry, own modes, and small timed moves."""
 
 import asyncio
 import os
@@ -27,7 +27,7 @@ _SHEET = (*range(70, 80), 83, *range(96, 108), *range(110, 114), 117, 118, *rang
 _LOOK_EVERY_S = 0.1
 _STILL_S = 2.0
 _MOVE_WITHIN_S = 120.0
-# A unit loses a packet now and then; the service tries a move again too.
+# A unit loses a packet now and then. Like the service, the probe tries a move again.
 _TRIES = 3
 _BY_HAND = (
     "still to be done by hand (docs/hardware.md):",
@@ -42,14 +42,14 @@ async def probe_positioner(
 ) -> dict[str, Any]:
     """Listen to the positioner and report; with `move_deg`, also move each axis by that much and back.
 
-    Returns for scripts who it is, what it shows, its stream, its conflicts with the configuration and its settings.
+    Returns, for scripts, its identity with conflicts with the configuration, its telemetry, geometry and settings.
 
     Raises
     ------
     UserError
-        It is of another make, or the settings do not say where it is.
+        The positioner is of another make, or the settings do not say where it is.
     DeviceError
-        It cannot be reached, is another board, or does not do as it should.
+        The positioner cannot be reached, is another board, or does not do as it should.
     """
     heard = _Heard(tap)
     own = pozsol_settings(settings, "heliocube probe positioner speaks to")
@@ -93,7 +93,7 @@ async def probe_positioner(
 
 
 class _Heard:
-    """Counts the fields that come by; called in the reader's thread."""
+    """Counts the fields that are received; called in the reader's thread."""
 
     def __init__(self, tap: Tap) -> None:
         self.counts: Counter[int] = Counter()
@@ -220,7 +220,7 @@ def _refuse_pressed(seen: Telemetry) -> None:
 
 
 def _way(axis: AxisName, setup: AxisSetup, here_deg: float, move_deg: float) -> float:
-    """Return how far to move an axis, up or down; `RefusedError` where its limits have room for neither."""
+    """Return how far to move an axis, up or down; `RefusedError` if its limits have no room either way."""
     for way in (move_deg, -move_deg):
         if setup.allows(here_deg + way):
             return way
@@ -232,7 +232,7 @@ def _way(axis: AxisName, setup: AxisSetup, here_deg: float, move_deg: float) -> 
 
 
 async def _order(positioner: PozsolPositioner, targets: tuple[float, float], say: Say) -> None:
-    """Order a move, and again while the unit does not take it."""
+    """Order a move, and repeat the order, up to `_TRIES` times in all, if the unit does not take it."""
     for _ in range(_TRIES - 1):
         try:
             await positioner.move_to(*targets)
@@ -251,12 +251,13 @@ def _why_given_up(*, stands: bool) -> str:
 
 
 async def _watch(positioner: PozsolPositioner, axis: AxisName, clock: Clock) -> str:
-    """Follow one axis until it stands, and return what was seen; `RefusedError` where it must go no further."""
+    """Follow one axis until it stands, and return what was seen; `RefusedError` if the probe must move no more."""
     begin_s = last_s = first_s = clock.monotonic()
     seen = await positioner.read_telemetry()
     start = position = seen.position_a if axis == "a" else seen.position_b
     start_deg = seen.a_deg if axis == "a" else seen.b_deg
-    # What the unit tells of its buttons comes later than where its axes stand: whoever has pressed one stopped them.
+    # Wait for a status after the last motion: the unit reports its buttons later than its position, and the axes may
+    # stand because somebody has pressed one.
     while clock.monotonic() < last_s + _STILL_S or seen.status_monotonic_s <= last_s:
         if clock.monotonic() >= begin_s + _MOVE_WITHIN_S:
             raise RefusedError("positioner", _why_given_up(stands=clock.monotonic() >= last_s + _STILL_S))

@@ -1,4 +1,4 @@
-"""The drivers, built from the settings: on the ports that these name, or on a line that is given."""
+"""Builds the drivers from the settings, on the ports that these name or on a line that is given."""
 
 from collections.abc import Callable
 from functools import partial
@@ -72,7 +72,7 @@ def build_voltmeter(settings: Settings, tap: Tap = no_tap, line: ScpiLine | None
 
 
 def build_multiplexed_cube(settings: Settings, clock: Clock, multiplexer: Multiplexer, voltmeter: Voltmeter) -> Cube:
-    """Return the cube of a multiplexer and a voltmeter that are given, wired as configured, not yet connected."""
+    """Return the cube of the given multiplexer and voltmeter, wired as configured, not yet connected."""
     driver = plugins.load(plugins.CUBES, MULTIPLEXED)
     own = driver.SETTINGS(driver=MULTIPLEXED)
     around = cube_surroundings(settings, clock, lambda: SwitchedMeter(multiplexer, voltmeter, _wiring(settings)))
@@ -89,7 +89,7 @@ def build_cube(settings: Settings, clock: Clock) -> Cube:
 
 
 def build_cube_of(settings: Settings, role: Role, clock: Clock) -> Cube:
-    """Return the cube of a process that has a role; raises `UserError`, with what else may have been meant."""
+    """Return the cube of a process with this role; `UserError` also names the role that may have been meant."""
     try:
         return build_cube(settings, clock)
     except UserError as error:
@@ -101,7 +101,7 @@ def build_cube_of(settings: Settings, role: Role, clock: Clock) -> Cube:
 def cube_surroundings(
     settings: Settings, clock: Clock, switched_meter: Callable[[], SwitchedMeter] | None = None
 ) -> CubeSurroundings:
-    """Return what a cube's driver is handed besides its settings; the meter is the configured one unless given."""
+    """Return what a cube's driver gets besides its settings; the switched meter is the configured one unless given."""
 
     def configured() -> SwitchedMeter:
         return SwitchedMeter(build_multiplexer(settings), build_voltmeter(settings), _wiring(settings))
@@ -136,13 +136,13 @@ def build_positioner(settings: Settings, clock: Clock) -> Positioner:
 
 
 def build_pozsol(settings: Settings, clock: Clock, line: PositionerLine) -> PozsolPositioner:
-    """Return the driver of a POZSOL unit on a line that is given, not yet connected; `UserError` for another make."""
+    """Return the driver of a POZSOL unit on the given line, not yet connected; `UserError` for another make."""
     own = pozsol_settings(settings, "simulated is")
     return pozsol.build(own, positioner_surroundings(settings, clock), line)
 
 
 def pozsol_settings(settings: Settings, who: str) -> PozsolSettings:
-    """Return the settings of a POZSOL unit; `UserError`, beginning with `who`, where it is of another make."""
+    """Return the settings of a POZSOL unit; for another make, a `UserError` that begins with `who`."""
     own = settings.instruments.positioner
     if not isinstance(own, PozsolSettings):
         raise UserError(f'{who} a unit of the driver "pozsol", and instruments.positioner.driver is "{own.driver}"')
@@ -150,7 +150,7 @@ def pozsol_settings(settings: Settings, who: str) -> PozsolSettings:
 
 
 def positioner_surroundings(settings: Settings, clock: Clock, tap: Tap = no_tap) -> PositionerSurroundings:
-    """Return what a positioner's driver is handed besides its settings."""
+    """Return what a positioner's driver gets besides its settings."""
     return PositionerSurroundings(
         limits=settings.limits.limits(),
         monotonic=clock.monotonic,

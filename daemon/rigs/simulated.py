@@ -61,7 +61,7 @@ def build_weather(
     from_utc_s, to_utc_s
         The span [s UTC].
     with_gaps
-        Whether gaps of the file by day are missing data, as long as there is something, and not an error.
+        Whether gaps of the file by day count as missing data and not as an error; the span must have some weather.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def build_weather(
         if not reaches:
             # A night needs no weather, but the day after it does.
             to_utc_s = max(from_utc_s + DAY_S, to_utc_s)
-        # A service may be told to run for ages; what is missing of the file is missing by the day after its end.
+        # A service may be told to run for ages: weather that is missing then is missing on the day after the file ends.
         to_utc_s = min(max(from_utc_s, weather.end_utc_s) + DAY_S, to_utc_s)
         instants = np.append(np.arange(from_utc_s, to_utc_s, _COVER_EVERY_S), to_utc_s)
         missing = missing_by_day(weather, site, instants)
@@ -89,7 +89,7 @@ def build_weather(
         except WeatherError as error:
             if reaches:
                 raise
-            # To the next whole second: the file begins there at the latest.
+            # Round up to a whole second, so that the file has begun by then.
             first = datetime.fromtimestamp(math.ceil(weather.start_utc_s), UTC)
             raise UserError(f"{error}; add --start {first:%Y-%m-%dT%H:%M:%SZ}, or another of its instants") from error
         return weather, "; ".join(weather_notes(weather, site, from_utc_s, to_utc_s)) or None
@@ -124,8 +124,8 @@ class SimulatedPair:
     truths
         Where each tracker's axes truly stand at a monotonic time.
     overhead
-        The sky over them, the temperature of the air [degC] and the wind [m/s] at instants (n,) [s UTC]; NaN for
-        what the weather does not tell, the light in its gaps included.
+        The sky over them, the temperature of the air [degC] and the wind [m/s] at instants (n,) [s UTC]; NaN where the
+        weather does not have them, also for the light in its gaps.
     """
 
     rigs: tuple[Rig, Rig]
@@ -177,7 +177,7 @@ def _under(scene: Scene, clock: Clock, weather: Weather) -> Rig:
     """Return a rig of no instruments under a sky."""
 
     def wind() -> float | None:
-        # Asked every second of a simulated day, and a sensor four times a scan: a context manager would cost more.
+        # Called every second of a simulated day: a context manager would cost more time.
         try:
             return scene.wind_speed(clock.utc())
         except WeatherError as error:
@@ -188,7 +188,7 @@ def _under(scene: Scene, clock: Clock, weather: Weather) -> Rig:
 
 
 def _tells_wind(weather: Weather) -> bool:
-    """Tell whether weather has wind at all: a file without it is a rig without a sensor, and no silent one."""
+    """Tell whether weather has wind at all: without it the rig has no wind sensor, rather than a silent one."""
     if not isinstance(weather, MeasuredWeather):
         return True
     instants = np.arange(weather.start_utc_s, weather.end_utc_s, _WIND_EVERY_S)
@@ -210,7 +210,7 @@ class _Module(PvSource):
         try:
             return super().light_now(now)
         except WeatherError:
-            # Without weather there is no light; that a file has ended is the cube's to say.
+            # Without weather there is no light. The cube reports that a file has ended.
             return _NO_LIGHT
 
 
@@ -219,7 +219,7 @@ def _build_source(clock: Clock, scene: Scene, pose: Callable[[float], Angles], m
         return clock.utc() + now_s - clock.monotonic()
 
     def present(_now_s: float) -> Angles:
-        # A load that answers some milliseconds from now must not drive the axes ahead of everybody else's time.
+        # A load answers some milliseconds in the future; that must not move the axes ahead of all others' time.
         return pose(clock.monotonic())
 
     return _Module(scene, present, utc_s, module)
@@ -241,7 +241,7 @@ def _build_load(
 
 
 def _noise_of_load(settings: Settings, number: int = 0) -> np.random.Generator:
-    """Return the noise of the load of one of several trackers, counted from 0."""
+    """Return the random generator for the noise of a tracker's load; trackers are numbered from 0."""
     return np.random.default_rng([settings.simulation.seed, 2, *([number] if number else [])])
 
 
@@ -261,7 +261,7 @@ def _build_scene(settings: Settings, weather: Weather) -> Scene:
 def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[Callable[[float], Angles], Positioner]:
     """Build the simulated positioner; return where its axes truly stand at a time, and the instrument on its link.
 
-    A driver that can simulate its own unit does; `UserError` for one that cannot.
+    A driver with a function `simulate` simulates its own unit; `UserError` for one that cannot be simulated.
     """
     own = settings.instruments.positioner
     if isinstance(own, RotctldSettings):
@@ -280,7 +280,7 @@ def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[Callab
 
 
 def _faces(settings: Settings) -> list[FaceGeometry]:
-    """Return the cube's geometry: an azimuth that is not configured is that of the face's name at this site."""
+    """Return the cube's geometry; an azimuth that is not configured follows from the face's name at this site."""
     named = default_faces(settings.site.latitude_deg)
     faces = [getattr(settings.cube, name) for name in FACES]
     return [
@@ -300,7 +300,7 @@ def _sky_text(scene: Scene, clock: Clock) -> str:
 
 
 class BenchPorts(NamedTuple):
-    """Ports of the bench on loopback: of NI's gRPC server, Modbus TCP and rotctld; 0 for one that is not there."""
+    """Loopback ports of the bench: of NI's gRPC server, Modbus TCP and rotctld; 0 for one that is not there."""
 
     ni_server: int
     modbus: int
@@ -317,9 +317,8 @@ async def run_bench(
 ) -> None:
     """Serve the simulated instruments on real transports until `stop` is set.
 
-    A rotctld that the settings name is left to whoever runs it. `ready` is called with the ports as soon as all of the
-    instruments are there. Raises `UserError` when the
-    directory cannot be used.
+    A rotctld that the settings name is not served: somebody else runs it. `ready` is called with the ports as soon as
+    all instruments are there. Raises `UserError` when the directory cannot be used.
     """
     try:
         from sim_drivers.bench.bench import Bench, BenchClock  # noqa: PLC0415 - needs pseudo-terminals, as nothing else does

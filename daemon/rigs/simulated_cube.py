@@ -1,4 +1,4 @@
-"""The simulated cube, built as the configuration says that the real one is."""
+"""The simulated cube, built as the configuration describes the real one."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -62,9 +62,9 @@ def build_simulated_cube(settings: Settings, clock: Clock, scene: Scene) -> Cube
 
 
 def build_bench_sensors(settings: Settings, clock: Clock, scene: Scene) -> Sequence[SimulatedDevice] | ScannerCore:
-    """Return the sensors of a cube on Modbus or its scanning meter, for the bench to serve; none for the multiplexed.
+    """Return, for the bench, the sensors of a cube on Modbus or its scanning meter; none for the multiplexed cube.
 
-    `UserError` for a cube that the bench has no simulator of.
+    `UserError` for a cube that the bench cannot simulate.
     """
     own = settings.instruments.cube
     if own.driver == MULTIPLEXED:
@@ -90,7 +90,7 @@ def build_bench_sensors(settings: Settings, clock: Clock, scene: Scene) -> Seque
 def build_cube_cores(
     settings: Settings, clock: Clock, scene: Scene, gaps: MeasuredWeather | None = None
 ) -> tuple[MultiplexerCore, VoltmeterCore]:
-    """Return simulated multiplexer and voltmeter, wired to the scene as configured; `gaps` as of `_sensors`."""
+    """Return simulated multiplexer and voltmeter, wired to the scene as configured; `gaps` as for `_sensors`."""
     face_of_channel = {getattr(settings.cube, name).channel: index for index, name in enumerate(FACES)}
     shorted = (settings.cube.self_test_channel, settings.cube.second_self_test_channel)
     sensor_v = _sensors(clock, scene, gaps)
@@ -113,9 +113,10 @@ def build_cube_cores(
 
 
 def _sensors(clock: Clock, scene: Scene, gaps: MeasuredWeather | None = None) -> Callable[[int, float], float]:
-    """Return what tells the voltage [V] of a face's sensor at a monotonic time; `UserError` without weather.
+    """Return a function for the voltage [V] of a face's sensor at a monotonic time.
 
-    Within the file `gaps` it is NaN then, which a voltmeter shows as an overflow.
+    Without weather it raises `UserError`; within the span of the file `gaps` it returns NaN instead, which a voltmeter
+    shows as an overflow.
     """
 
     def sensor_v(face: int, now_s: float) -> float:

@@ -1,4 +1,4 @@
-"""Simulated instruments on Modbus, with the makes, addresses and inputs that the configuration says of real ones."""
+"""Simulated instruments on Modbus, with the makes, addresses and inputs that are configured for real ones."""
 
 from collections.abc import Callable
 from functools import partial
@@ -17,7 +17,7 @@ from sim_drivers.modbus.line import DeviceLineCore
 from sim_drivers.modbus.pyranometers import SimulatedMapped, SimulatedPyranometer, simulated_pyranometer
 from sim_drivers.transports import InMemoryModbus
 
-# What a simulated sensor gives.
+# Output of a simulated sensor.
 _VOLT_PER_W_M2 = 1e-4
 _FIRST_SERIAL = 24101
 
@@ -43,7 +43,7 @@ def simulated_pyranometers(settings: Settings, clock: Clock, sensor_v: SensorVol
 
 
 def build_pyranometers(section: CubeDriverSettings, sensor_v: SensorVoltage) -> list[SimulatedPyranometer]:
-    """Return the sensors of east, south, west and zenith; their serial numbers are the pinned ones, if any."""
+    """Return the sensors of east, south, west and zenith, with the serial numbers that are configured, if any."""
     own = cast("PyranometersSettings", section)
 
     def irradiance(face: int, now_s: float) -> float:
@@ -76,7 +76,7 @@ def simulated_labjack(settings: Settings, clock: Clock, sensor_v: SensorVoltage)
 
 
 def build_labjack(section: CubeDriverSettings, sensor_v: SensorVoltage) -> SimulatedLabjack:
-    """Return a LabJack with the sensors of the four faces at their inputs: a T7, or a T8 for what only that can do."""
+    """Return a LabJack with the sensors of the four faces at their inputs: a T7, or a T8 if the settings need one."""
     own = cast("LabjackSettings", section)
     face_of_input = {each: face for face, each in enumerate(own.inputs)}
     only_t8 = any(each % 2 for each in own.inputs) or own.resolution_index > BEST_INDEX[T7]

@@ -1,4 +1,4 @@
-"""The simulated positioner, built as the configuration says that the real one is."""
+"""The simulated positioner, built as the configuration describes the real one."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR, Actuator, AxisDrive, Mechanics, Setup, SlewDrive
 
 _RAMP_S = 0.5
-"""How long the simulated motors take to full speed."""
+"""How long the simulated motors take to reach full speed."""
 _BEYOND_DEG = 2.0
 """How far the travel goes on beyond the limits."""
 
@@ -24,9 +24,9 @@ def build_unit(settings: Settings, clock: Clock) -> PositionerCore:
 
 
 def as_built(settings: Settings, setup: Setup) -> Setup:
-    """Return a setup with the mechanics that the settings say; `UserError` for a geometry that cannot be built.
+    """Return a setup with the mechanics of the settings; `UserError` for a geometry that cannot be built.
 
-    The drive of `setup` counts in mm; in what is returned it turns the axes as fast in their own position units.
+    The drive of `setup` counts in mm; the returned drive turns the axes as fast, in their own position units.
     """
     positioner, limits = pozsol_settings(settings, "simulated is"), settings.limits
     layout = B_OUT_BIT[positioner.status_layout]
@@ -35,7 +35,7 @@ def as_built(settings: Settings, setup: Setup) -> Setup:
         b = _mechanics(settings, positioner.b_axis, B_ACTUATOR, (limits.b_min_deg, limits.b_max_deg))
         drive = _drive(setup.drive, a)
         if positioner.position_unit == "impulse":
-            # It can stand nowhere between two of them, nor be sent there.
+            # The axis can neither stand between two impulses nor be sent there.
             drive = replace(drive, counts_per_mm=1.0)
         setup = replace(setup, a_actuator=a, b_actuator=b, drive=drive)
         return setup if layout is None else replace(setup, b_out_bit=layout)
@@ -67,7 +67,7 @@ def _mechanics(settings: Settings, axis: AxisGeometry, usual: Actuator, limits_d
 
 
 def _drive(drive: AxisDrive, a: Mechanics) -> AxisDrive:
-    """Return a drive that turns axis A as fast as the usual actuator is turned, in position units of this one."""
+    """Return a drive that turns axis A as fast as the usual actuator does, in the position units of `a`."""
     if isinstance(a, Actuator):
         return drive
     return drive.scaled(a.travel_mm / (a.high_deg - a.low_deg) / _USUAL_MM_PER_DEG)

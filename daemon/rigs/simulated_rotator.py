@@ -1,4 +1,4 @@
-"""The simulated rotator behind a simulated rotctld, built as the configuration says that the real one is."""
+"""The simulated rotator behind a simulated rotctld, built as the configuration describes the real one."""
 
 from collections.abc import Callable
 
@@ -14,7 +14,7 @@ from solar.frames import Angles, angles_from_direction, direction_from_azimuth, 
 
 
 def build_rotator(settings: Settings, own: RotctldSettings, clock: Clock) -> RotatorCore:
-    """Return the simulated rotator, flat and turned to the equator; its stop is behind it unless a range is set."""
+    """Return the simulated rotator, flat and facing the equator; unless a range is set, its end stop is behind it."""
     equator_deg = equator_azimuth_deg(settings.site.latitude_deg)
 
     def either(value: float | None, usual: float) -> float:
@@ -36,7 +36,7 @@ def build_rotator(settings: Settings, own: RotctldSettings, clock: Clock) -> Rot
 
 
 def rotator_truth(core: RotatorCore, settings: Settings) -> Callable[[float], Angles]:
-    """Return what tells the true angles A and B of a rotator at a monotonic time."""
+    """Return a function for the true angles A and B of a rotator at a monotonic time."""
     latitude_deg = settings.site.latitude_deg
 
     def truth(now_s: float) -> Angles:
@@ -49,7 +49,7 @@ def rotator_truth(core: RotatorCore, settings: Settings) -> Callable[[float], An
 def build_simulated_rotator(
     settings: Settings, own: RotctldSettings, clock: Clock
 ) -> tuple[Callable[[float], Angles], RotctldPositioner]:
-    """Return where a simulated rotator truly stands at a time, and its driver."""
+    """Return a function for the angles at which a simulated rotator truly stands, and its driver."""
     core = build_rotator(settings, own, clock)
     line = InMemoryRotctld(core, clock.monotonic)
     return rotator_truth(core, settings), driver.build(own, positioner_surroundings(settings, clock), line)

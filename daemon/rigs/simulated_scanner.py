@@ -1,4 +1,4 @@
-"""The simulated scanning meter, built as the configuration says that the real one is."""
+"""The simulated scanning meter, built as the configuration describes the real one."""
 
 from collections.abc import Callable
 from typing import cast
@@ -18,7 +18,7 @@ _SEED = 4
 
 
 def build_scanner(settings: Settings, sensor_v: Callable[[int, float], float], now_s: float) -> ScannerCore:
-    """Return the meter with the sensors of the faces at its channels; `sensor_v` is of a face and a time."""
+    """Return the meter with the faces' sensors at its channels; `sensor_v` gives the voltage of a face at a time."""
     own = cast("ScanningMeterSettings", settings.instruments.cube)
     channels = channels_of(own)
 
