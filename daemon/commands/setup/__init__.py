@@ -1,1 +1,1 @@
-"""`heliocube setup`: what a new rig is asked, looked at and moved by, before its configuration is written."""
+"""`heliocube setup`: questions, looks at the instruments and the first move, before the configuration is written."""

@@ -1,4 +1,4 @@
-"""What stops a move under a person's hand: any key of the terminal, without Enter, and what would end the program."""
+"""The stop of a move that a person watches: any key of the terminal, without Enter, or a signal to end the program."""
 
 import contextlib
 import select
@@ -11,12 +11,12 @@ _ENDS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class StopKeys:
-    """Tells whether to stop; once it has said so it says so for good.
+    """Tells whether to stop; once it has said so, it always does.
 
     Attributes
     ----------
     left
-        Whether it was Ctrl-C, a hang-up or the order to end, so that the program should leave afterwards.
+        Whether Ctrl-C, a hang-up or an order to end came, so that the program should end after the stop.
     """
 
     def __init__(self, pressed: Callable[[], bool]) -> None:
@@ -25,7 +25,7 @@ class StopKeys:
         self.left = False
 
     def pressed(self) -> bool:
-        """Look whether a key has been pressed, or the program been told to end, since this began."""
+        """Tell whether, since this began, a key has been pressed or the program been told to end."""
         self._seen = self._seen or self.left or self._pressed()
         return self._seen
 
@@ -36,9 +36,9 @@ class StopKeys:
 
 @contextlib.contextmanager
 def stop_keys() -> Iterator[StopKeys | None]:
-    """Yield what tells of keys and signals; None where there is no terminal, so that no key could be pressed.
+    """Yield the watch of keys and signals; None if there is no terminal, so that no key could be pressed.
 
-    Meanwhile no signal ends the program: the axes would go on to their end.
+    Meanwhile no signal ends the program, because the axes would go on to their end.
     """
     if not sys.stdin.isatty():
         yield None
@@ -67,13 +67,13 @@ def _keys() -> Iterator[Callable[[], bool]]:
     terminal = sys.stdin.fileno()
     before = termios.tcgetattr(terminal)
     tty.setcbreak(terminal, termios.TCSAFLUSH)
-    # Ctrl-Z and Ctrl-\ would leave a move without anybody who looks, and Ctrl-S the next line waiting: keys as others.
+    # Ctrl-Z and Ctrl-\ would leave a move unwatched, and Ctrl-S block the next output: make them keys like others.
     flags, *rest, characters = termios.tcgetattr(terminal)
     characters[termios.VSUSP] = characters[termios.VQUIT] = b"\0"
     termios.tcsetattr(terminal, termios.TCSANOW, [flags & ~termios.IXON, *rest, characters])
     try:
         yield lambda: bool(select.select([terminal], [], [], 0)[0])
     finally:
-        # What was typed to stop a move is no answer to the next question. A terminal that hung up takes nothing.
+        # Discard the keys that stopped a move: they do not answer the next question. A hung-up terminal gives an error.
         with contextlib.suppress(termios.error):
             termios.tcsetattr(terminal, termios.TCSAFLUSH, before)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from daemon.commands.setup.screen import SetupScreen
     from daemon.commands.setup.steps import SetupStep
 
-# What a shell ends with where Ctrl-C ended a program.
+# The exit code that a shell gives a program that Ctrl-C ended.
 LEFT = 130
 
 app = typer.Typer()
@@ -87,7 +87,7 @@ def _greet(screen: "SetupScreen", file: Path, place: Path, answered: int) -> Non
 
 
 def _one(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") -> None:
-    """Ask one step, and take the answer or say why it is none."""
+    """Ask one step, and take the answer or say why it does not fit."""
     from daemon.commands.setup.steps import MOVE, SUN
 
     if step.name == SUN:
@@ -114,7 +114,7 @@ def _name_ports(screen: "SetupScreen") -> None:
 
 
 def _take(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep", said: str) -> None:
-    """Take what was typed; raises `UserError` where it is no answer, or what it asked for could not be done."""
+    """Take what was typed; raises `UserError` if it does not fit, or if the action cannot be done."""
     from daemon.commands.setup.steps import MOVE, SKIPPED
 
     word, go = said.strip().lower(), "move" if step.name == MOVE else ""
@@ -132,7 +132,7 @@ def _take(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep", s
 
 
 def _act(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") -> float | str:
-    """Do what an action stands for, and return what came of it; raises `UserError`."""
+    """Do an action and return its result; raises `UserError`."""
     from daemon.base.clock import SystemClock
     from daemon.commands.setup import looks, steps
 
@@ -163,7 +163,7 @@ def _move(dialogue: "SetupDialogue", say: Callable[[str], object]) -> float | st
 
     settings, clock = dialogue.settings(), SystemClock()
     require_movable(settings)
-    # There may be a service of this file, which has known the rig for long.
+    # A service of this file may exist already, with reasons of its own not to move the rig.
     look = partial(refuse_noted, with_records(settings, dialogue.file, os.environ))
     bounds = Bounds(
         settings.limits.limits(), settings.motion.tolerance_deg, settings.instruments.positioner.slowest_deg_per_s
@@ -198,7 +198,7 @@ def _before_the_move(dialogue: "SetupDialogue", screen: "SetupScreen") -> None:
 
 
 def _run(work: Coroutine[Any, Any, Any]) -> Any:
-    """Run to the end; what goes wrong with the instrument is one sentence."""
+    """Run the work; an error of the instrument gives one sentence."""
     from drivers.errors import DeviceError
 
     try:

@@ -1,4 +1,4 @@
-"""The course of a setup: which step is next, and whether an answer to it is one. Pure: it shows and moves nothing."""
+"""The course of a setup: which step is next, and whether an answer fits it. It shows nothing and moves nothing."""
 
 import re
 from collections.abc import Mapping
@@ -25,19 +25,19 @@ _YES = {"y": "yes", "n": "no"}
 
 
 class SetupDialogue:
-    """Asks step by step, from what is known.
+    """Leads through the steps, one by one, from what is known.
 
     Parameters
     ----------
     kept
         The answers so far.
     file
-        The configuration that will be written. One that is there already is the basis of the defaults.
+        The configuration that will be written. If it is there already, its values are the defaults.
 
     Attributes
     ----------
     file
-        The same.
+        That configuration.
     """
 
     def __init__(self, kept: SetupAnswers, file: Path) -> None:
@@ -46,7 +46,7 @@ class SetupDialogue:
         own: dict[str, Any] = {}
         if file.exists():
             load_settings(file)
-            # install.sh lays down a file with the place of the paper, which nobody may take by Enter.
+            # install.sh installs a file with the site of the paper, which nobody may take by Enter.
             own = {path: value for path, value in _values_of(file).items() if not _is_the_papers(path, value)}
         if "tracker" in own:
             raise UserError(f"{file} has tables of trackers, which a setup does not ask for: change that file by hand")
@@ -67,18 +67,18 @@ class SetupDialogue:
 
     @property
     def known(self) -> Known:
-        """What the steps follow from."""
+        """The answers and values that decide the steps."""
         bench = self._kept.answers.get(RIG) == A_BENCH
-        # The clock and the addresses that a practice has left in a file are no real rig's.
+        # A file from practice on a bench has the bench's clock and addresses, which a real rig must not take.
         own = self._own if self._own.get("instruments.bench", False) is bench else {}
         return Known(self._kept.answers, self._of_bench or own)
 
     def steps(self) -> list[SetupStep]:
-        """Return every step that the answers lead to, the answered ones too."""
+        """Return every step that the answers lead to, answered ones included."""
         return plan(self.known)
 
     def step(self) -> SetupStep | None:
-        """Return the first step without an answer; None when there is none left."""
+        """Return the first step without an answer; None if all are answered."""
         return next((step for step in self.steps() if step.name not in self._kept.answers), None)
 
     def place(self) -> tuple[int, int]:
@@ -88,19 +88,19 @@ class SetupDialogue:
         return (len(chapters) if step is None else chapters.index(step.chapter) + 1), len(chapters)
 
     def offered(self) -> Answer:
-        """Return what Enter takes now; None where an answer has to be given."""
+        """Return what Enter takes now; None if an answer has to be typed."""
         step = self.step()
         if step is None or step.kind == "action":
             return None
         return self._kept.offered.get(step.name, step.default)
 
     def take(self, text: str) -> None:
-        """Take a person's answer to the present step; empty for what is offered.
+        """Take a person's answer to the present step; an empty answer takes what is offered.
 
         Raises
         ------
         UserError
-            It is none: one sentence with what would be.
+            The answer does not fit: one sentence says what would.
         """
         step = self.step()
         if step is None:
@@ -117,7 +117,7 @@ class SetupDialogue:
         self.settle(value)
 
     def settle(self, value: Answer) -> None:
-        """Take the value of the present step, or what came of an action; raises `UserError` if it does not fit."""
+        """Take the value of the present step, or the result of an action; raises `UserError` if it does not fit."""
         step = self.step()
         if step is None:
             return
@@ -126,7 +126,7 @@ class SetupDialogue:
         answers = {**self._kept.answers, step.name: value}
         changed = {"answers": answers}
         if step.name == RIG and value != self._kept.offered.get(RIG):
-            # What was said of the other rig, before somebody went back, is not offered for this one.
+            # Answers about the other rig, from before somebody went back, are not offered for this one.
             changed["offered"] = {}
         before, self._kept = self._kept, self._kept.model_copy(update=changed)
         try:
@@ -142,7 +142,7 @@ class SetupDialogue:
             raise UserError(self._refusal(error)) from None
 
     def back(self) -> bool:
-        """Take the latest answer back, to be given again; False at the very start."""
+        """Take the latest answer back, to be given again; False if there is none."""
         if not self._kept.answers:
             return False
         answers = dict(self._kept.answers)
@@ -154,7 +154,7 @@ class SetupDialogue:
         return True
 
     def expected(self) -> str:
-        """Return what the present step takes, in words."""
+        """Return in words what the present step takes."""
         step = self.step()
         if step is None:
             return ""
@@ -175,7 +175,7 @@ class SetupDialogue:
         found["bridge.key_file"] = self.key_file()
         found.setdefault("api.token_file", TOKEN_NAME)
         if self.role() == "cube":
-            # Not the tracker's port: the two may be services of one machine.
+            # Another port than the tracker's: both services may run on one machine.
             found.setdefault("api.listen", CUBE_LISTEN)
         return found
 
@@ -186,7 +186,7 @@ class SetupDialogue:
         return str(known if chosen in (None, NEW_KEY) else chosen)
 
     def settings(self) -> Settings:
-        """Return the settings that the answers make; raises `ConfigError`, but not for what is still to be asked."""
+        """Return the settings from the answers; raises `ConfigError`, but not for keys that are still to be asked."""
         values = {path: value for path, value in self.values().items() if value is not None}
         to_come = [step.name for step in self.steps() if step.name not in self._kept.answers]
         return override(Settings(), _tables(values), to_come)
@@ -216,7 +216,7 @@ class SetupDialogue:
         self._of_bench = found
 
     def _refusal(self, error: UserError) -> str:
-        """Return the first thing that is wrong, without the name of the source that a dialogue does not have."""
+        """Return the first problem, without the name of a file, as a dialogue has none."""
         if not isinstance(error, ConfigError):
             return str(error)
         problem = error.problems[0]
@@ -241,7 +241,7 @@ class SetupDialogue:
 
 
 def _meant(step: SetupStep, said: str, key: keys.Key | None) -> Answer:
-    """Return the value that a person's words mean; raises `UserError`."""
+    """Return the value that the typed words mean; raises `UserError`."""
     if step.optional and said.lower() in _NONE:
         return None
     if step.choices and (key is None or key.takes == {"string"}):
@@ -260,7 +260,7 @@ def _meant(step: SetupStep, said: str, key: keys.Key | None) -> Answer:
 
 
 def _at_home(said: str) -> Path:
-    """Return a path with the home that its ~ means; raises `UserError` where nobody has that name."""
+    """Return a path with its ~ replaced by the home folder; raises `UserError` if there is no such user."""
     try:
         return Path(said).expanduser()
     except RuntimeError:
@@ -268,7 +268,7 @@ def _at_home(said: str) -> Path:
 
 
 def _chosen(step: SetupStep, said: str) -> str:
-    """Return the one choice that the words begin."""
+    """Return the one choice that begins with the words; raises `UserError` if there is not exactly one."""
     word = _YES.get(said.lower(), said.lower()) if step.kind == "confirm" else said.lower()
     found = [name for name in step.choices if name == word] or [name for name in step.choices if name.startswith(word)]
     if len(found) != 1:
@@ -282,12 +282,12 @@ def _listed(words: tuple[str, ...]) -> str:
 
 
 def _in_words(key: keys.Key) -> str:
-    """Return what a key takes, for somebody who types into a prompt and not into a file."""
+    """Return in words what a key takes, for a person who types at a prompt and not into a file."""
     return key.expected.replace(" in quotes", "").replace('"', "").replace("a list in brackets, each item ", "")
 
 
 def _values_of(file: Path) -> dict[str, Any]:
-    """Return what a file says, by path."""
+    """Return the values of a file by their path."""
     if not file.exists():
         raise UserError(f"there is no {file}: is the bench running, and is that its folder?")
     found = dict(_flat(read_tables(file), ""))
@@ -297,7 +297,7 @@ def _values_of(file: Path) -> dict[str, Any]:
 
 
 def _is_the_papers(path: str, value: Any) -> bool:
-    """Return whether a value of the site is the one that counts where a file says nothing."""
+    """Return whether a value of the site is the default, which is that of the paper's site."""
     key = keys.keys().get(path)
     return key is not None and key.section == "site" and value == key.default
 

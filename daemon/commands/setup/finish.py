@@ -18,16 +18,16 @@ from daemon.store.place import OF_THE_UNITS, RECORDS_NAME
 
 
 def finish(dialogue: SetupDialogue, file: Path) -> list[str]:
-    """Write the configuration and what it names that is not there yet; return a line for each file.
+    """Write the configuration, and its key and token if they are not there yet; return a line for each file.
 
     Raises
     ------
     UserError
-        Something cannot be written; what had been written before stays, and the setup may be taken up again.
+        A file cannot be written. Files written before it stay, and the setup may be continued.
     """
     values = dialogue.values()
     role = cast("Literal['both', 'cube', 'tracker']", dialogue.role())
-    # A unit may write nowhere else.
+    # A unit may write only to its own folder.
     place = str(OF_THE_UNITS / role) if unit_role(file) == role else RECORDS_NAME
     values["store.directory"] = values.get("store.directory") or place
     text = example(role, values, dialogue.known.chosen())
@@ -57,7 +57,7 @@ def finish(dialogue: SetupDialogue, file: Path) -> list[str]:
 
 
 def start_lines(file: Path, role: str) -> list[str]:
-    """Return how the service is started with a configuration: by its unit, where the installation has one for it."""
+    """Return the lines that start the service with a configuration: by its unit, if the installation has one for it."""
     if unit_role(file) != role:
         return [f"heliocube run --role {role} --config {file}"]
     if role == "cube":
@@ -74,14 +74,14 @@ def _free_name(file: Path) -> Path:
 
 
 def _owned_like(model: Path | None, path: Path, *, alone: bool = False) -> None:
-    """Give a file that root has written to whom the others belong: the service's user could not read it.
+    """Give a file that root has written to the owner of `model`, since the service's user could not read it otherwise.
 
-    Where `alone`, nobody but its owner may read it. Where the others are root's it goes to the user that their group is
-    named after, who is the service's as deploy/ has it.
+    With `alone` only its owner may read the file. If the owner of `model` is root, such a file goes to the user who has
+    the name of the group of `model`: that is the service's user, as deploy/ sets it up.
     """
     if model is None or model == path or sys.platform == "win32":
         return
-    # Not there on Windows.
+    # Windows has no such module.
     import grp
 
     with contextlib.suppress(OSError):

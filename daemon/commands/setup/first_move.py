@@ -22,15 +22,15 @@ _LOOK_EVERY_S = 0.1
 _STILL_S = 1.0
 _BEGINS_WITHIN_S = 10.0
 _MARGIN_S = 20.0
-# Telemetry tells tenths of a degree; an axis gives a little when the other one moves.
+# Telemetry has tenths of a degree, and an axis yields a little when the other one moves.
 _ASTRAY_DEG = 0.7
-# So far has an axis to have gone, for somebody who stops it to have stopped a motion.
+# How far an axis must have gone for the stop to have stopped a motion.
 _UNDER_WAY_DEG = 0.3
 _UNLOCKED = "the stop could not be seen in telemetry: SWITCH THE MOTORS' SUPPLY OFF"
 
 
 class FirstMoveError(DeviceError):
-    """The move was stopped, because telemetry or a person spoke against it."""
+    """The move was stopped because of telemetry or a person."""
 
     def __init__(self, message: str) -> None:
         super().__init__("positioner", message)
@@ -38,7 +38,7 @@ class FirstMoveError(DeviceError):
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What a first move is judged by.
+    """The bounds by which a first move is judged.
 
     Attributes
     ----------
@@ -57,16 +57,16 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One axis on its way, and the other one that has to stay.
+    """One move: an axis on its way, and the other one, which has to stay.
 
     Attributes
     ----------
     axis
-        The one that moves.
+        The axis that moves.
     from_deg, to_deg
-        Its way.
+        Where it starts and where it is to go.
     other_deg
-        Where the other one stands.
+        Where the other axis stands.
     """
 
     axis: AxisName
@@ -76,12 +76,12 @@ class Leg:
 
     @property
     def targets(self) -> tuple[float, float]:
-        """A and B of the end."""
+        """A and B at the end of the leg."""
         return (self.to_deg, self.other_deg) if self.axis == "a" else (self.other_deg, self.to_deg)
 
     @property
     def direction(self) -> str:
-        """Where that is, for somebody who watches."""
+        """The direction of the move, for a person who watches."""
         words = ("to the west", "to the east") if self.axis == "a" else ("flatter", "steeper")
         return words[self.to_deg < self.from_deg]
 
@@ -90,7 +90,7 @@ class Leg:
         return seen.a_deg if self.axis == "a" else seen.b_deg
 
     def objection(self, seen: Telemetry, tolerance_deg: float) -> str | None:
-        """Return what telemetry says against going on, as a sentence, or None. An angle that is no number objects."""
+        """Return a sentence on why telemetry forbids to go on, or None; an angle that is no number forbids it too."""
         angle, other = self.angle(seen), seen.b_deg if self.axis == "a" else seen.a_deg
         way = math.copysign(1.0, self.to_deg - self.from_deg)
         name, still = self.axis.upper(), "B" if self.axis == "a" else "A"
@@ -109,7 +109,7 @@ class Leg:
 
 
 def ready(seen: Telemetry, conflicts: tuple[str, ...], limits: Limits) -> str | None:
-    """Return why nothing may be moved from here, as a sentence, or None."""
+    """Return a sentence on why nothing may be moved from here, or None."""
     if conflicts:
         return f"it contradicts the configuration, so no move is made: {'; '.join(conflicts)}"
     if why := seen.needs_homing:
@@ -123,7 +123,7 @@ def ready(seen: Telemetry, conflicts: tuple[str, ...], limits: Limits) -> str | 
 
 
 def _close_to(limits: Limits, seen: Telemetry) -> bool:
-    """Tell whether the angles are within the limits but for what telemetry may be wrong by; NaN is not."""
+    """Tell whether the angles are within the limits, apart from the error of telemetry; NaN is not."""
     slack_deg = _ASTRAY_DEG
     outer = Limits(
         limits.a_min_deg - slack_deg,
@@ -146,12 +146,13 @@ async def first_move(
     pressed
         Tells whether a key has been pressed.
     look
-        Is shown the positioner before it moves, and raises `DeviceError` for what must not.
+        Called with telemetry before anything moves; raises `DeviceError` if nothing may move.
 
     Raises
     ------
     DeviceError
-        Something or somebody spoke against it: the axes were halted, or the sentence says that this was not seen.
+        Telemetry, a person or the device was against it: the axes were halted, or the sentence says that this was not
+        seen.
     """
     try:
         identity = await positioner.open()
@@ -196,7 +197,7 @@ async def _legs(
 async def _from_here(
     positioner: Positioner, axis: AxisName, target_deg: float, bounds: Bounds, pressed: Pressed
 ) -> Leg:
-    """Return the leg from where the axes stand, the other axis asked to stay there."""
+    """Return the leg from where the axes stand; the other axis has to stay there."""
     await _end_by_a_key(positioner, pressed)
     seen = await positioner.read_telemetry()
     here = bounds.limits.clip(seen.a_deg, seen.b_deg)
@@ -205,7 +206,7 @@ async def _from_here(
 
 
 async def _end_by_a_key(positioner: Positioner, pressed: Pressed) -> None:
-    """End it where a key was pressed, and halt: within the tolerance of its target an axis may yet go on."""
+    """If a key was pressed, halt and raise: an axis may still move although it is within tolerance of its target."""
     if pressed():
         with _supply_off(FirstMoveError("was stopped by a key")):
             await positioner.halt()
@@ -213,7 +214,7 @@ async def _end_by_a_key(positioner: Positioner, pressed: Pressed) -> None:
 
 
 def _inside(axis: AxisName, here_deg: float, step_deg: float, limits: Limits) -> float:
-    """Return an angle so far away as limits allow, up to a step: upwards with A, which is west, and down with B."""
+    """Return an angle a step away, or as far as limits allow, preferably up with A, which is west, and down with B."""
     low_deg, high_deg = (limits.a_min_deg, limits.a_max_deg) if axis == "a" else (limits.b_min_deg, limits.b_max_deg)
     up_deg, down_deg = min(step_deg, high_deg - here_deg), min(step_deg, here_deg - low_deg)
     ways = (up_deg, -down_deg) if axis == "a" else (-down_deg, up_deg)
@@ -221,12 +222,12 @@ def _inside(axis: AxisName, here_deg: float, step_deg: float, limits: Limits) ->
 
 
 async def follow(positioner: Positioner, leg: Leg, bounds: Bounds, clock: Clock, pressed: Pressed) -> float:
-    """Make one leg until it has arrived or a key is pressed, and return its speed [deg/s]; whatever else ends it halts.
+    """Make one leg until it has arrived or a key is pressed, and return its speed [deg/s]; on any other end, halt.
 
     Raises
     ------
     DeviceError
-        Telemetry spoke against it, or was not there. The axes stand, or the sentence says that this was not seen.
+        Telemetry was against it, or there was none. The axes stand, or the sentence says that this was not seen.
     """
     try:
         await positioner.move_to(*leg.targets, first=leg.axis)
@@ -268,7 +269,7 @@ async def _followed(positioner: Positioner, leg: Leg, bounds: Bounds, clock: Clo
 
 
 class _Track:
-    """When the axes began and ended, seen in what the drive counts."""
+    """When motion began and ended, by the drive's counts."""
 
     def __init__(self, begin_s: float) -> None:
         self.first_s: float | None = None
@@ -283,7 +284,7 @@ class _Track:
             self.first_s, self.last_s = self.first_s or now_s - _LOOK_EVERY_S, now_s
 
     def speed(self, leg: Leg) -> float:
-        """Return how fast the axis was [deg/s], 0 where it was not seen to move."""
+        """Return the speed of the leg's axis [deg/s], 0 if it was not seen to move."""
         if self.first_s is None or self._start is None or self._seen is None:
             return 0.0
         return abs(leg.angle(self._seen) - leg.angle(self._start)) / (self.last_s - self.first_s)

@@ -1,4 +1,4 @@
-"""What has been answered so far, kept beside the configuration to be, so that a person may leave and come back."""
+"""The answers so far, kept beside the future configuration, so that a person may leave and come back."""
 
 from pathlib import Path
 from typing import Literal
@@ -36,10 +36,10 @@ def place_of_answers(file: Path) -> Path:
 
 
 def load_answers(place: Path) -> SetupAnswers:
-    """Return what is kept, nothing where there is no such file; raises `UserError` for one that cannot be used."""
+    """Return the answers that are kept, none if there is no such file; raises `UserError` if it cannot be used."""
     try:
         if place.exists() and not (place.is_file() or place.is_dir()):
-            # Whoever opens a pipe waits for a writer.
+            # To open a pipe would wait for a writer.
             raise UserError(f"{place} is no ordinary file, but a device or a pipe: remove it, or begin with --anew")
         with place.open("rb") as file:
             return SetupAnswers.model_validate_json(file.read(_LONGEST_FILE))
@@ -52,7 +52,7 @@ def load_answers(place: Path) -> SetupAnswers:
 
 
 def keep_answers(place: Path, kept: SetupAnswers) -> None:
-    """Replace what is kept; raises `UserError` where it cannot be written."""
+    """Replace the answers that are kept; raises `UserError` if they cannot be written."""
     try:
         replace_file(place, kept.model_dump_json(indent=1) + "\n")
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Looking at each instrument before it is believed: nothing here moves an axis."""
+"""Looks at each instrument before it is trusted; nothing here moves an axis."""
 
 import asyncio
 import os
@@ -26,7 +26,7 @@ _DIRECTIONS = ("north", "north-east", "east", "south-east", "south", "south-west
 
 
 def time_of(settings: Settings, now_s: float) -> float:
-    """Return the time that the rig will have [s since 1970], which a bench has of its own."""
+    """Return the time of the rig's clock [s since 1970]; a bench has a clock of its own."""
     if settings.bench_clock is None:
         return now_s
     start, anchor = settings.bench_clock
@@ -54,7 +54,7 @@ def _clock_sentence(settings: Settings, utc_s: float) -> str:
 
 
 def serial_ports() -> list[str]:
-    """Return the serial ports of this machine, by names that outlive a replug where it has such."""
+    """Return the serial ports of this machine, by names that stay the same after a replug if it has such names."""
     named = [str(path) for pattern in _STABLE_NAMES for path in sorted(Path("/dev").glob(pattern))]
     if named or os.name == "posix":
         return named
@@ -85,7 +85,7 @@ async def look_at_cube(settings: Settings, clock: Clock, say: Say) -> None:
 
 
 async def look_at_positioner(settings: Settings, clock: Clock, say: Say) -> None:
-    """Listen to the positioner and tell what it says; raises `DeviceError` or `UserError`."""
+    """Listen to the positioner and report; raises `DeviceError` or `UserError`."""
     if isinstance(settings.instruments.positioner, PozsolSettings):
         await probe_positioner(settings, clock, _LISTEN_S, None, no_tap, say)
         return
@@ -103,12 +103,12 @@ async def look_at_positioner(settings: Settings, clock: Clock, say: Say) -> None
 
 
 async def look_at_load(settings: Settings, clock: Clock, say: Say) -> None:
-    """Ask the electronic load who it is; raises `DeviceError` or `UserError`."""
+    """Ask the electronic load for its identity; raises `DeviceError` or `UserError`."""
     await probe_load(settings, clock.monotonic, no_tap, say, write=False)
 
 
 def require_movable(settings: Settings) -> None:
-    """Raise `UserError` where a few degrees of A or B can be a large move of the mount."""
+    """Raise `UserError` for a mount on which a few degrees of A or B can be a large move."""
     if not settings.instruments.positioner.axes_are_angles:
         raise UserError(
             "this mount turns in azimuth and elevation, where two degrees near flat can be half a turn: make its first"

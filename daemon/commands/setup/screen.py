@@ -1,4 +1,4 @@
-"""What a person at a setup sees: plain lines with a little colour, and nothing is lost where there is none."""
+"""What a person at a setup sees: plain lines with a little colour, which carries no information of its own."""
 
 import contextlib
 import textwrap
@@ -24,7 +24,7 @@ class SetupScreen:
         self.simulated = simulated
 
     def say(self, text: str, style: str = "") -> None:
-        """Write a line, broken at the terminal's width with what follows under its beginning."""
+        """Write a line, broken at the terminal's width; the parts begin below each other."""
         for line in text.splitlines() or [""]:
             words = line.lstrip()
             indent = " " * (len(line) - len(words) + 2 * words.startswith(("- ", "! ")))
@@ -32,16 +32,16 @@ class SetupScreen:
             for part in textwrap.wrap(
                 line, width, subsequent_indent=indent, break_on_hyphens=False, break_long_words=False
             ) or [""]:
-                # A terminal that has hung up hears nothing; that must not keep a move from being stopped.
+                # The terminal may have hung up; that must not prevent a move from being stopped.
                 with contextlib.suppress(OSError):
                     self._console.print(Text(part, style), soft_wrap=True)
 
     def refuse(self, sentence: str) -> None:
-        """Tell why an answer was none, or what went wrong."""
+        """Say why an answer is not taken, or what went wrong."""
         self.say(f"  ! {sentence}", "bold red")
 
     def head(self, dialogue: SetupDialogue, step: SetupStep) -> None:
-        """Write the name of a chapter where it begins."""
+        """Write the name of the step's chapter, if the chapter begins here."""
         if step.chapter == self._chapter:
             return
         self._chapter = step.chapter
@@ -51,12 +51,12 @@ class SetupScreen:
         self.say(f"{number}/{of} {step.chapter}{mark}", "bold")
 
     def first_time(self, step: SetupStep) -> bool:
-        """Tell whether this is not the step that was asked last, and note it."""
+        """Tell whether another step was asked last, and note this one."""
         last, self._asked = self._asked, step.name
         return last != step.name
 
     def ask(self, dialogue: SetupDialogue, step: SetupStep) -> str:
-        """Ask a step and return what was typed; `EOFError` or `KeyboardInterrupt` where nothing will be."""
+        """Ask a step and return what was typed; `EOFError` or `KeyboardInterrupt` if there is no answer."""
         offered = dialogue.offered()
         if self.first_time(step):
             self.say(f"  {step.question}")
@@ -65,7 +65,7 @@ class SetupScreen:
         return self.prompt(_label(step), _hint(step, offered))
 
     def prompt(self, label: str, hint: str) -> str:
-        """Return what is typed behind a label and a hint of what is taken; `EOFError` where nothing can be typed."""
+        """Show a label and a hint, and return what is typed; `EOFError` if nothing can be typed."""
         try:
             return self._console.input(
                 Text.assemble("  ", (label, "bold"), (f" [{hint}]" if hint else "", "cyan"), ": ")
@@ -79,7 +79,7 @@ def _label(step: SetupStep) -> str:
 
 
 def _hint(step: SetupStep, offered: Answer) -> str:
-    """Return what Enter takes, or does."""
+    """Return the text on what Enter takes or does."""
     if step.kind == "action":
         return "Enter does it, or skip"
     shown = "" if offered is None else _shown(step, offered)

@@ -1,4 +1,4 @@
-"""What a setup asks, in its order: pure, from what has been answered."""
+"""The questions of a setup in their order, as pure functions of what is known: nothing is read or written here."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ A_BENCH = "bench"
 SKIPPED = "skipped"
 LATER = "later"
 
-# Narrow, for the first moves: docs/install.md says how they are widened.
+# Narrow limits for the first moves: docs/install.md says how they are widened.
 FIRST_LIMITS: Mapping[str, float] = {
     "limits.a_min_deg": -5.0,
     "limits.a_max_deg": 5.0,
@@ -46,24 +46,24 @@ class SetupStep:
     Attributes
     ----------
     name
-        Of its answer; for a key of the configuration its path.
+        Name of its answer; for a key of the configuration, the key's path.
     chapter
-        What it belongs to.
+        Heading under which it is asked.
     kind
         A `key` of the configuration; a `choice` of words; a `text`, such as a path; something to `confirm`, with yes
-        and another word; an `action`, which is done, or skipped.
+        and other words; an `action`, which is done or skipped.
     question
-        For people.
+        The question, for people.
     choices
         The words of a choice or a confirmation.
     default
-        What Enter takes; None where an answer has to be given.
+        What Enter takes; None if an answer has to be typed.
     optional
         Whether ``none`` is an answer.
     refused
         The sentence that answers the word ``no``.
     open_end
-        What is left to do where it was skipped or put off; ``{file}`` stands for the configuration.
+        What is left to do if it was skipped or put off; ``{file}`` stands for the configuration.
     """
 
     name: str
@@ -79,7 +79,7 @@ class SetupStep:
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What the steps follow from: the answers, and the values of the file that is taken as the basis, by path."""
+    """What the steps depend on: the answers, and by path the values of the file that is taken as the basis."""
 
     answers: Mapping[str, Answer]
     basis: Mapping[str, Any]
@@ -94,12 +94,12 @@ class Known:
         return str(self.answers.get(path, self.basis.get(path, plugged.default)))
 
     def chosen(self) -> keys.Chosen:
-        """Return the sections of drivers with the names that count."""
+        """Return the sections of drivers, each with the name of the chosen driver."""
         return tuple((each.path, self.driver(each)) for each in (CUBE, POSITIONER, LOAD))
 
 
 def plan(known: Known) -> list[SetupStep]:
-    """Return every step that these answers lead to, the answered ones too."""
+    """Return every step that these answers lead to, answered ones included."""
     return [
         *_machine(known),
         *_site(known),
@@ -141,7 +141,7 @@ def _machine(known: Known) -> Iterator[SetupStep]:
 def _site(known: Known) -> Iterator[SetupStep]:
     chapter = "The site"
     for name in ("name", "latitude_deg", "longitude_deg", "altitude_m"):
-        # The place of the paper is no default for a rig: who takes it by Enter has a wrong sun.
+        # The paper's site is no default for a rig: whoever took it by Enter would have the sun at a wrong place.
         yield _key(known, f"site.{name}", chapter, default=None)
     yield SetupStep(
         name=SUN,
@@ -243,9 +243,9 @@ def _bridge(known: Known) -> Iterator[SetupStep]:
 
 
 def _stays_here(known: Known, step: SetupStep) -> bool:
-    """Return whether scans would not leave this machine by what is offered, though cube and tracker are on two.
+    """Return whether the offered address would keep scans on this machine, though cube and tracker are on two machines.
 
-    That is what an installation lays down, and a setup before; a bench is on one machine.
+    An installation, or an earlier setup, may have left such an address. A bench is on one machine: there it is right.
     """
     if known.answers.get(RIG) == A_BENCH or known.basis.get("bridge.transport") == "mqtt":
         return False
@@ -283,7 +283,7 @@ def _move(known: Known) -> Iterator[SetupStep]:
         " docs/hardware.md; 'back' makes the move once more",
     )
     if isinstance(done, float):
-        # Half of what was measured: docs/hardware.md.
+        # Half of the measured speed, as docs/hardware.md says.
         half = _key(known, SLOWEST, chapter, default=float(f"{done / 2:.2g}"))
         yield replace(half, question=f"{half.question} Half of the {done:.2f} deg/s just seen is right.")
     for name, question in (
@@ -315,7 +315,7 @@ def _driver(known: Known, plugged: Plugged, chapter: str, names: tuple[str, ...]
 
 
 def _addresses(known: Known, plugged: Plugged, chapter: str) -> Iterator[SetupStep]:
-    """Yield the keys that say where the instrument of the chosen driver is, whatever driver that may be."""
+    """Yield the keys that say where the instrument of the chosen driver is, whichever driver that is."""
     for key in keys.keys(known.chosen()).values():
         if key.section == plugged.path and key.name in _WHERE and not key.only_for:
             yield _key(known, key.path, chapter)
