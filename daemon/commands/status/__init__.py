@@ -1,1 +1,1 @@
-"""What a person or a script at a terminal asks the running service."""
+"""Shows people and scripts at a terminal the state of the running service."""

@@ -1,4 +1,4 @@
-"""What is the matter with a running service, for scripts: in a line each, and as an exit code."""
+"""The problems of a running service, for scripts: a line for each, and an exit code."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -11,7 +11,7 @@ _HELD = {"stop": "STOPPED by a person", "buttons": "a button was pressed at the 
 
 
 def troubles(state: dict[str, Any], health: dict[str, Any]) -> list[str]:
-    """Return a sentence for each thing that is the matter, the most urgent first, none twice.
+    """Return a sentence for each problem, the most urgent first, none twice.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def troubles(state: dict[str, Any], health: dict[str, Any]) -> list[str]:
 
 
 def _faults(state: dict[str, Any]) -> Iterator[str]:
-    """Yield the faults of which no alarm has every word."""
+    """Yield the faults whose reason is not part of an alarm's text."""
     for name, own in _trackers(state).items():
         why = own["mode"]["why"]
         told = any(why in alarm["text"] for alarm in state["alarms"] if alarm["tracker"] == name)
@@ -41,7 +41,7 @@ def _faults(state: dict[str, Any]) -> Iterator[str]:
 
 
 def _told_better(state: dict[str, Any]) -> Iterator[str]:
-    """Yield how the sentences of /healthz begin whose cause a fault or an alarm tells as well."""
+    """Yield the beginnings of sentences of /healthz that a fault or an alarm explains as well."""
     for name, own in _trackers(state).items():
         if own["mode"]["name"] == "fault":
             yield f"positioner of {name}: " if len(_trackers(state)) > 1 else "positioner: "
@@ -51,7 +51,7 @@ def _told_better(state: dict[str, Any]) -> Iterator[str]:
 
 
 def verdict(state: dict[str, Any], health: dict[str, Any]) -> tuple[list[str], ExitCode]:
-    """Return the lines of the answer, the first of them the sum, and what the program ends with."""
+    """Return the lines of the answer, the first of which sums them up, and the exit code."""
     found = troubles(in_local(state), in_local(health))
     modes = [f"{_of(name, state)}{mode_words(own)}" for name, own in _trackers(state).items()]
     doing = ", ".join(modes) or "reads the cube"
@@ -62,7 +62,7 @@ def verdict(state: dict[str, Any], health: dict[str, Any]) -> tuple[list[str], E
 
 
 def page(state: dict[str, Any], health: dict[str, Any]) -> dict[str, Any]:
-    """Return the same as JSON."""
+    """Return the problems as JSON."""
     found, (_, code) = troubles(state, health), verdict(state, health)
     return {
         "exit_code": int(code),
@@ -74,7 +74,7 @@ def page(state: dict[str, Any], health: dict[str, Any]) -> dict[str, Any]:
 
 
 def mode_words(own: dict[str, Any]) -> str:
-    """Return the mode of a tracker's part of the state, and whether a person keeps it still in whatever mode."""
+    """Return the mode from a tracker's part of the state, and whether a person keeps the tracker still."""
     name: str = own["mode"]["name"]
     held = next((words for wish, words in _HELD.items() if own["wishes"][wish]), None)
     return name if held is None else f"{name}, {held}"

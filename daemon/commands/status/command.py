@@ -1,4 +1,4 @@
-"""`heliocube status`: at a glance, on a screen that follows, as JSON, or as an exit code."""
+"""`heliocube status`: at a glance, on a screen that keeps changing, as JSON, or as an exit code."""
 
 from typing import Annotated, Any
 
@@ -69,7 +69,7 @@ def status(
 
 
 def of_one(state: dict[str, Any], tracker: str) -> dict[str, Any]:
-    """Return the JSON of /api/state without the other trackers; `UserError` where there is none of that name."""
+    """Return the JSON of /api/state without the other trackers; `UserError` if there is no tracker of that name."""
     trackers = state["trackers"]
     if tracker not in trackers:
         raise UserError(f"there is no tracker {ascii(tracker)[:40]}; the trackers are {', '.join(trackers) or 'none'}")

@@ -1,4 +1,4 @@
-"""What `heliocube status` says of the light that the module has received, and of the law in the shadow."""
+"""The lines of `heliocube status` on the light that the module has received, and on the law in the shadow."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -9,7 +9,7 @@ from daemon.commands.status.times import moment
 
 
 def lines_of_light(state: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
-    """Yield names and texts of the lines, by a tracker's part of the state at this time."""
+    """Yield names and texts of the lines, from a tracker's part of the state at this time."""
     yield from _received(state, time)
     yield from _shadow(state)
 
@@ -39,7 +39,7 @@ def _shadow(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
 
 
 def _energies(one_kwh_m2: float, other_kwh_m2: float) -> tuple[str, str]:
-    """Return two of a kind in the unit that shows their difference, which stands behind the second."""
+    """Return two energies in a unit in which they can be told apart; the unit stands behind the second."""
     if max(one_kwh_m2, other_kwh_m2) < 0.01:
         return f"{1000 * one_kwh_m2:.2f}", f"{1000 * other_kwh_m2:.2f} Wh/m2"
     if max(one_kwh_m2, other_kwh_m2) < 1.0:

@@ -24,9 +24,9 @@ class LiveView:
     see
         Returns the state, as /api/state does.
     console
-        Where; a terminal gets a screen that changes in place, anything else plain lines.
+        Where to show it: a terminal gets a screen that changes in place, anything else plain lines.
     speed
-        How many times as fast as the machine's the service's clock runs.
+        How many times faster the service's clock runs than the machine's.
     """
 
     def __init__(self, see: Callable[[], dict[str, Any]], console: Console, speed: float) -> None:
@@ -35,11 +35,11 @@ class LiveView:
         self._speed = speed
 
     async def run(self) -> None:
-        """Refresh until cancelled, or until nothing more can be written: the service goes on without a display."""
+        """Refresh until cancelled, or until output fails; then the service goes on without a display."""
         try:
             await self._show()
         except (OSError, SystemExit) as error:
-            # Of a closed pipe rich makes a SystemExit.
+            # For a closed pipe rich raises SystemExit.
             why = error.strerror if isinstance(error, OSError) else "nobody reads it any more"
             log.warning("the display has ended, and the service goes on without it: %s", why)
             self._console.quiet = True

@@ -1,16 +1,16 @@
-"""The log of a process that has a screen which changes in place."""
+"""The log of a process whose screen changes in place."""
 
 from rich.console import Console
 from rich.text import Text
 
 
 class LogAbove:
-    """A stream for the log that writes above what changes in place, which a line of another stream would tear.
+    """A stream for the log that writes above the changing screen; a line of another stream would break it.
 
     Parameters
     ----------
     console
-        The one that has the screen.
+        The console that has the screen.
     """
 
     def __init__(self, console: Console) -> None:

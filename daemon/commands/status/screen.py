@@ -1,4 +1,4 @@
-"""The service's state as a person reads it: at a glance, on a screen in place, or as a line now and then.
+"""The service's state for people: at a glance, on a screen that changes in place, or as a line now and then.
 
 All of it is made from the JSON of the state alone, wherever that comes from.
 """
@@ -26,13 +26,13 @@ _MODE_STYLES = {
     "snow": "bold cyan",
     "maintenance": "bold yellow",
 }
-# What is more than a hold, though the mode is the same.
+# The mode of these is hold as well, but they are more than a hold.
 _HELD = {"stop": "STOPPED", "buttons": "BUTTON PRESSED AT THE UNIT"}
 _STOP_STYLE = "bold white on red"
 _NEWS, _LIVE_NEWS = 5, 7
 _BAD = "bold red"
 _FRAME_LINES, _FRAME_COLUMNS = 2, 4
-# Below it a heading would take the place of the news themselves.
+# With fewer lines, a heading would take the room of the news.
 _LEAST_ROOM = 5
 _BAR_WIDTH = 30
 _FULL_BAR_W_M2 = 1200.0
@@ -45,12 +45,12 @@ def render(state: dict[str, Any]) -> RenderableType:
 
 
 def live_screen(state: dict[str, Any]) -> RenderableType:
-    """Return the same in a frame, with bars for the faces, for a screen that changes in place."""
+    """Return the screen in a frame, with bars for the faces, to change in place."""
     return _Framed(state)
 
 
 class _Framed:
-    """A frame with as many of the latest news as the terminal has lines for: what is cut off would be the newest."""
+    """A frame with as many of the latest news as the terminal has room for: a cut would remove the newest."""
 
     def __init__(self, state: dict[str, Any]) -> None:
         self._state = in_local(state, state["time"])
@@ -87,7 +87,7 @@ def _news(state: dict[str, Any], most: int, *, bare: bool = False) -> Iterator[R
 
 
 def line(state: dict[str, Any]) -> str:
-    """Return what is shown every few seconds where nothing can change in place."""
+    """Return the line that is shown every few seconds where a screen cannot change in place."""
     parts = [f"{state['time'][:19]}Z"]
     if state["simulated"]:
         parts.append("SIMULATED")
@@ -111,15 +111,15 @@ def _face(name: str, face: dict[str, Any]) -> str:
 
 
 def _stale(tracker: dict[str, Any]) -> str:
-    """Return how old a pose is that is not known to be true any more, to stand behind it."""
+    """Return a text on the age of a pose that is stale, to be put behind the pose; else nothing."""
     pose = tracker["pose"]
     return f"  STALE, {_age(pose['age_s'])} old" if pose is not None and pose["stale"] else ""
 
 
 def _trackers(state: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return each tracker's part of the state by its name; a single one needs none."""
+    """Return each tracker's part of the state by its name; a single tracker has an empty name."""
     found: dict[str, dict[str, Any]] = state.get("trackers") or {}
-    # At the top there is none of several, of which one alone may be looked at.
+    # With several trackers the top of the state has no tracker, even if only one of them is shown.
     return found if state["mode"] is None else {"": state}
 
 
@@ -131,7 +131,7 @@ def _title(state: dict[str, Any]) -> Text:
 
 
 def _own_name(state: dict[str, Any]) -> str:
-    """Return what the configuration calls a single tracker, which tells its screen from the next one, or nothing."""
+    """Return the configured name of a single tracker, which tells its screen from others, or nothing."""
     names = [*(state.get("trackers") or {})]
     return f"{names[0]}, " if len(names) == 1 and names != ["tracker"] else ""
 
@@ -147,7 +147,7 @@ def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
     for alarm in state["alarms"]:
         style = "" if alarm["state"] == "acknowledged" else _BAD
         yield "alarm", Text(f"{_named(alarm['text'], alarm, state)} ({alarm_state(alarm, state)})", style=style)
-        # A service of an earlier version has none.
+        # A service of an earlier version sends no remedy.
         if alarm.get("remedy"):
             yield "  remedy", Text(alarm["remedy"].replace("`", "'"))
     for name, own in trackers.items():
@@ -172,7 +172,7 @@ def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
 
 
 def alarm_state(alarm: dict[str, Any], state: dict[str, Any]) -> str:
-    """Return since when an alarm is on, or since when it is over, and who has acknowledged it."""
+    """Return since when an alarm is on or over, and who has acknowledged it."""
     since = _since(alarm["since"], state["time"])
     if alarm["state"] == "cleared":
         remedy = f"acknowledge it with 'heliocube alarms ack {alarm['name']}'"
@@ -182,7 +182,7 @@ def alarm_state(alarm: dict[str, Any], state: dict[str, Any]) -> str:
 
 
 def _named(text: str, alarm: dict[str, Any], state: dict[str, Any]) -> str:
-    """Return a text of an alarm, with the tracker's name where there are several."""
+    """Return a text of an alarm, with the tracker's name if there are several."""
     whose = _whose(alarm, state)
     return text if whose is None else f"{whose}: {text}"
 
@@ -203,7 +203,7 @@ def _mode(own: dict[str, Any], time: str, tracker: str | None = None) -> tuple[s
     wish = own["wishes"][asked]
     # The mode begins anew at each restart and after each fault; the wish does not.
     text.append(f" {_since(wish['since'] or mode['since'], time)}")
-    # Who asked, and why, has a line of its own; what came after it in the reason has not.
+    # Who asked, and why, has a line of its own. The rest of the mode's reason is shown here.
     more = after_reasons(mode["why"], wish)
     return "mode", text.append(as_typed(f"{more}; ends with 'heliocube auto'", tracker))
 
@@ -211,7 +211,7 @@ def _mode(own: dict[str, Any], time: str, tracker: str | None = None) -> tuple[s
 def _tracker_rows(own: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
     yield from lines_of_wishes(own, time)
     yield "tracker", _tracker(own["tracker"])
-    # A service of an earlier version tells none.
+    # A service of an earlier version sends no details.
     if details := own["tracker"].get("details"):
         yield "details", Text(_printable(", ".join(_detail(*detail) for detail in details.items())))
     yield from _target(own)
@@ -240,7 +240,7 @@ def _tracker(tracker: dict[str, Any]) -> Text:
 
 
 def _wind(source: dict[str, Any], *, several: bool) -> Text:
-    """Return what a source of stow read last, what that is compared with, and when it lets a stow go."""
+    """Return the last reading of a source of stow, its threshold, and when it releases a stow."""
     threshold, release_s = source["stow_from_m_s"], source["release_in_s"]
     of = f"{source['name']}: " if several else ""
     measured = f"{of}{_number(source['speed_m_s'], '.1f')} m/s, stow from {_number(threshold, 'g')} m/s"
@@ -257,7 +257,7 @@ def _detail(name: str, value: str | float | None) -> str:
 
 
 def _printable(text: str) -> str:
-    """Return a device's own words without what would steer the terminal."""
+    """Return a device's own words without characters that would control the terminal."""
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
@@ -293,7 +293,7 @@ def _target(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
         return
     yield "target", Text(f"{_pair(decision)} by {decision['law']}; next in {next_s:.0f} s")
     yield "  because", Text(_reason(decision))
-    # A service of an earlier version does not say.
+    # A service of an earlier version does not send it.
     coming = state.get("next_decision")
     if coming is not None:
         does = "would go to" if coming["moves"] else "would stay; aim"
@@ -305,7 +305,7 @@ def _pair(decision: dict[str, Any]) -> str:
 
 
 def _reason(decision: dict[str, Any]) -> str:
-    """Return why in words, without the law's name in front."""
+    """Return the reason of a decision without the law's name in front."""
     why: str = decision["why"]
     return why.removeprefix(f"{decision['law']}: ")
 
@@ -387,5 +387,5 @@ def _number(value: float | None, form: str) -> str:
     if value is None:
         return "-"
     text = format(value, form)
-    # No minus in front of nothing.
+    # No minus in front of zero.
     return format(0.0, form) if float(text) == 0.0 else text

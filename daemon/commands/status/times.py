@@ -1,4 +1,4 @@
-"""Times as a person at a terminal reads them: the clock on the wall, and UTC beside it."""
+"""Times for people at a terminal: local time, with UTC beside it."""
 
 import re
 from datetime import UTC, datetime
@@ -9,12 +9,12 @@ from daemon.base.clock import local_time
 _DAY = "%Y-%m-%d"
 _CLOCK = "%H:%M:%S"
 _TO_THE_MINUTE = "%H:%M"
-# As the service writes an instant into a sentence.
+# The form in which the service writes an instant into a sentence.
 _WRITTEN = re.compile(r"(\d{4}-\d\d-\d\d) (\d\d:\d\d(:\d\d)?) UTC", re.ASCII)
 
 
 def moment(iso_utc: str, now: str | None = None, clock: str = _CLOCK) -> str:
-    """Return an instant in local time and in UTC, with the date where it is another one than that of `now`.
+    """Return an instant in local time and in UTC, with the date if it differs from that of `now`.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def moment(iso_utc: str, now: str | None = None, clock: str = _CLOCK) -> str:
 
 
 def in_local(said: Any, now: str | None = None) -> Any:
-    """Return a text of the service's, or its JSON, whose sentences tell their times as `moment` does."""
+    """Return a text or the JSON of the service, with the times in its sentences written as `moment` does."""
     if isinstance(said, str):
         return _WRITTEN.sub(lambda found: _retold(found, now), said)
     if isinstance(said, dict):
@@ -55,7 +55,7 @@ def dated(iso_utc: str) -> str:
 
 
 def zone(iso_utc: str) -> str:
-    """Return in which time the line of `dated` is, such as ``UTC+02:00``."""
+    """Return the time zone of what `dated` returns, such as ``local time, UTC+02:00``."""
     offset = _both(iso_utc)[1].strftime("%z")
     return "UTC" if offset == "+0000" else f"local time, UTC{offset[:3]}:{offset[3:]}"
 

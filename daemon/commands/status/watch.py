@@ -16,14 +16,14 @@ _LINE_EVERY_S = 5.0
 
 
 def watch(see: Callable[[], dict[str, Any]], console: Console, sleep: Callable[[float], object] = time.sleep) -> None:
-    """Show the service until Ctrl-C, over its restarts too; elsewhere than on a terminal, a line every few seconds.
+    """Show the service until Ctrl-C, also while it restarts; if the console is no terminal, a line every few seconds.
 
     Parameters
     ----------
     see
-        Returns the state; `UserError` where there is none at the moment. The first one is the caller's to handle.
+        Returns the state, or raises `UserError` while there is none. An error of the first call goes to the caller.
     console, sleep
-        Where, and how time passes.
+        Where to show it, and the function that waits.
     """
     state = see()
     if not console.is_terminal:

@@ -1,4 +1,4 @@
-"""What `heliocube status` says of what persons asked for."""
+"""The lines of `heliocube status` on the wishes of persons."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -9,7 +9,7 @@ from daemon.commands.status.times import moment
 
 
 def lines_of_wishes(state: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
-    """Yield names and texts of the lines, each with its person and beginning, by a tracker's part of the state."""
+    """Yield names and texts of the lines from a tracker's part of the state: who asked, since when, and why."""
     for name, wish in (state["wishes"] or {}).items():
         for each in [] if wish is None else _everybodys(wish):
             also = "" if each is wish else "also"
@@ -19,12 +19,12 @@ def lines_of_wishes(state: dict[str, Any], time: str) -> Iterator[tuple[str, Tex
 
 
 def after_reasons(why: str, wish: dict[str, Any]) -> str:
-    """Return what comes in the reason of a mode after those of everybody who asked for it."""
+    """Return the part of a mode's reason that follows the reasons of all who asked for it."""
     for each in _everybodys(wish):
         why = why.partition(each["why"])[2]
     return why
 
 
 def _everybodys(wish: dict[str, Any]) -> list[dict[str, Any]]:
-    # A service of an earlier version shows the last one alone.
+    # A service of an earlier version sends only the last wish.
     return [wish, *wish.get("also", [])]

@@ -1,1 +1,1 @@
-"""What is done around a change of the release: looking whether all is well, and going back."""
+"""Commands around a change of the release: the self-check, and the way back."""

@@ -1,4 +1,4 @@
-"""`heliocube self-check` and `heliocube rollback`: after an upgrade, whether all is well, and the way back."""
+"""`heliocube self-check` tells after an upgrade whether all is well; `heliocube rollback` is the way back."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +11,7 @@ from daemon.commands.answers import JsonOption, print_json, say, teller
 from daemon.commands.options import FILES, OPERATION, ConfigOption, RoleChoice
 
 if TYPE_CHECKING:
-    # The command line imports this module to show its help, which must not wait for the science.
+    # The command line imports this module to show its help, which must not wait for scientific libraries.
     from collections.abc import Iterator
 
     from daemon.commands.upgrade.finding import Finding
@@ -78,7 +78,7 @@ def _findings(config: Path, role: RoleChoice | None) -> "Iterator[Finding]":
 
 
 def _role(settings: "Settings", role: RoleChoice | None) -> "Role | None":
-    """Return the role that was given, or else the most that the settings are enough for."""
+    """Return the role that was given, or else the widest role that can run with the settings."""
     from daemon.commands.run import lacking
     from daemon.service.rig import Role
 
@@ -145,7 +145,7 @@ def rollback(
             if installation is not None:
                 installation.switch()
                 if units:
-                    # A unit may take a minute to start: whoever does not wait for it knows how far this came.
+                    # A unit may take a minute to start. Whoever does not wait should know how far this came.
                     sentence = f"{program.name} is in use; starting {', '.join(units)}"
                     tell(sentence)
                     done.append(sentence)

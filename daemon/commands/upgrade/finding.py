@@ -1,4 +1,4 @@
-"""What a self-check found: of each subject whether it is well, and if not what to do."""
+"""The findings of a self-check: for each subject whether all is well, and if not what to do."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -22,7 +22,7 @@ class Finding:
     text
         What was found there.
     remedy
-        What to do, where something is the matter; empty where all is well.
+        What to do, if something is wrong; empty if all is well.
     """
 
     subject: str
@@ -36,14 +36,14 @@ class Finding:
 
 
 def lines(findings: Sequence[Finding]) -> list[str]:
-    """Return a line for each finding, and one for the sum."""
+    """Return a line for each finding, and one that sums them up."""
     found = [_line(finding, _width(findings)) for finding in findings]
     amiss = sum(not finding.ok for finding in findings)
     return [*found, f"{amiss} to look at" if amiss else "all is well"]
 
 
 def exit_code(findings: Iterable[Finding]) -> ExitCode:
-    """Return what the program ends with: a wrong file counts more than what is amiss on the rig."""
+    """Return the program's exit code: a wrong file counts more than problems on the rig."""
     amiss = {finding.subject for finding in findings if not finding.ok}
     if CONFIGURATION in amiss:
         return ExitCode.MISTYPED
@@ -51,7 +51,7 @@ def exit_code(findings: Iterable[Finding]) -> ExitCode:
 
 
 def page(findings: Sequence[Finding]) -> dict[str, Any]:
-    """Return the same as JSON."""
+    """Return the findings as JSON."""
     found = [{"subject": each.subject, "ok": each.ok} | asdict(each) for each in findings]
     return {"exit_code": int(exit_code(findings)), "findings": found}
 
@@ -67,6 +67,6 @@ def _width(findings: Sequence[Finding]) -> int:
 
 def _line(finding: Finding, width: int) -> str:
     remedy = f"; {finding.remedy}" if finding.remedy else ""
-    # What an instrument or another program says is a single line here.
+    # Texts of instruments and other programs are put in one line.
     text = printable(" ".join(f"{finding.text}{remedy}".split()))
     return f"{'ok' if finding.ok else 'PROBLEM':<{_OUTCOME}} {finding.subject:<{width}}  {text}"

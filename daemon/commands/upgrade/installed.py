@@ -1,4 +1,4 @@
-"""The releases of an installed heliocube, as deploy/steps.sh lays them down, and the units that run them."""
+"""The releases of an installed heliocube, in the layout of deploy/steps.sh, and the units that run them."""
 
 import os
 import shutil
@@ -14,7 +14,7 @@ from daemon.base.process import as_ctrl_c
 
 _UNITS = tuple(f"heliocube-{name}" for name in ("tracker", "cube", "dashboard", "notify", "archive"))
 _WANTED = ("active", "activating", "reloading", "failed")
-# What installs a release writes this last.
+# The installation of a release writes this file last.
 _WHOLE = ".complete"
 _SYSTEMD = Path("/run/systemd/system")
 _WITHIN_S = 120.0
@@ -29,9 +29,9 @@ class Program:
     Attributes
     ----------
     name
-        What people know it by.
+        The name by which people know it.
     folder
-        Of its commands.
+        Folder of its commands.
     """
 
     name: str
@@ -39,31 +39,31 @@ class Program:
 
     @classmethod
     def at(cls, command: Path | None) -> "Program":
-        """Return the one of a command; raises `UserError` where there is none."""
+        """Return the program to which a command belongs; raises `UserError` if there is no such command."""
         if command is None or not command.is_file():
             raise UserError(f"--to {command}: there is no such program; name the heliocube of the release before")
         folder = command.resolve().parent
         return cls(folder.parent.name, folder)
 
     def accepts(self, config: Path) -> bool:
-        """Return whether it finds nothing wrong with a configuration."""
+        """Return whether this release finds a configuration good."""
         return self._run("heliocube", "config", "check", str(config)).returncode == 0
 
     def release(self) -> str:
-        """Return which release it is, as its service says it; what people know it by where it does not say."""
+        """Return the release as its service names it, or `name` if the program does not tell."""
         done = self._run("python", "-c", "from daemon.base.installation import release; print(release())")
         return (done.stdout.strip() if done.returncode == 0 else "") or self.name
 
     def store_version(self) -> int | None:
-        """Return which version of a store it writes, or None where it does not say."""
+        """Return which version of a store this release writes, or None if it does not tell."""
         done = self._run("python", "-c", "from daemon.store.schema import VERSION; print(VERSION)")
         return int(done.stdout) if done.returncode == 0 and done.stdout.strip().isdecimal() else None
 
     def _run(self, name: str, *arguments: str) -> "subprocess.CompletedProcess[str]":
-        """Return what a command of it has said; raises `UserError` where it does not end."""
+        """Return the outcome of one of its commands; raises `UserError` if the command does not end."""
         command = str(self.folder / name)
         try:
-            # Not from where somebody stands: a folder named 'daemon' there would be taken for ours.
+            # Not in the current folder: a folder named 'daemon' there would be taken for the program's.
             return subprocess.run(  # noqa: S603 - the release that a person names, or that was installed before
                 [command, *arguments], capture_output=True, text=True, check=False, cwd="/", timeout=_WITHIN_S
             )
@@ -81,9 +81,9 @@ class Installation:
     Attributes
     ----------
     current
-        The link to the one in use.
+        The link to the release in use.
     before
-        The other one.
+        The other release.
     """
 
     current: Path
@@ -91,7 +91,7 @@ class Installation:
 
     @classmethod
     def of(cls, prefix: Path) -> "Installation":
-        """Return that to which an environment belongs; raises `UserError` where there is no way back in it."""
+        """Return the installation to which an environment belongs; raises `UserError` if it has no way back."""
         releases = prefix.resolve().parent
         current = releases.parent / "current"
         if releases.name != "releases" or not current.is_symlink():
@@ -109,12 +109,12 @@ class Installation:
 
     @property
     def is_back(self) -> bool:
-        """Whether the release before is the one in use."""
+        """Whether the release before is in use."""
         return self.current.resolve() == self.before.folder.parent.resolve()
 
     def switch(self) -> None:
-        """Let the release before be the one in use, in one step, and leave nothing to go back to from there."""
-        # The other one would else be taken for the release before by whoever gives the command again.
+        """Put the release before in use, in one step, so that no release is left to go back to from there."""
+        # Otherwise the command, given again, would take the newer release for the release before.
         (self.current / _WHOLE).unlink(missing_ok=True)
         new = self.current.with_name("current.new")
         new.unlink(missing_ok=True)
@@ -127,7 +127,7 @@ def _whole(folder: Path) -> bool:
 
 
 def installed() -> Installation:
-    """Return the installation of this process; raises `UserError` where there is no way back in it."""
+    """Return the installation of this process; raises `UserError` if it has no way back."""
     found = Installation.of(Path(sys.prefix))
     if sys.platform != "win32" and os.geteuid() != 0:
         raise UserError("going back changes what is installed: run it with sudo")
@@ -135,16 +135,16 @@ def installed() -> Installation:
 
 
 def stop_units() -> list[str]:
-    """Stop the units that run or should, and return them; none where there is no systemd."""
+    """Stop the units that run or should run, and return them; none without systemd."""
     if shutil.which("systemctl") is None or not _SYSTEMD.is_dir():
         return []
-    # One that the newer release cannot even start is the first reason to go back.
+    # Failed units too: one that the newer release cannot even start is the best reason to go back.
     running = [unit for unit in _UNITS if _systemctl("is-active", unit).stdout.strip() in _WANTED]
     for at, unit in enumerate(running, 1):
         try:
             _stop(unit)
         except BaseException:
-            # It may stop all the same, later.
+            # Start this unit too: it may still stop later.
             start_units(running[:at])
             raise
     return running
@@ -157,12 +157,12 @@ def _stop(unit: str) -> None:
 
 @contextmanager
 def interruptible(installation: Installation | None) -> Iterator[None]:
-    """Take a lost connection and the order to end for Ctrl-C, so that what was stopped is started again.
+    """Treat a lost connection and the order to end like Ctrl-C, so that units that were stopped are started again.
 
     Parameters
     ----------
     installation
-        That which goes back; None for one by hand.
+        The installation that goes back; None for one that was made by hand.
 
     Raises
     ------
@@ -180,10 +180,10 @@ def interruptible(installation: Installation | None) -> Iterator[None]:
 
 
 def start_units(units: list[str]) -> list[str]:
-    """Start units again, and return those that do not."""
+    """Start units again, and return those that do not start."""
     if units:
         _systemctl("reset-failed", *units)
-        # One that is waited for may take a minute, and whoever does not wait for it must not keep the others from it.
+        # Order all of them first: to wait for one may take a minute, and a person may interrupt before the next.
         _systemctl("start", "--no-block", *units)
     return [unit for unit in units if _systemctl("start", unit).returncode != 0]
 

@@ -1,4 +1,4 @@
-"""What a self-check hears from the instruments themselves, where no service has them: it asks, and moves nothing."""
+"""The part of the self-check that asks the instruments themselves, when no service uses them; it moves nothing."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Iterator

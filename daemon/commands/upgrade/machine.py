@@ -1,4 +1,4 @@
-"""What a self-check finds without any instrument: the program, the file, the store, the clock, the disk."""
+"""The part of the self-check that needs no instrument: the program, the file, the store, the clock, the disk."""
 
 import shutil
 import sqlite3
@@ -21,7 +21,7 @@ from daemon.store.schema import FILE_NAME, VERSION, open_for_reading, require_ta
 from daemon.store.tables import COLUMNS
 
 _MB = 1e6
-# As docs/data.md has it for one tracker.
+# Records of one tracker in a day, as docs/data.md says.
 _DAY_MB = 5.0
 _FEWEST_DAYS = 30
 _AS_ITS_USER = "look as the user that the service runs as, with sudo -u"
@@ -37,7 +37,7 @@ def program() -> Finding:
 
 
 def configuration(path: Path, role: RoleChoice | None) -> Finding:
-    """Return whether the file can be used as `heliocube run` would."""
+    """Return whether `heliocube run` could use the file."""
     try:
         check_file(path, role)
     except ConfigError as error:
@@ -48,7 +48,7 @@ def configuration(path: Path, role: RoleChoice | None) -> Finding:
 
 
 def store(settings: Settings) -> Finding:
-    """Return whether the records can be read, of which version they are and when the latest was kept."""
+    """Return whether the records can be read, of which version the store is, and when the latest record was kept."""
     directory = settings.store.directory
     if directory is None:
         return Finding("store", "store.directory is not set: a simulated rig keeps no records then")
@@ -69,7 +69,7 @@ def store(settings: Settings) -> Finding:
 
 
 def _kept(path: Path) -> tuple[str, bool]:
-    """Return what a store holds, and whether it is of an older version."""
+    """Return a text on what a store holds, and whether it is of an older version."""
     with closing(open_for_reading(path)) as connection:
         try:
             version: int = connection.execute("PRAGMA user_version").fetchone()[0]
@@ -108,7 +108,7 @@ def disk(settings: Settings) -> Finding:
 
 
 def clock(settings: Settings) -> Finding:
-    """Return whether anything has set the machine's clock right."""
+    """Return whether the machine's clock is synchronised."""
     if not settings.real or settings.bench_clock is not None:
         return Finding("clock", "simulated")
     found = synchronised()

@@ -1,4 +1,4 @@
-"""Back to the release before: tracker held, store and file as that release can use them, what is newer kept."""
+"""Goes back to the release before: holds the tracker, makes store and file usable for it, and keeps the newer ones."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -25,9 +25,9 @@ from daemon.tracker.wishes import PROGRAM, Wish, Wishes, WishFile
 
 
 def roll_back(config: Path, to: Program, environment: Mapping[str, str]) -> Iterator[str]:
-    """Bring what belongs to one configuration to where the release before can use it, and yield what was done.
+    """Make the state, the store and the file of one configuration usable for the release before; yield what was done.
 
-    The hold comes first, then the store, then the file: whoever is interrupted does it again.
+    The hold comes first, then the store, then the file. After an interruption all of it can be done again.
 
     Parameters
     ----------
@@ -36,20 +36,20 @@ def roll_back(config: Path, to: Program, environment: Mapping[str, str]) -> Iter
     to
         The program of the release before.
     environment
-        Of the process.
+        Environment of the process.
 
     Raises
     ------
     UserError
-        The file cannot be read, its service runs, or the disk does not let it.
+        The file cannot be read, its service runs, or a file cannot be written.
     """
-    # The other release reads it from elsewhere.
+    # The other release runs in another folder, so it needs the whole path.
     config = config.absolute()
     settings = load_settings(config)
     directory = records_of(settings, config, environment)
     try:
         if directory is not None:
-            # Where the file names no folder its service has one all the same.
+            # If the file names no folder, its service has one all the same.
             settings = settings.model_copy(update={"store": settings.store.model_copy(update={"directory": directory})})
             folders = [own.store.directory or directory for _, own in settings.trackers]
             for folder in folders:
@@ -68,7 +68,7 @@ def roll_back(config: Path, to: Program, environment: Mapping[str, str]) -> Iter
 
 
 def _held(settings: Settings, to: Program) -> Iterator[str]:
-    """Hold each tracker for which nobody has asked for anything: a release before may not hold by itself."""
+    """Hold each tracker that has no wish of a person: an earlier release may not hold it by itself."""
     for name, own in settings.trackers:
         folder = StateFolder(own.store.directory)
         file = WishFile(folder)
@@ -89,11 +89,11 @@ def _store(directory: Path, to: Program) -> Iterator[str]:
     path, now_utc_s = directory / FILE_NAME, SystemClock().utc()
     wanted, copies = to.store_version(), copies_of(directory)
     if wanted is None:
-        # The copy is that of the release before, unless it has run for a day.
+        # The latest copy has the version of the release before. It is gone once the newer release has run for a day.
         wanted = version_of(copies[-1]) if copies else None
     copy = copy_path(path, VERSION if wanted is None else wanted)
     if not path.exists() and copy.exists():
-        # Of a way back that was interrupted.
+        # An earlier way back was interrupted here.
         copy.rename(path)
     if not path.exists() or wanted is None or version_in(path) <= wanted:
         yield f"{path}: {to.name} can use it as it is"
@@ -110,15 +110,15 @@ def _store(directory: Path, to: Program) -> Iterator[str]:
 
 
 def _file(config: Path, to: Program) -> Iterator[str]:
-    """Put a configuration back that the upgrade has rewritten, if that is what the release before can use."""
+    """Put back the configuration from before the upgrade, if the release before accepts only that one."""
     if to.accepts(config):
         yield f"{config}: {to.name} can use it as it is"
         return
     kept = kept_before(config)
-    # An empty one, as a full disk leaves it, has no mistakes, and is no configuration.
+    # An empty file, as a full disk leaves it, has no mistakes but is no configuration.
     old = next((each for each in kept if to.accepts(each) and toml_text(each).strip()), None)
     if old is None:
-        # What it misses may be no matter of the file's form, such as a token's file that is gone.
+        # The mistake may not be in the form of the file; a token's file may be gone, for example.
         also = f" and in {kept[0]}" if kept else ""
         mistakes = f"{to.name} finds mistakes in it{also}"
         yield f"{config} stays as it is: {mistakes}; see 'heliocube config check {config}' then"
@@ -130,6 +130,6 @@ def _file(config: Path, to: Program) -> Iterator[str]:
 
 
 def _give_to_owner(directory: Path) -> None:
-    """Give what was written here to the user of the service, whose folder it is."""
+    """Give the files that were written here to the owner of the folder, which is the service's user."""
     for path in (*directory.glob(f"{Path(WISHES_NAME).stem}.*"), *directory.glob(".*-in-use")):
         give(path)

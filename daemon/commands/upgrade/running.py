@@ -1,4 +1,4 @@
-"""What a self-check hears from the running service, which has the instruments: its own state, and nothing is sent."""
+"""The part of the self-check that asks the running service, which has the instruments; it gives no commands."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +18,7 @@ _TOLD_ALREADY = ("no-wind-source", "nothing-kept", "stow-source-silent")
 
 
 def asked(settings: Settings, config: Path | None) -> list[Finding] | None:
-    """Return what the service of these settings, which stand in `config`, says; None where none listens."""
+    """Return what the service of these settings, read from `config`, says; None if no service listens."""
     if not settings.api.enabled:
         return None
     client = find_unarmed(config, None, {})
@@ -32,7 +32,7 @@ def asked(settings: Settings, config: Path | None) -> list[Finding] | None:
 
 
 def program(settings: Settings, role: str) -> Iterator[Finding]:
-    """Yield which heliocube the running service is, where it is another one than this."""
+    """Yield which heliocube the running service is, if it is another release than this."""
     started = last_started(settings.store.directory, CUBE_FILE_NAME if role == Role.CUBE else FILE_NAME)
     if started is not None and started != release():
         yield Finding("service", f"still runs heliocube {started}", "restart it, so that it is what is installed")
@@ -114,7 +114,7 @@ def _source(source: dict[str, Any]) -> str:
 
 
 def _remedy(alarm: str, tracker: str, state: dict[str, Any]) -> str | None:
-    """Return the remedy of an alarm of a tracker, or None where it is not raised."""
+    """Return the remedy of a tracker's alarm, or None if it is not raised."""
     found = (each["remedy"] for each in state["alarms"] if each["name"] == alarm and each["tracker"] == tracker)
     return next(found, None)
 
