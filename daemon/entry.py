@@ -1,4 +1,4 @@
-"""Where the program begins: straight to the service for what cannot wait, to the command line for all else."""
+"""The start of the program: urgent commands go straight to the service, all others to the command line."""
 
 import io
 import os
@@ -23,15 +23,15 @@ _OPTIONS = {
 
 
 def main() -> None:
-    """Carry out `heliocube stop` and `heliocube stow` before any large library is loaded, and the rest as usual."""
+    """Carry out `heliocube stop` and `heliocube stow` before any large library is loaded, other commands as usual."""
     _open_what_is_closed()
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # A reason or a name may have letters that the terminal has not.
+        # A reason or a name may have letters that the terminal's encoding lacks.
         sys.stdout.reconfigure(errors="replace")
     if isinstance(sys.stdin, io.TextIOWrapper):
-        # What is typed may be in another encoding than the locale's: it is refused as an answer, and ends nothing.
+        # Typed text may be in another encoding than the locale's: it is then refused as an answer, and ends nothing.
         with suppress(io.UnsupportedOperation):
-            # Of a program that came through it, something has been read.
+            # If the program itself came through standard input, some of that has been read, and this is not possible.
             sys.stdin.reconfigure(errors="surrogateescape")
     command, *rest = sys.argv[1:] or [""]
     _refuse_two_trackers(rest)
@@ -49,9 +49,10 @@ def main() -> None:
 
 
 def _open_what_is_closed() -> None:
-    """Let nobody read what is said to an output that whoever started us has closed.
+    """Open the null device in place of standard streams that were closed before the program started.
 
-    What is opened next would get its number, the file of the records for one, and what a library complains of with it.
+    Otherwise the next file that is opened, such as that of the records, would get the number of a closed stream, and
+    with it the messages that a library writes to that stream.
     """
     while (opened := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass
@@ -63,7 +64,7 @@ def _open_what_is_closed() -> None:
 
 
 def _refuse_two_trackers(words: Sequence[str]) -> None:
-    """Leave with code 2 where an option is given twice of which the command line would take the last alone."""
+    """Leave with code 2 if --tracker is given twice: the command line would take only the last one."""
     if sum(word.partition("=")[0] == "--tracker" for word in words) > 1:
         sys.stderr.write(
             "heliocube: --tracker is given more than once, and a command is for one tracker: give the command for each;"
@@ -74,11 +75,11 @@ def _refuse_two_trackers(words: Sequence[str]) -> None:
 
 @contextmanager
 def _told_when_interrupted(sentence: str) -> Iterator[None]:
-    """Leave with a sentence where Ctrl-C comes before a command can take it itself: while the libraries are loaded."""
+    """Leave with a sentence if Ctrl-C comes before a command can handle it, while libraries are loaded."""
     try:
         yield
     except (KeyboardInterrupt, ImportError) as error:
-        # A library in C makes an ImportError of what comes while it is loaded.
+        # A library in C turns a Ctrl-C that comes while it is loaded into an ImportError.
         if not isinstance(error, KeyboardInterrupt) and not isinstance(error.__cause__, KeyboardInterrupt):
             raise
         sys.stderr.write(f"heliocube: {sentence}\n")
@@ -87,29 +88,29 @@ def _told_when_interrupted(sentence: str) -> Iterator[None]:
 
 @contextmanager
 def _until_the_answer_is_written() -> Iterator[None]:
-    """Leave with a sentence and a code of its own where standard output takes no more, as on a full disk."""
+    """Leave with a sentence and its own exit code if standard output takes no more, as on a full disk."""
     try:
         try:
             yield
         except SystemExit as leaving:
-            # Of a reader that has gone the libraries make the code of a defect.
+            # If the reader has gone, the libraries leave with the exit code of a defect.
             if isinstance(leaving.__context__, BrokenPipeError):
                 leaving.code = ExitCode.UNWRITTEN
             raise
         finally:
             sys.stdout.flush()
     except OSError as error:
-        # An answer longer than what Python gathers is refused before its end, and maybe not once more then.
+        # A long answer fails before its end. If standard output takes more now, the error came from something else.
         if error.filename is not None or _takes_more():
             raise
-        # Python would try again at its end what is left.
+        # At its end Python would try again to write what is left.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.stderr.write(f"heliocube: the answer cannot be written to standard output: {error.strerror}\n")
         sys.exit(ExitCode.UNWRITTEN)
 
 
 def _takes_more() -> bool:
-    """Try whether standard output takes the end of a line."""
+    """Test whether standard output takes the end of a line."""
     try:
         os.write(sys.stdout.fileno(), b"\n")
     except OSError:
@@ -118,7 +119,7 @@ def _takes_more() -> bool:
 
 
 def _refuse_a_damaged_installation() -> None:
-    """Leave with code 2 where another distribution has taken a package of ours; a stop is given as far as it can be."""
+    """Leave with code 2 if another distribution has overwritten a package of ours; not called for stop and stow."""
     from daemon.base.installation import damage  # noqa: PLC0415 - a stop does not wait for it
 
     found = damage()
@@ -128,7 +129,7 @@ def _refuse_a_damaged_installation() -> None:
 
 
 def _plainly_given(words: Sequence[str]) -> dict[str, str] | None:
-    """Return the values of options, or None for what the command line had better look at: help, and mistakes."""
+    """Return the values of options, or None for words that the command line must handle: help, and mistakes."""
     given: dict[str, str] = {}
     left = iter(words)
     for word in left:

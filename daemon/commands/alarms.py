@@ -1,4 +1,4 @@
-"""`heliocube alarms`: what is the matter, what to do, and that somebody has seen it; `notify` tells people."""
+"""`heliocube alarms`: what is wrong, what to do, and that somebody has seen it; `notify` tells people."""
 
 import sys
 from pathlib import Path
@@ -130,7 +130,7 @@ def notify(
     services, people = ", ".join(settings.services), ", ".join(each.name for each in recipients)
     say(f"telling {people} of alarms of {services}")
     manager = process.Notifier(os.environ, os.getpid())
-    # systemd's; whoever runs it by hand sees the terminal.
+    # systemd gives a folder. Started by hand there is none: the person sees the terminal.
     kept_in = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     folder = StateFolder(Path(kept_in) if kept_in else None, behind=True)
     asyncio.run(courier.serve(settings, recipients, SystemClock(), manager, folder))

@@ -1,4 +1,4 @@
-"""`heliocube config`: check a configuration file, write a commented one, bring an older one into today's form."""
+"""`heliocube config`: check a configuration file, write a commented one, update an older one to today's form."""
 
 import contextlib
 import sys
@@ -17,7 +17,7 @@ from daemon.commands.options import CONFIG_VARIABLE, CubeOption, PositionerOptio
 from daemon.commands.wrapping import wrapped
 
 if TYPE_CHECKING:
-    # The command line imports this module to show its help, which must not wait for the science.
+    # The command line imports this module to show its help, which must not wait for scientific libraries.
     from daemon.config.links import MqttSettings, SunspecSettings
     from daemon.config.sections import RowsSettings
     from daemon.config.settings import Settings
@@ -83,7 +83,7 @@ def check(
 def _line(subject: str, style: str, text: str) -> Text:
     head = f"  {subject:<12} "
     whole = wrapped(head + text, sys.stdout, hang=len(head) - 2)
-    # A first word that does not fit beside it stands in the next line, and no blanks before that.
+    # If the first word does not fit beside the heading it goes to the next line, and the heading loses its blanks.
     ends = len(head if whole.startswith(head) else head.rstrip())
     return Text.assemble((whole[:ends], style), whole[ends:])
 
@@ -119,7 +119,7 @@ def migrate(
 
 
 def _probe(role: RoleChoice | None, answers: dict[str, str], settings: "Settings") -> list[str]:
-    """Open what a role needs, fill in who answered, and return a sentence for each instrument that does not."""
+    """Open the instruments of a role, note those that answer, and return a sentence for each that does not."""
     import asyncio
 
     from daemon.base.errors import UserError
@@ -143,15 +143,15 @@ def write_example(
     Parameters
     ----------
     directory, role
-        Where to, and for what machine.
+        The folder, and what the machine will do.
     cube, positioner
-        The drivers that read the faces and turn the tracker, by name, where they are not the usual ones.
+        Names of the drivers that read the faces and turn the tracker, if they are not the usual ones.
 
     Raises
     ------
     UserError
-        There is no such driver. The directory is named as a file is. One of the files is there already, or cannot be
-        written. Nothing has been written then.
+        There is no such driver, the directory has the name of a file, or one of the files is there already or cannot be
+        written. In all these cases nothing has been written.
     """
     from daemon.api.token import generate_token, write_token
     from daemon.base.errors import UserError

@@ -1,4 +1,4 @@
-"""`heliocube dashboard`, and the dashboard that `heliocube run --dashboard` has beside it."""
+"""`heliocube dashboard`, and the dashboard that `heliocube run --dashboard` starts beside it."""
 
 import asyncio
 import contextlib
@@ -51,10 +51,10 @@ def dashboard(
 
     settings = settings_of_file(config)
     services = addresses(api or settings.services)
-    # Beside a service its terminal says already how that is.
+    # Beside a service, the service's own lines on the terminal say enough.
     level = logging.ERROR if with_parent else logging.INFO
     process.configure(sys.stderr, journal="JOURNAL_STREAM" in os.environ, level=level)
-    # A line for each request would be a line a second.
+    # httpx would log a line for each request, which is one a second.
     logging.getLogger("httpx").setLevel(logging.WARNING)
     bound = bind(listen or settings.listen)
     say(f"dashboard at {url_of(bound)}, of {', '.join(str(service) for service in services)}")
@@ -65,18 +65,18 @@ def dashboard(
 
 @contextlib.contextmanager
 def dashboard_beside(api: str, listen: str) -> Iterator[None]:
-    """Serve the dashboard of this process' service in a process of its own, which ends with the block or with us.
+    """Serve the dashboard of this service in a process of its own, which ends with the block or with this process.
 
-    Its address is printed before anything else. Where it cannot start it says why itself; the service does without.
+    Its address is printed before anything else. If it cannot start it says why itself; the service goes on without it.
     """
     command = [sys.executable, "-m", "daemon.commands.main", "dashboard", "--with-parent"]
-    # Its standard input is a pipe that ends with this process, however that ends.
+    # Its standard input is a pipe that closes when this process ends, however it ends.
     with subprocess.Popen(  # noqa: S603 - our own program
         [*command, "--api", api, "--listen", listen], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as child:
         assert child.stdin is not None  # noqa: S101 - narrowing; both are pipes
         assert child.stdout is not None  # noqa: S101 - as above
-        # The service does without one who reads, too.
+        # The service goes on even if nobody reads its output.
         with contextlib.suppress(OSError):
             typer.echo(child.stdout.readline(), nl=False)
         try:

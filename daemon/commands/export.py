@@ -75,7 +75,7 @@ def export(
 
 
 def store_directory(command: str, store: str | None, config: Path | None) -> str:
-    """Return the store that is named or configured, in HELIOCUBE_CONFIG at last; raises `UserError`."""
+    """Return the store that is named, or that the file of --config or HELIOCUBE_CONFIG sets; raises `UserError`."""
     if store is None and config is None and os.environ.get(CONFIG_VARIABLE):
         config = Path(os.environ[CONFIG_VARIABLE])
     if store is not None and config is None:

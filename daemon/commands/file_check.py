@@ -1,4 +1,4 @@
-"""Everything that is wrong with a configuration file, as far as `heliocube run` would meet it."""
+"""Finds everything in a configuration file that `heliocube run` would refuse."""
 
 import os
 from pathlib import Path
@@ -9,29 +9,29 @@ from daemon.commands.options import RoleChoice, unit_role
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    # The command line imports this module to show its help, which must not wait for the science.
+    # The command line imports this module to show its help, which must not wait for scientific libraries.
     from daemon.config.settings import Settings
 
 
 def check_file(
     path: Path, role: RoleChoice | None = None, look: "Callable[[Settings], list[str]] | None" = None
 ) -> "Settings":
-    """Read a file like `load_settings`, but look for everything too that `heliocube run` would need.
+    """Read a file like `load_settings`, and also check everything that `heliocube run` would need.
 
     Parameters
     ----------
     path
         The file.
     role
-        What the process will do; with None that of the unit that starts it, or else it is enough that one of the roles
-        can run.
+        What the process will do. None: the role of the unit that starts this file, or, without such a unit, any role
+        that can run.
     look
-        Looks for more that is wrong, and returns a sentence for each.
+        Looks for more problems, and returns a sentence for each.
 
     Raises
     ------
     ConfigError
-        Everything that is wrong, and what the role lacks.
+        All problems, and what the role lacks.
     """
     from daemon.api.token import TokenError, load_token
     from daemon.base.errors import UserError
@@ -48,7 +48,7 @@ def check_file(
     settings = with_records(load_settings_with_topics(path, unusable), path, os.environ)
     problems = []
     if role is not RoleChoice.tracker:
-        # What calibrates a cube is on the machine that reads it.
+        # The calibration file is on the machine that reads the cube.
         try:
             calibration_to_run(settings)
         except UserError as error:
@@ -73,7 +73,7 @@ def check_file(
         problems.append(str(error))
     if settings.notify.people_file is not None:
         try:
-            # As heliocube notify does: from beside the file.
+            # Relative to the configuration file, as in heliocube notify.
             recipients_of(beside(path, settings.notify).people_file)
         except UserError as error:
             problems.append(str(error))
@@ -83,7 +83,7 @@ def check_file(
 
         try:
             check_weather_file(weather)
-            # What reads it takes seconds to load.
+            # Import late: the reader of weather takes seconds to load.
             from daemon.rigs.measured import measured_weather
 
             measured_weather(weather)
@@ -91,7 +91,7 @@ def check_file(
             problems.append(f"simulation.weather: {error}")
     if settings.store.directory is not None:
         problems += _unwritable(settings.store.directory)
-    # On the simulated rig every file runs in the role of both; to ask takes longer than all else together.
+    # On the simulated rig every file can run in the role both. To check that would take longer than all the rest.
     if settings.real or role is not None:
         found = lacking_by_role(settings)
         asked = list(found) if role is None else [role]
@@ -113,7 +113,7 @@ def check_file(
 
 
 def lacking_by_role(settings: "Settings") -> dict[RoleChoice, list[str]]:
-    """Return for each role why it cannot run with these settings; nothing for one that can."""
+    """Return for each role why it cannot run with these settings; an empty list if it can."""
     from daemon.commands.run import lacking
     from daemon.service.rig import Role
 
@@ -121,7 +121,7 @@ def lacking_by_role(settings: "Settings") -> dict[RoleChoice, list[str]]:
 
 
 def absent_addresses(settings: "Settings") -> list[str]:
-    """Return a sentence for each address to listen on that is not on this machine now: a service waits for it."""
+    """Return a sentence for each address to listen on that this machine does not have now: a service waits for it."""
     from daemon.base.addresses import is_here, parse_address
 
     bridge = settings.bridge
@@ -142,7 +142,7 @@ def absent_addresses(settings: "Settings") -> list[str]:
 
 
 def _told(sentence: str, problems: list[str]) -> bool:
-    """Whether that stands in the list already, under another heading."""
+    """Tell whether a sentence is in the list already, under another key."""
     return any(sentence in problem for problem in problems)
 
 

@@ -1,4 +1,4 @@
-"""Which folder the service of a file keeps its records and state in, for all commands that start it or read them."""
+"""Finds the folder of a service's records and state, for all commands that start the service or read the records."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING
 from daemon.store.place import default_place, to_read
 
 if TYPE_CHECKING:
-    # The command line imports this module to show its help, which must not wait for the science.
+    # The command line imports this module to show its help, which must not wait for scientific libraries.
     from daemon.config.settings import Settings
 
 
 def with_place(settings: "Settings", file: Path | None, environment: Mapping[str, str]) -> "Settings":
-    """Return the settings with a folder for what a service on real instruments must not forget.
+    """Return the settings with a folder for the records and state of a service on real instruments.
 
     Parameters
     ----------
     settings
-        Whose own folder, if there is one, stays; a simulated rig gets none.
+        If they name a folder, it stays; a simulated rig gets none.
     file
-        They were read from.
+        The file that they were read from.
     environment
-        Of the process.
+        Environment of the process.
     """
     if settings.store.directory is not None or not settings.real or file is None:
         return settings
@@ -30,13 +30,13 @@ def with_place(settings: "Settings", file: Path | None, environment: Mapping[str
 
 
 def records_of(settings: "Settings", file: Path, environment: Mapping[str, str]) -> Path | None:
-    """Return the folder that the service of a file keeps its records in, for those who read them; None for nowhere."""
+    """Return the folder in which the service of a file keeps its records, to read them; None if it keeps none."""
     if settings.store.directory is not None or not settings.real:
         return settings.store.directory
     return to_read(file, environment)
 
 
 def with_records(settings: "Settings", file: Path, environment: Mapping[str, str]) -> "Settings":
-    """Return the settings with the folder that the service of a file keeps its records in, for those who look at it."""
+    """Return the settings with the folder in which the service of a file keeps its records, to read them."""
     store = settings.store.model_copy(update={"directory": records_of(settings, file, environment)})
     return settings.model_copy(update={"store": store})

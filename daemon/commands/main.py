@@ -62,15 +62,15 @@ from daemon.studies.inputs import instant, of_several, settings_for, site_values
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    # Help and completion must not wait for the science.
+    # Help and completion must not wait for scientific libraries.
     from daemon.config.settings import Settings
 
 
 class _Commands(TyperGroup):
-    """All commands; what Ctrl-C ends with nothing to keep says so, and a wrong value is told in plain words."""
+    """All commands. A command that Ctrl-C ends without a result says so; a wrong value is explained in plain words."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command; raises `InterruptedEarlyError` for Ctrl-C that it does not take itself."""
+        """Run the command; raises `InterruptedEarlyError` for a Ctrl-C that the command does not handle itself."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
@@ -85,7 +85,7 @@ class _Commands(TyperGroup):
             raise
 
 
-# In what matplotlib says as it is loaded, on a full disk for one; a command that draws nothing does not load it.
+# Part of matplotlib's message when it cannot be loaded, on a full disk for example. Only commands that draw load it.
 _NO_CACHE = "MPLCONFIGDIR"
 
 show_values_in_words()
@@ -109,7 +109,7 @@ app.add_typer(tools.app, name="bridge", rich_help_panel=FILES)
 app.add_typer(calibrate.app, name="calibrate", rich_help_panel=SCIENCE)
 app.add_typer(compare.app, name="compare", rich_help_panel=SCIENCE)
 app.add_typer(probe.app, name="probe", rich_help_panel=BENCH)
-# A negative number is no option.
+# So that a negative number is not taken for an option.
 app.command("bench-ctl", rich_help_panel=BENCH, context_settings={"ignore_unknown_options": True})(tools.control)
 app.command(rich_help_panel=BENCH)(campaign.campaign)
 app.add_typer(export.app)
@@ -190,12 +190,12 @@ def run(
         _refuse_simulation({"--speed": speed, "--start": start, "--weather": weather, "--seed": seed})
     with contextlib.ExitStack() as stack:
         if with_dashboard and settings.store.directory is None and not settings.real:
-            # So that there is a day to look at; it goes with the process.
+            # A store gives the dashboard a day to show. It is deleted when the process ends.
             directory = Path(stack.enter_context(TemporaryDirectory(prefix="heliocube-")))
             settings = settings.model_copy(update={"store": settings.store.model_copy(update={"directory": directory})})
         if with_dashboard:
             stack.enter_context(dashboard.dashboard_beside(settings.api.listen, settings.dashboard.listen))
-        # Only now: a mistake in an option or in the file is told before the science is loaded.
+        # Only now: a mistake in an option or in the file is reported before scientific libraries are loaded.
         from daemon.commands.kept import with_place
         from daemon.commands.run import run_service
         from daemon.service.rig import Role
@@ -335,7 +335,7 @@ def _settings(
     positioner: str | None,
     rotctld: str | None = None,
 ) -> "Settings":
-    """Read the file, if any, and lay the command line's choices over it."""
+    """Read the file, if any, and override it by the command line's choices."""
     return settings_for(
         config,
         weather=weather,
@@ -351,7 +351,7 @@ def _settings(
 
 
 def _refuse_simulation(options: dict[str, object]) -> None:
-    """Refuse what only a simulated rig can do."""
+    """Refuse options for which only a simulated rig has a use."""
     given = [name for name, value in options.items() if value is not None]
     if given:
         raise UserError(
@@ -361,8 +361,8 @@ def _refuse_simulation(options: dict[str, object]) -> None:
 
 
 def main() -> None:
-    """Entry point: what a person can put right is one sentence and an exit code of its own, never a traceback."""
-    # It tells at length where it keeps its fonts if not at home, which is nothing to a person who asked for a picture.
+    """Entry point: an error that a person can put right gives one sentence and its own exit code, never a traceback."""
+    # If it cannot keep its fonts in the home folder it says so at length. A person who wants a picture need not know.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         app()
@@ -377,7 +377,7 @@ def main() -> None:
                 err=True,
             )
             sys.exit(ExitCode.MISTYPED)
-        # Every command looks at paths that a person has named; what may be looked at is not for each of them to know.
+        # Every command uses paths that a person has named. A path that may not be accessed is handled here for all.
         if error.filename is None or error.errno not in (errno.EACCES, errno.EPERM, errno.ENAMETOOLONG):
             raise
         say(f"heliocube: {error.filename} cannot be used: {error.strerror}; name another place", err=True)

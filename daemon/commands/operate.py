@@ -28,7 +28,7 @@ _EXIT_CODES = (
 
 
 def _plain(name: str, meaning: str) -> None:
-    """Offer a command that takes nothing but the options that all of them have."""
+    """Offer a command that takes only the options that all commands have."""
 
     @app.command(
         name,
@@ -95,7 +95,7 @@ def give(
     as_json: bool = False,
     **arguments: float | str,
 ) -> None:
-    """Give a command to the service, print what came of it and leave with its exit code."""
+    """Give a command to the service, print the answer and leave with its exit code."""
     from daemon.api.client import find
     from daemon.commands.status.times import in_local
 

@@ -1,4 +1,4 @@
-"""What several commands share."""
+"""Options and checks that several commands share."""
 
 from collections import Counter
 from enum import StrEnum
@@ -22,7 +22,7 @@ SCIENCE = "Science"
 BENCH = "Instruments and the bench"
 
 
-# The names are not listed here: to find those of all installed packages takes a tenth of a second of every command.
+# The names are not listed here: to find those of all installed packages takes every command a tenth of a second.
 LawOption = Annotated[
     str | None, typer.Option(metavar="LAW", help="Pointing law, as in law.driver; an unknown name prints the list.")
 ]
@@ -43,7 +43,7 @@ PositionerOption = Annotated[
     ),
 ]
 CONFIG_VARIABLE = "HELIOCUBE_CONFIG"
-# As deploy/ lays the configurations down, each read by the unit of its role.
+# Where deploy/ puts the configurations; each is read by the unit of its role.
 INSTALLED = Path("/etc/heliocube")
 ConfigOption = Annotated[
     Path | None,
@@ -83,8 +83,8 @@ ClusterOption = Annotated[
 ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite existing files.")]
 
 
-# Not where or how to reach a service, or why: what a script adds to is no reason to refuse a stop. Two trackers are
-# refused before any command is known.
+# Options that reach a service, or give a reason, are not here: a script may add one again, and a stop must not be
+# refused for that. A second --tracker is refused in daemon.entry, before the command is known.
 _ONE_IS_MEANT = {
     *("--against", "--bias", "--day", "--ghi", "--lat", "--law", "--laws", "--model", "--only", "--points"),
     *("--schedule", "--site", "--sites", "--skies", "--sky", "--store", "--tables", "--weather"),
@@ -93,21 +93,21 @@ _ONE_IS_MEANT = {
 
 
 def checked_seed(seed: int | None) -> int | None:
-    """Return a seed; `typer.BadParameter` for one that is too large. As a range its digits would crowd out the help."""
+    """Return a seed; `typer.BadParameter` if it is too large. As a range of typer its digits would fill the help."""
     if seed is not None and seed > LARGEST_SEED:
         raise typer.BadParameter(f"'{seed}' is not a number up to {LARGEST_SEED}")
     return seed
 
 
 def show_values_in_words() -> None:
-    """Let help pages say FILE or NUMBER for the value of an option, where the library shows ``<list[Path]>``."""
+    """Let help pages say FILE or NUMBER for an option's value, where the library would show ``<list[Path]>``."""
     TyperOption.display_type_rich = _value_in_words  # type: ignore[method-assign,assignment]
-    # An argument is known by its name, which stands before this.
+    # An argument needs no word: its name stands before it.
     TyperArgument.display_type_rich = lambda *_args, **_known: None  # type: ignore[method-assign]
 
 
 def _value_in_words(option: TyperOption, ctx: Any) -> str | None:
-    """Return what stands for an option's value; None for a switch, which has none."""
+    """Return the word for an option's value; None for a switch, which has no value."""
     kind = option.type_descriptor
     if option.is_flag or option.metavar is not None:
         return None if option.is_flag else option.metavar
@@ -119,7 +119,7 @@ def _value_in_words(option: TyperOption, ctx: Any) -> str | None:
 
 
 def refuse_repeated() -> None:
-    """Let every command refuse an option that is given again where both values may be meant: the last one counts."""
+    """Let every command refuse an option given twice if both values may be meant: only the last one would count."""
     make_parser = TyperCommand.make_parser
 
     def make(command: TyperCommand, ctx: Any) -> Any:
@@ -144,7 +144,7 @@ def refuse_repeated() -> None:
 
 
 def refuse_underscores() -> None:
-    """Let no command take ``1_5`` for 15, as the library does: whoever types it means 1.5 or slips."""
+    """Let no command take ``1_5`` for 15, as the library does: a person who types it means 1.5 or slips."""
 
     def strictly(process: Any) -> Any:
         def process_value(parameter: Any, ctx: Any, value: Any) -> Any:
@@ -161,7 +161,7 @@ def refuse_underscores() -> None:
 
 
 def chosen_workers(jobs: int, cluster: str | None) -> "Workers":
-    """Return who works; `UserError` for processes here and a cluster in one."""
+    """Return the workers; `UserError` if both --jobs and --cluster are given."""
     from daemon.studies.spread.workers import Workers
 
     if cluster is not None and jobs != 1:
@@ -180,7 +180,7 @@ class RoleChoice(StrEnum):
 
 
 def unit_role(file: Path) -> RoleChoice | None:
-    """Return in which role an installed unit starts a configuration, or None where none does."""
+    """Return the role in which an installed unit starts a configuration, or None if no unit does."""
     units = (RoleChoice.tracker, RoleChoice.cube)
     return next((role for role in units if file.absolute() == INSTALLED / f"{role}.toml"), None)
 

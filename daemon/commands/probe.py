@@ -124,7 +124,7 @@ def cube(
 
     if as_json and set_address:
         raise UserError("--set-address is for people: leave out --json")
-    # A file from the environment may be that of the usual cube, which has no such line.
+    # The file of HELIOCUBE_CONFIG may be for the usual cube, which has no such line.
     chosen = name or ("modbus-pyranometers" if config is None or line is not None else None)
     settings, units = settings_for(config, cube=chosen), unit_range(addresses)
     say = teller(as_json=as_json)
@@ -185,7 +185,7 @@ def _settings(
     *,
     kept: bool = False,
 ) -> "Settings":
-    """Return the settings for one instrument; with `kept`, also where its service keeps what it must not forget."""
+    """Return the settings for one instrument; with `kept`, also the folder in which its service keeps its state."""
     from daemon.commands.kept import with_records
     from daemon.config.file import load_settings, override
     from daemon.config.settings import Settings, settings_of_one
@@ -201,13 +201,13 @@ def _settings(
 
 
 def _run(work: Coroutine[Any, Any, dict[str, Any]], *, as_json: bool, tracker: str | None = None) -> None:
-    """Run to the end; what goes wrong with the instrument is one sentence and exit code 2."""
+    """Run the probe; an error of the instrument gives one sentence and exit code 2."""
     from daemon.base.alarms.kinds import as_typed
     from daemon.base.process import as_ctrl_c
     from drivers.errors import DeviceError
 
     try:
-        # An axis that moves is stopped, whatever ends the program.
+        # An axis that moves must be stopped, whatever ends the program.
         with as_ctrl_c():
             found = asyncio.run(work)
     except DeviceError as error:

@@ -1,4 +1,4 @@
-"""How far a long command is: a bar on a terminal, elsewhere a line a minute."""
+"""The progress of a long command: a bar on a terminal, elsewhere a line a minute."""
 
 import contextlib
 import math
@@ -23,14 +23,14 @@ from daemon.commands.answers import say
 def progress_bar(
     console: Console, what: str = "simulating", *, line_every_s: float = 60.0
 ) -> Iterator[Callable[[float], None]]:
-    """Show a progress bar on a terminal, elsewhere a line a minute; yields what takes the share done, 0..1."""
+    """Show a progress bar on a terminal, elsewhere a line a minute; yields a function of the share done, 0..1."""
     columns = (TextColumn(what), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    # Of its own it would know no speed where a step takes longer than half a minute.
+    # With its default period `Progress` would know no speed if a step takes longer than half a minute.
     with Progress(
         *columns, console=console, disable=not console.is_terminal, transient=True, speed_estimate_period=math.inf
     ) as progress:
         number = progress.add_task(what, total=1.0)
-        # A speed is known between two steps, of which this is the first: others may end at nearly the same time.
+        # A speed needs two steps. This is the first, as the real ones may end at nearly the same time.
         progress.advance(number, 0.0)
 
         def advance(share: float) -> None:
@@ -45,12 +45,12 @@ def progress_bar(
 
 @contextlib.contextmanager
 def _lines(task: Task, every_s: float) -> Iterator[None]:
-    """Tell on standard error now and then how far a task is, in the middle of a step too."""
+    """Say on standard error at intervals how far a task is, also in the middle of a step."""
     over = threading.Event()
 
     def tell() -> None:
         while not over.wait(every_s):
-            # The work goes on where nobody reads any more.
+            # The work goes on even if nobody reads any more.
             with contextlib.suppress(OSError):
                 say(_line(task), err=True)
 

@@ -1,4 +1,4 @@
-"""What goes over a line, byte for byte, into a person's file."""
+"""Records the bytes on a line in a file that a person names."""
 
 import threading
 from collections.abc import Iterator
@@ -12,13 +12,13 @@ from drivers.transcript import Direction, Piece, Tap, line_of, no_tap
 
 @contextmanager
 def recorded(path: Path | None) -> Iterator[Tap]:
-    """Have a tap that writes a transcript to a new file, whatever thread calls it; None for none.
+    """Yield a tap that writes a transcript to a new file, from any thread; with None it writes nothing.
 
     Raises
     ------
     UserError
-        The file is there already or cannot be written. A disk that is full on the way is told at the end: until then an
-        instrument is heard and spoken to all the same, since an axis that moves has to be stopped.
+        The file is there already or cannot be written. That the disk became full meanwhile is reported only at the end:
+        until then the dialogue with the instrument goes on, since an axis that moves has to be stopped.
     """
     if path is None:
         yield no_tap
@@ -41,7 +41,7 @@ def recorded(path: Path | None) -> Iterator[Tap]:
                 failed.append(error)
 
     def tap(direction: Direction, data: bytes) -> None:
-        # What is sent and what is received come from two threads, and a text file takes one at a time.
+        # Two threads call this, one for what is sent and one for what is received; a text file takes one at a time.
         with one:
             write(line_of(Piece(clock.monotonic() - start_s, direction, data)) + "\n")
 

@@ -53,8 +53,8 @@ from daemon.sunspec.server import SunSpecServer
 
 log = logging.getLogger("heliocube")
 
-# Pages, keys and files take one for a moment. Each tracker's link has one while its broker's name is looked up, which
-# takes seconds where no name server answers.
+# Pages, keys and files need a thread for a moment. Each tracker's MQTT link needs one more while the name of its broker
+# is looked up, which takes seconds if no name server answers.
 _THREADS = 8
 
 
@@ -63,7 +63,7 @@ def run_service(
 ) -> None:
     """Run one role of the service until SIGINT, SIGTERM, SIGHUP or the end of `for_s` seconds of wall time.
 
-    `config` is the file that the settings are from, by which commands know whose service it is.
+    `config` is the file that the settings are from; by it commands know which service they reach.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def run_service(
         journal=journal,
         level=logging.WARNING if console.is_terminal else logging.INFO,
     )
-    # Real instruments have real time; what the simulation's table says is not for them.
+    # Real instruments run in real time, whatever the section simulation says.
     speed = 1.0 if settings.real else settings.simulation.speed
     roles = (Role.CUBE, Role.TRACKER) if role is Role.BOTH else (role,)
     with (
@@ -120,7 +120,7 @@ def run_service(
                 log.warning("SIMULATED by a bench, says instruments.bench: all records are marked so")
             if not isinstance(clock, SystemClock):
                 log.warning("the clock is a bench's: it shows %s", iso_utc(clock.utc()))
-        # A service that is refused its address leaves no run in a store.
+        # Open ports before the store: a service that cannot have its address leaves no run there.
         runner.run(service.open())
         with _store(service, role, loop, console) as store:
 
@@ -135,7 +135,7 @@ def run_service(
             key_file = _key_file(settings, keys, service, speed)
             own = OwnConfiguration(config, [each.name for each in service.trackers])
             api = _api(service, recent, speed, see, partial(see, glance=True), own, console, journal=journal)
-            # In a journal the log says it all; status lines would only fill it.
+            # In a journal the log is enough; status lines would only fill it.
             view = None if journal else LiveView(lambda: state_json(see()), console, speed)
             companions = (view, api, _sunspec(service, speed, see), key_file, service.loop_watch, *mqtt.values())
             process.keep_start()
@@ -146,14 +146,14 @@ def run_service(
 
 
 def _print(console: Console, text: str) -> None:
-    """Print a line, but let nothing end for it: the terminal, the disk or whatever reads may be gone."""
-    # Of a pipe that is closed rich makes a SystemExit.
+    """Print a line; if the terminal, the disk or the reader is gone, go on without it."""
+    # For a closed pipe rich raises SystemExit.
     with contextlib.suppress(OSError, SystemExit):
         console.print(text, highlight=False, soft_wrap=True)
 
 
 def lacking(settings: Settings, role: Role) -> list[str]:
-    """Return why a role cannot run with these settings, as far as that is known without a device; nothing if it can."""
+    """Return why a role cannot run with these settings, as far as that is known without devices; empty if it can."""
     needed: list[Callable[[], object]] = [partial(bridge_keys, settings, role)]
     if settings.real:
         parts = (Role.CUBE, Role.TRACKER) if role is Role.BOTH else (role,)
@@ -168,14 +168,14 @@ def lacking(settings: Settings, role: Role) -> list[str]:
 
 
 def bridge_keys(settings: Settings, role: Role) -> tuple[bytes, ...]:
-    """Return the keys of scans, the one that signs first, none for an insecure bridge.
+    """Return the keys of scans, first the one that signs; none for an insecure bridge.
 
-    Within one process a fresh one serves when no file is named.
+    If no file is named, a new key is made for cube and tracker in one process.
 
     Raises
     ------
     UserError
-        The file is missing, unsafe or no key, or two processes would have to share a key that is not there.
+        The file is missing, unsafe or no key, or two processes need a shared key and no file is named.
     """
     bridge = settings.bridge
     if bridge.key_file is not None:
@@ -191,7 +191,7 @@ def bridge_keys(settings: Settings, role: Role) -> tuple[bytes, ...]:
 
 
 def _key_file(settings: Settings, keys: tuple[bytes, ...], service: Service, speed: float) -> KeyFileWatch | None:
-    """Return what watches the key file for new keys, or None where there is no file."""
+    """Return the watch of the key file for new keys, or None if there is no file."""
     path = settings.bridge.key_file
     if path is None:
         return None
@@ -202,7 +202,7 @@ def _key_file(settings: Settings, keys: tuple[bytes, ...], service: Service, spe
 def _rig(settings: Settings, role: Role, clock: Clock, duration_s: float) -> Rig:
     if settings.real:
         return build_real_rig(settings, role, clock)
-    # A service on the roof has no simulator in it, and starts in half the time without.
+    # Import late: a service on real instruments needs no simulator, and starts in half the time without it.
     from daemon.rigs.simulated import build_simulated_rig, build_weather
 
     weather, warning = build_weather(settings, clock.utc(), clock.utc() + duration_s, with_gaps=True)
@@ -230,7 +230,7 @@ def _clock(settings: Settings, loop: asyncio.AbstractEventLoop) -> Clock:
 
 @contextlib.contextmanager
 def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop, console: Console) -> Iterator[Store | None]:
-    """Keep every record of the service, if the settings say where; what waits is written at the end."""
+    """Keep every record of the service, if the settings say where; records that still wait are written at the end."""
     settings, site = service.settings.store, service.settings.site
     if settings.directory is None:
         _print(console, "nothing is kept: no store.directory is set")
@@ -238,7 +238,7 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop, consol
         return
 
     def publish(event: Event) -> None:
-        # What the store has to tell when the loop has ended stands in the log.
+        # When the loop has ended, events of the store are only in the log.
         with contextlib.suppress(RuntimeError):
             loop.call_soon_threadsafe(service.bus.publish, event)
 
@@ -255,7 +255,7 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop, consol
         latitude_deg=site.latitude_deg,
         longitude_deg=site.longitude_deg,
         altitude_m=site.altitude_m,
-        # In a run of several trackers each record bears the name of its own.
+        # In a run of several trackers each record has the name of its own tracker.
         tracker="" if len(service.settings.trackers) > 1 else role.known_as(service.settings.mqtt.name),
         id=new_run_id(),
     )
@@ -281,14 +281,14 @@ def _api(
     *,
     journal: bool,
 ) -> ApiServer | None:
-    """Return the local interface, which tells where it is once it has its port; None where there is to be none."""
+    """Return the local interface, which prints its address once it has its port; None if it is switched off."""
     settings = service.settings.api
     if not settings.enabled:
         return None
     token = generate_token() if settings.token_file is None else load_token(settings.token_file)
     where = f"the token of commands is in {settings.token_file}"
     if settings.token_file is None:
-        # A journal is read by more people than a terminal.
+        # No token in a journal: more people read it than a terminal.
         where = "commands need api.token_file" if journal else f"commands need HELIOCUBE_TOKEN={token}"
 
     def tell(url: str) -> None:
@@ -300,7 +300,7 @@ def _api(
 
 
 def _sunspec(service: Service, speed: float, see: Callable[[], Snapshot]) -> SunSpecServer | None:
-    """Return the SunSpec device; None where there is to be none."""
+    """Return the SunSpec device; None if it is switched off."""
     if not service.settings.sunspec.enabled:
         return None
     operators = Operators(service.trackers, speed)
@@ -308,7 +308,7 @@ def _sunspec(service: Service, speed: float, see: Callable[[], Snapshot]) -> Sun
 
 
 def _sender(settings: Settings, mqtt: Mapping[str, Mqtt]) -> Callable[[bytes], None] | None:
-    """Return what takes scans to a broker, where they go there."""
+    """Return the function that sends scans to a broker, or None if they go another way."""
     if settings.bridge.transport != "mqtt":
         return None
     return next((link.send_scan for link in mqtt.values()), None)

@@ -1,4 +1,4 @@
-"""`heliocube store`: what can be done with the records' file itself."""
+"""`heliocube store`: commands on the file of the records itself."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -35,7 +35,7 @@ def salvage(
     from daemon.commands.progress import progress_bar
     from daemon.store.salvage import salvage as write_records
 
-    # Its copy, as large as the store, would stay.
+    # SIGTERM and SIGHUP end it like Ctrl-C: otherwise a copy as large as the store would be left behind.
     with (
         goes_on_later(f"what was read so far is in {into}"),
         as_ctrl_c(),

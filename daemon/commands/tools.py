@@ -1,4 +1,4 @@
-"""`heliocube bridge`: tools for whoever writes or tests a sender."""
+"""`heliocube bridge`: tools for people who write or test a sender. Also the commands of the bench."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +10,7 @@ from daemon.base.words import counted
 from daemon.commands.answers import JsonOption, print_json, say
 
 if TYPE_CHECKING:
-    # The command line imports this module to show its help, which must not wait for the science.
+    # The command line imports this module to show its help, which must not wait for scientific libraries.
     from daemon.config.settings import Settings
 
 _VERB = 36
@@ -100,7 +100,7 @@ def serve(settings: "Settings", directory: Path) -> None:
 
     _require_terminals()
     check_folder(directory, "--dir")
-    # Only now: a mistake is told before the simulators are loaded.
+    # Only now: a mistake is reported before the simulators are loaded.
     from daemon.rigs.bench import serve_bench
 
     serve_bench(settings, directory)

@@ -1,17 +1,17 @@
-"""Lines that a terminal has room for. It imports little: the answer to a stop goes through it."""
+"""Wraps lines to the width of a terminal. It imports little: the answer to a stop goes through it."""
 
 import os
 from textwrap import wrap
 from typing import TextIO
 
-# Of a terminal that does not tell.
+# For a terminal that does not tell its width.
 _COLUMNS = 80
 
 
 def wrapped(text: str, stream: TextIO, *, hang: int = 2) -> str:
-    """Return text whose lines fit the terminal behind a stream, broken between words; as it is for a file or a pipe.
+    """Return text with lines that fit the terminal behind a stream, broken between words; unchanged for file or pipe.
 
-    What is broken goes on `hang` columns further to the right than its line begins, or less for a long word.
+    A broken line goes on `hang` columns to the right of its beginning, or fewer if a long word needs the room.
     """
     if not stream.isatty():
         return text

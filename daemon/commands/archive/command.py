@@ -1,4 +1,4 @@
-"""`heliocube archive`: the process that fills an archive, and what is done to one by hand."""
+"""`heliocube archive`: the process that fills an archive, and the commands on an archive."""
 
 import os
 import sys
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the database's client.
     from daemon.archive.address import ArchiveAddress
 
-# Before the first record of all, and still a date.
+# Longer ago than any record, and still a valid date.
 _LONGEST_DAYS = 9_999
-# Each day's table has a name of its own in what the database says.
+# There can be many reasons: each names the table of its day.
 _MOST_REASONS = 5
 _HOW_TO_RETRY = "see why in heliocube.set_aside, put it right, then 'heliocube archive retry'"
 
@@ -64,7 +64,7 @@ def archive(context: typer.Context, config: ConfigOption = None, to: ToOption = 
     own = one_section(config, raw, "archive", ArchiveSettings)
     mqtt = beside(config, one_section(config, raw, "mqtt", MqttSettings))
     if mqtt.credentials_file is not None:
-        # It is read at each connection; one that is missing now would be told of only once the database answers.
+        # The file is read again at each connection. Checked here, a missing file is reported at once.
         load_user(mqtt.credentials_file)
     address = database(config, to)
     process.configure(sys.stderr, journal="JOURNAL_STREAM" in os.environ)
@@ -181,7 +181,7 @@ def parquet(
 
 
 def database(config: Path | None, named: str | None) -> "ArchiveAddress":
-    """Return where the archive is, by name or by the file; raises `UserError`."""
+    """Return the address of the archive, as named or from the file; raises `UserError`."""
     from dataclasses import replace
 
     from daemon.archive.address import load_password, parse_archive

@@ -1,4 +1,4 @@
-"""A store to read, wherever it is: a folder as it is, and an archive as a copy of what is wanted of it."""
+"""Gives commands a store to read: a folder as it is, or a copy of the part of an archive that is wanted."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -12,7 +12,7 @@ from daemon.store.schema import FILE_NAME, require_store
 if TYPE_CHECKING:
     from daemon.archive.reader import ArchiveReader
 
-# By the reader, which knows the site: from when to when [s UTC].
+# Returns begin and end [s UTC] of the wanted span, from the reader, which knows the site.
 Span = Callable[["ArchiveReader"], tuple[float, float]]
 
 
@@ -21,7 +21,7 @@ def _all(_reader: "ArchiveReader") -> tuple[float, float]:
 
 
 def check_readable(store: str) -> None:
-    """Raise `UserError`, before anything large is loaded, for what is neither an archive's address nor a store."""
+    """Raise `UserError`, before large libraries are loaded, if this is neither an archive's address nor a store."""
     if is_archive(store):
         parse_archive(store)
     else:
@@ -30,19 +30,19 @@ def check_readable(store: str) -> None:
 
 @contextmanager
 def readable(store: str, span: Span = _all) -> Iterator[tuple[Path, str]]:
-    """Yield the folder of a store, and what it is called; that of an archive's copy goes afterwards.
+    """Yield the folder of a store, and its name for messages; the copy of an archive is deleted afterwards.
 
     Parameters
     ----------
     store
         A folder, or ``postgresql://USER@HOST/DATABASE#PREFIX/NAME``.
     span
-        What is wanted of an archive.
+        Which span of an archive is wanted.
 
     Raises
     ------
     UserError
-        The archive cannot be read, or has nothing of that time.
+        The archive cannot be read, or has no records of that time.
     """
     if not is_archive(store):
         yield Path(store), ""
@@ -52,7 +52,7 @@ def readable(store: str, span: Span = _all) -> Iterator[tuple[Path, str]]:
 
     reader = ArchiveReader(parse_archive(store))
     try:
-        # A copy of months is large, and would stay where a lost connection ends the command.
+        # A copy of months is large, and would be left behind if a lost connection ended the command.
         with as_ctrl_c(), copied(reader, *span(reader)) as folder:
             yield folder, f"the archive {reader.address.url}, {reader.installation}"
     finally:

@@ -71,7 +71,7 @@ def campaign(
         check_outputs([keep / f"seed-{seed}.json" for seed in range(first, first + seeds)], "--keep", force=force)
     from daemon.studies.campaign.matrix import chosen_schedules
 
-    # Only what they name is looked at here: a mistake is told before the simulator is loaded.
+    # This checks only the names, so that a mistake is reported before the simulator is loaded.
     schedules = chosen_schedules(seeds, first, hours, _words(only), _words(without), schedule, trackers, positioner)
     from daemon.commands.progress import progress_bar
     from daemon.studies.campaign.attack import Attack
@@ -96,7 +96,7 @@ def campaign(
 
 
 def _refuse_given(context: typer.Context, why: str, names: tuple[str, ...]) -> None:
-    """Raise `UserError` for options that a person has given and that would be without effect."""
+    """Raise `UserError` for options that a person has given although they would have no effect."""
     sources = {option.opts[0]: context.get_parameter_source(option.name or "") for option in context.command.params}
     given = [name for name, source in sources.items() if name in names and source and source.name != "DEFAULT"]
     if given:

@@ -306,7 +306,7 @@ def paper(
 
     settings = Settings()
     if config is not None:
-        # The periods are by the clock of the paper's place.
+        # The site stays the paper's, as the periods are fixed by the clock there.
         settings = load_settings(config).model_copy(update={"site": settings.site})
     check_workers(workers)
     with progress_bar(Console(stderr=True), "correcting") as progress:
@@ -328,7 +328,7 @@ def paper(
 
 
 def _paper_files(out: Path) -> "Iterator[Path]":
-    """Yield what `compare paper` writes, without loading the science: its two days are fixed."""
+    """Yield the files of `compare paper`, without loading scientific libraries: its two days are fixed."""
     yield from (out / name for name in ("paper.html", "paper.txt", "paper.csv"))
     days = ("2022-10-12", "2022-10-14")
     figures = ("curve", "bias", *(f"{what}-{day}" for day in days for what in ("power", "movement")))
@@ -336,11 +336,11 @@ def _paper_files(out: Path) -> "Iterator[Path]":
 
 
 def _forget(_name: str, _record: object) -> None:
-    """Take a record that nobody wants."""
+    """Drop a record: nobody keeps it."""
 
 
 def _check_measurements(data: list[Path] | None, stores: list[str] | None, cube: str, chrono: str) -> None:
-    """Raise `UserError` for what no measurements can come from, before the science is loaded."""
+    """Raise `UserError` if no measurements can come from these, before scientific libraries are loaded."""
     if cube == chrono:
         raise UserError(f"--cube and --chrono both name '{cube}': two trackers are needed")
     if bool(data) is bool(stores):
@@ -349,7 +349,7 @@ def _check_measurements(data: list[Path] | None, stores: list[str] | None, cube:
 
 
 def _pairs(data: list[Path] | None, stores: list[str] | None, cube: str, chrono: str) -> "tuple[Pairs, Site | None]":
-    """Return the measurements of tables or of stores, laid side by side, and the site that a store knows."""
+    """Return the measurements of tables or stores, joined in pairs, and the site if they are from stores."""
     from daemon.studies.compare.pairs import pair, read_tables
     from daemon.studies.compare.stored import read_stores
 
@@ -365,13 +365,13 @@ def _pairs(data: list[Path] | None, stores: list[str] | None, cube: str, chrono:
 
 @contextmanager
 def _readable(stores: list[str]) -> "Iterator[list[tuple[str | None, Path]]]":
-    """Have stores at hand, of which some may be archives."""
+    """Yield the names and folders of stores, of which some may be copies of archives."""
     from daemon.archive.address import is_archive
     from daemon.commands.archive.readable import readable
     from daemon.studies.compare.stored import parse_store
 
     with ExitStack() as stack:
-        # An address may have an equals sign of its own.
+        # An archive's address may contain an equals sign, which does not end a name.
         named = [(None, text) if is_archive(text) else parse_store(text) for text in stores]
         yield [(name, stack.enter_context(readable(str(place)))[0]) for name, place in named]
 

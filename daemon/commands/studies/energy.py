@@ -17,7 +17,7 @@ from daemon.commands.progress import progress_bar
 from daemon.store.outputs import check_outputs
 
 if TYPE_CHECKING:
-    # The command line imports this module to show its help, which must not wait for the science.
+    # The command line imports this module to show its help, which must not wait for scientific libraries.
     from daemon.studies.energy.benchmark import EnergyRow, Minutes, Terms
     from daemon.studies.energy.losses import Losses
     from daemon.studies.energy.worth import Prices
@@ -251,7 +251,7 @@ def _tell_losses(
 def _laid_out(
     weather: list[Path], place: tuple[float, float, float], albedo: float, speed_deg_per_s: float | None
 ) -> "tuple[Minutes, DaylightWeather, Terms]":
-    """Read the weather, tell its warnings, and return it with its daylight and what the benchmark assumes."""
+    """Read the weather and print its warnings; return it, its daylight, and what the benchmark assumes."""
     from daemon.studies.energy.benchmark import IDEAL, Terms, measured_minutes
     from solar.energy import Drive, lay_out
     from solar.ephemeris import Site
@@ -269,7 +269,7 @@ def _laid_out(
 
 @contextmanager
 def _writing_to(out: Path) -> Iterator[None]:
-    """Make the folder, and say in a sentence if it cannot be written to."""
+    """Make the folder; raise `UserError` if it cannot be written to."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         yield

@@ -101,7 +101,7 @@ def gain(
         if clash is not None:
             raise UserError(f"--points takes its cases from the file; leave out {clash}")
         cases = request.read_points(points)
-        # What computes takes longer to load than the file to read.
+        # Only now: the code that computes takes longer to load than the file to read.
         from daemon.studies.gain import output
         from daemon.studies.gain.evaluate import evaluate_points
 
@@ -159,7 +159,7 @@ def _sky(weather: str | None, asked: "Request", lon: float | None, altitude: flo
 
 
 def _fitting(asked: "Request") -> PlotKind:
-    """Return the figure that shows most of a request."""
+    """Return the kind of figure that shows most of a request."""
     if asked.printed:
         return PlotKind.PRINTED
     if asked.latitudes_deg.size == 1:

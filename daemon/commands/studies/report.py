@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from contextlib import AbstractContextManager
 
-    # The command line imports this module to show its help, which must not wait for the science.
+    # The command line imports this module to show its help, which must not wait for scientific libraries.
     from daemon.archive.reader import ArchiveReader
     from daemon.config.settings import Settings
     from daemon.studies.report.material import Material
@@ -137,7 +137,7 @@ def plot(
     local, place = zone_of(zone), "" if tables is not None else store_directory("plot", store, config)
     if place:
         check_readable(place)
-    # Slow to import, and what is above refuses most mistakes without them.
+    # Slow to import: the checks above refuse most mistakes without them.
     from daemon.studies.report.plot import draw, material_of_tables, nothing_to_show
     from daemon.studies.report.write import check_output, with_settings
 
@@ -179,7 +179,7 @@ def _settings(config: Path | None) -> "Settings | None":
 
 
 def _readable(place: str, wanted: "Wanted") -> "AbstractContextManager[tuple[Path, str]]":
-    """Have the records of a span at hand, from a store or an archive."""
+    """Give access to the records of a span, in a store or in a copy from an archive."""
     from daemon.commands.archive.readable import readable
 
     def ends_s(reader: "ArchiveReader") -> tuple[float, float]:
@@ -190,7 +190,7 @@ def _readable(place: str, wanted: "Wanted") -> "AbstractContextManager[tuple[Pat
 
 
 def _name(directory: Path, wanted: "Wanted") -> str:
-    """Return what the span is called, before anything is read but the place of the site."""
+    """Return the name of the span, for which only the site's place is read; empty without any run."""
     from daemon.store.runs import runs_of
     from daemon.store.schema import FILE_NAME
 

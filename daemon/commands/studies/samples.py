@@ -29,7 +29,7 @@ def samples(
         raise UserError(f"--out: {out} cannot be a folder: {error.strerror}") from None
     for source in sources:
         try:
-            # Half a day would pass for a recording with a gap.
+            # Whole or not at all: half a day would pass for a recording with a gap.
             with part_of(out / source.name) as part:
                 shutil.copyfile(source, part)
         except OSError as error:

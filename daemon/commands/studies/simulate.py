@@ -1,4 +1,4 @@
-"""What `heliocube simulate` tells on the terminal while it works and when it is done."""
+"""What `heliocube simulate` prints, the checks before its work, and `heliocube replay`."""
 
 import contextlib
 import math
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from datetime import tzinfo
 
-    # The command line imports this module to show its help, which must not wait for the science.
+    # The command line imports this module to show its help, which must not wait for scientific libraries.
     from daemon.config.settings import Settings
     from daemon.studies.simulate import Summary
     from daemon.studies.simulated_day import PlaneInsolation
 
 
 def page_of(summary: "Summary", settings: "Settings", out: Path, pages: "Sequence[Path]") -> dict[str, Any]:
-    """Return the same for scripts."""
+    """Return the results of a simulation for scripts."""
     return {
         "simulated": True,
         "site": settings.site,
@@ -94,7 +94,7 @@ _PICTURES = ("light", "angles", "received")
 
 
 def checked_pictures(plot: Path | None, settings: "Settings", *, force: bool) -> "Sequence[Path]":
-    """Return the files of the pictures that are wanted, looked at before the work; raises `UserError`."""
+    """Return the files of the wanted pictures, checked before the work; raises `UserError`."""
     if plot is None:
         return ()
     if plot.suffix.lower() not in (".png", ".svg"):
@@ -116,9 +116,9 @@ def draw_pictures(paths: "Sequence[Path]", settings: "Settings", tables: Path, z
 def checked_report(
     out: Path | None, zone: str | None, settings: "Settings", span: tuple[float, float], *, force: bool
 ) -> "tzinfo | None":
-    """Look before the work whether its report can be written; return the zone of its local times.
+    """Check before the work whether its report can be written, and return the zone of local times.
 
-    The pictures of a run without a report have local times too. Raises `UserError`.
+    Pictures without a report have local times too. Raises `UserError`.
     """
     if out is None and zone is None:
         return None
@@ -136,13 +136,13 @@ def checked_report(
 
 
 def without_page(report_to: Path | None) -> str:
-    """Return how the sentence about an interruption ends, where a page about the whole was wanted."""
+    """Return the end of the sentence about an interruption: it says that no page was written, if one was wanted."""
     return "" if report_to is None else ", and no page was written"
 
 
 @contextlib.contextmanager
 def after_tables(what: str) -> Iterator[None]:
-    """Let Ctrl-C say `what` is kept while pictures and pages are made of it; raises `InterruptedEarlyError`."""
+    """Let Ctrl-C report `what` is kept while pictures and pages are made; raises `InterruptedEarlyError`."""
     try:
         yield
     except KeyboardInterrupt:
@@ -214,7 +214,7 @@ def replay(
     in_kilowatts = unit_note(called, rows, settings.site.place())
     if in_kilowatts is not None:
         warn(in_kilowatts)
-    # The last reading belongs to it.
+    # The end is not part of a span, and the last reading has to be.
     span = (float(rows.utc_s[0]), float(rows.utc_s[-1]) + 1.0)
     local = checked_report(report_to, zone, settings, span, force=force)
     with progress_bar(Console(stderr=True), "replaying") as progress:
