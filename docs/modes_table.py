@@ -34,13 +34,15 @@ DATA = {
 }
 _INTRO = """# Modes: every situation by every mode
 
-Written by `docs/modes_table.py` from the state machine itself, over all {count:,} situations in each of the {modes}
-modes; a test compares. What the modes do is in [operate.md](operate.md#modes).
+This page shows which mode follows from which situation. `docs/modes_table.py` writes it from the state machine itself,
+over all {count:,} situations in each of the {modes} modes; a test compares. What the modes do is in
+[operate.md](operate.md#modes).
 
 ## The first row that applies decides
 
-Whatever else holds below a row changes nothing; the last column counts the situations that a row decides. A mode in
-which the tracker was before matters in the last row only.
+Read the table from the top: the first row whose situation holds decides, and the rows below it change nothing. The mode
+in which the tracker was before (the columns) matters in the last row only. The last column counts the situations that a
+row decides.
 
 | Situation | {heads} | Situations |
 |---|{rules}---|
@@ -48,7 +50,7 @@ which the tracker was before matters in the last row only.
 _PAIRS = """
 ## Two at once
 
-The mode where the conditions of row and column both hold and no other, with good readings by day.
+This table has the mode when the conditions of row and column hold, and no other, with good readings by day.
 
 """
 

@@ -117,7 +117,7 @@ _ALL = (
     _kind(
         "law-failed",
         Severity.WARNING,
-        "the pointing law failed with an error, which is in the log, or answered with what is no answer",
+        "the pointing law failed with an error, which is in the log, or gave an answer that cannot be used",
         "the tracker follows the sun by ephemeris; limits, stow and commands work as usual",
         "correct the law or choose another, then restart the service",
     ),
@@ -138,8 +138,8 @@ _ALL = (
     _kind(
         "stow-source-failed",
         Severity.WARNING,
-        "a source of stow raised an error, which is in the log, or answered with what is no answer; ends when it has"
-        " worked for a minute",
+        "a source of stow raised an error, which is in the log, or gave an answer that cannot be used; ends when the"
+        " source has worked for a minute",
         "the tracker is stowed until then, and until the source has been calm for long enough",
         "correct what the alarm's text names, or take the source out, then restart the service",
     ),
@@ -162,19 +162,19 @@ _ALL = (
     _kind(
         "cube-face",
         Severity.WARNING,
-        "a face of the cube, or several, reads what cannot be true",
+        "one or more faces of the cube give readings that cannot be true",
         "such a face is not used: the laws work with three; if two are missing, the tracker follows the ephemeris",
-        "of each face in the alarm's text check the sensor, its cable, the multiplexer, anything that shades it, and"
-        " whether cables are swapped; it is used again after ten good checks, and after standing still or contradicting"
-        " the others only once it follows the light",
+        "for each face in the alarm's text check the sensor, its cable, the multiplexer, anything that shades it, and"
+        " whether cables are swapped; the face is used again after ten good checks, and if it stood still or"
+        " contradicted the others, only once it follows the light",
     ),
     _kind(
         "face-unread",
         Severity.WARNING,
-        "for ten scans a face of the cube, or several, has given no reading (over-range, stale, missing, late) while"
+        "for ten scans one or more faces of the cube have given no reading (over-range, stale, missing, late) while"
         " others have",
         "the laws work with three faces; if two are missing, the tracker follows the ephemeris",
-        "of each face in the alarm's text check sensor, plug and cable; ten scans with a reading end the alarm",
+        "for each face in the alarm's text check sensor, plug and cable; ten scans with a reading end the alarm",
     ),
     _kind(
         "cube-sensor",
@@ -188,7 +188,7 @@ _ALL = (
         "no-readings",
         Severity.WARNING,
         "for 15 minutes of daylight the law has had no good readings",
-        "unless a person, a stow or a fault keeps it elsewhere, the tracker follows the ephemeris",
+        "the tracker follows the ephemeris, unless a person, a stow or a fault keeps it elsewhere",
         "check the cube, its process, the bridge and the network; the alarm's text says which",
     ),
     _kind(
@@ -247,9 +247,10 @@ _ALL = (
         "bridge-down",
         Severity.WARNING,
         "for a minute the address of `bridge.listen`, or the network of `bridge.multicast_group`, has not been on this"
-        " machine, or the port that was waited for is another program's; ends when it has been there for a minute",
-        "no scan of a cube elsewhere is heard: unless the process has a cube of its own, or a person, a stow or a fault"
-        " keeps it elsewhere, the tracker follows the ephemeris",
+        " machine, or another program has the port that the service waited for; ends when it has been there for a"
+        " minute",
+        "no scan of a cube elsewhere is heard: the tracker follows the ephemeris, unless the process has a cube of its"
+        " own, or a person, a stow or a fault keeps it elsewhere",
         "compare the address with those of this machine (`ip address`): check its network, cable and DHCP, and the"
         " service listens there within 5 s; or correct bridge.listen or bridge.multicast_interface, then restart the"
         " service",
@@ -257,8 +258,8 @@ _ALL = (
     _kind(
         "api-down",
         Severity.WARNING,
-        "the address and port of `api.listen` cannot be used: another program has them, this one may not, or this"
-        " machine has no such address",
+        "the address and port of `api.listen` cannot be used: another program has them, this one has no right to them,"
+        " or this machine has no such address",
         "`heliocube stop` and all other commands, the dashboard, `/metrics` and `heliocube notify` cannot reach the"
         " service; the tracker and commands over MQTT and SunSpec are not affected",
         "end the program that has the port (`ss -ltnp` names it), or see why the address is not there (`ip address`):"
@@ -267,8 +268,8 @@ _ALL = (
     _kind(
         "sunspec-down",
         Severity.WARNING,
-        "the address and port of `sunspec.listen` cannot be used: another program has them, this one may not, or this"
-        " machine has no such address",
+        "the address and port of `sunspec.listen` cannot be used: another program has them, this one has no right to"
+        " them, or this machine has no such address",
         "no control room reads or commands over SunSpec; the tracker and all other ways to it are not affected",
         "end the program that has the port (`ss -ltnp` names it), or see why the address is not there (`ip address`):"
         " the service takes it within 10 s; or correct sunspec.listen, then restart the service",
@@ -284,8 +285,8 @@ _ALL = (
     _kind(
         "archive-set-aside",
         Severity.WARNING,
-        "the archive's database does not take records: a constraint or a trigger that somebody has added, a column"
-        " that holds less",
+        "the archive's database refuses some records: somebody has added a constraint or a trigger, or a column is too"
+        " small",
         "these records are set aside in the database, with the reason, and all others go on; ends an hour after the"
         " last one",
         "look into heliocube.set_aside there, put the database right, then `heliocube archive retry` (docs/archive.md)",
@@ -294,7 +295,7 @@ _ALL = (
     _kind(
         "day-budget",
         Severity.NOTICE,
-        "the laws have used three quarters of the solar day's travel, or all of that or the moves; ends at midnight",
+        "the laws have used three quarters of the solar day's travel, or all of it, or all moves; ends at midnight",
         "until then the tracker follows the sun by the clock; with nothing left it moves only to stow, for the night"
         " and on command",
         "nothing on a day with much change in the sky; if it happens often, raise motion.deadband_deg, or the day's"
