@@ -81,12 +81,12 @@ _ROWS: tuple[_Row, ...] = (
 )  # fmt: skip
 
 UNSEEN = {
-    "switch_line_stuck": "without a self-test input it shows in daylight alone, when the faces contradict each other",
-    "face_shaded": "a face in the shade reads too little for good, as a cloud makes it; it shows after days",
-    "b_ignores_targets": "shows with the next move of B, as it does of A",
-    "unit_wind": "acts where the unit's own sun tracking is on, which the service switches off",
-    "unit_snow": "likewise",
-    "kill_torn": "as kill; a file that cannot be read leaves the reference in doubt",
+    "switch_line_stuck": "without a self-test input it shows only in daylight, when the faces contradict each other",
+    "face_shaded": "a face that stays in the shade reads too little, as under a cloud; this shows only after days",
+    "b_ignores_targets": "shows at the next move of B, as `a_ignores_targets` does at the next move of A",
+    "unit_wind": "acts only while the unit's own sun tracking is on, and the service switches that off",
+    "unit_snow": "as `unit_wind`",
+    "kill_torn": "as `kill`, but with a file that cannot be read, which leaves the reference in doubt",
 }
 """Faults that have no row, and why."""
 

@@ -46,10 +46,10 @@ _NO_PAIRS = (
 )
 
 LEFT_OUT = (
-    "Left out: two faults of the one process, the same switch open and closed, and what leaves no mark in the unit\n"
-    "(a count that slips, a switch closed for 10 s) while no process is there to see it; nor a process that stands\n"
-    "still while the clock is set, for it waits to hear the wind then, and readings come meanwhile; nor what only a\n"
-    "rotator has. A fault that only a move can show may wait for one."
+    "These pairs are left out: two faults of the one process; the same switch open and closed; a fault that leaves no\n"
+    "mark in the unit (a count that slips, a switch closed for 10 s) while no process is there to see it; a process\n"
+    "that stands still while the clock is set, because it then waits to hear the wind, and readings come meanwhile;\n"
+    "and every fault that only a rotator has. A fault that only a move can show may stay unseen until there is a move."
 )
 """Which pairs are not tried, as the page says it."""
 

@@ -16,9 +16,9 @@ _HEAD = """# Reliability: every fault, what is declared for it, and the worst se
 
 Written by `heliocube campaign --reliability docs/reliability.md`. The figures are those of the simulated rig under
 virtual time, with the real drivers and the service itself. They are the same on every machine, and no rig was measured.
-Here each fault falls alone, {runs} times, at rest or in mid-move, at other moments of the unit's screens and of the
-service's decisions each time; then every two of them fall together, once. Every promise of the campaign is watched
-throughout. In [the campaign](campaign.md) they fall at random.
+Here each fault happens alone, {runs} times, at rest or in mid-move, each time at another moment of the unit's screens
+and of the service's decisions. Then each two of them happen together, once. Every promise of the campaign is watched
+throughout. In [the campaign](campaign.md) the faults happen at random.
 
 ## One fault at a time
 
@@ -33,8 +33,9 @@ _PAIRS = """
 ## Two faults at once
 
 Each pair of the faults above is tried once: at rest the second begins 7 s after the first, in mid-move 0.2 s after it.
-The tracker must be in the stronger of the two declared modes within the longer of their two bounds. When both faults
-are over and a person has given the commands, it must work again within the sum of the two bounds for coming back.
+The tracker must be in the stronger of the two declared modes within the longer of their two bounds, or within the sum
+of both where a fault is of the process. When both faults are over and a person has given the commands, it must work
+again within the sum of the two bounds for coming back.
 
 {left_out}
 
@@ -44,7 +45,7 @@ are over and a person has given the commands, it must work again within the sum 
 |---|---|---|---|---|---|
 """
 _UNSEEN = """
-Faults without a row, which the campaign throws all the same:
+These faults have no row above; the campaign uses them all the same:
 
 | Fault | Why |
 |---|---|
@@ -52,8 +53,8 @@ Faults without a row, which the campaign throws all the same:
 _MATRIX = """
 ## Component by component
 
-What the campaign does to each component, by the names of its faults; kinds of fault with one answer share a row. What
-is not done is refused by `--only COMPONENT:FAULT`, for the reason that stands here.
+The table names the faults that the campaign gives each component; kinds of fault with the same answer share a row. A
+kind that is not done is refused by `--only COMPONENT:FAULT`, for the reason in the last column.
 
 | Component | Kinds of fault | Done as, or why not |
 |---|---|---|
