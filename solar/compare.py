@@ -1,7 +1,7 @@
 """Two trackers compared: the bias between their measuring chains, energy, and equation (16).
 
-Reference: Andriamahefa et al., EPJ Photovoltaics 14, 35 (2023), sections 2.1 and 4. Powers are of the maximum power
-point [W], in arrays of shape (n,), the two trackers' values of one instant at one place.
+Reference: Andriamahefa et al., EPJ Photovoltaics 14, 35 (2023), sections 2.1 and 4. Powers [W] are of the maximum power
+point, in arrays of shape (n,); the same place in two arrays is the same instant.
 """
 
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ _LONGEST_GAP_S = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class ChainBias:
-    """What turns the power of one measuring chain into what the other would have measured: c0 + c1 P + c2 P^2.
+    """The polynomial c0 + c1 P + c2 P^2 that turns one measuring chain's power into what the other would have measured.
 
     Attributes
     ----------
     constant_w, linear, quadratic_per_w
         c0, c1 and c2.
     lowest_w, highest_w
-        Range of P that they were fitted in; outside it they are an extrapolation.
+        Range of P in the fit; outside it the polynomial is an extrapolation.
     """
 
     constant_w: float
@@ -52,7 +52,7 @@ def fit_chain_bias(power_w: ArrayLike, reference_w: ArrayLike) -> ChainBias:
     Parameters
     ----------
     power_w, reference_w
-        Of the chain that is to be corrected and of the other one, finite.
+        Powers of the chain to correct and of the other one, finite.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def fit_chain_bias(power_w: ArrayLike, reference_w: ArrayLike) -> ChainBias:
     power, reference = _alike(power_w, reference_w)
     if np.unique(power).size <= DEGREE:
         raise ValueError(f"a polynomial of order {DEGREE} needs {DEGREE + 1} different powers")
-    # The fit scales the powers for itself, and converts back.
+    # `fit` scales the powers for accuracy, `convert` undoes that.
     polynomial = np.polynomial.Polynomial.fit(power, reference, DEGREE).convert()
     constant, linear, quadratic = (float(c) for c in np.pad(polynomial.coef, (0, DEGREE + 1 - polynomial.coef.size)))
     return ChainBias(
@@ -75,10 +75,10 @@ def fit_chain_bias(power_w: ArrayLike, reference_w: ArrayLike) -> ChainBias:
 
 
 def longest_gap_s(utc_s: ArrayLike) -> float:
-    """Return how far apart [s] two of these rising instants may be with the power between them known.
+    """Return the longest step [s] between two of these rising instants over which the power counts as known.
 
-    One and a half of their median step: a wattmeter that stores every five minutes has no gaps for that. But never less
-    than a minute, nor more than an hour: a few readings of a day do not tell what came between them.
+    It is 1.5 times their median step, so that a wattmeter that stores every five minutes has no gaps. It is at least a
+    minute and at most an hour: a few readings in a day do not tell what the power was between them.
     """
     step_s = np.diff(np.asarray(utc_s, dtype=np.float64))
     return float(np.clip(1.5 * np.median(step_s), _GAP_S, _LONGEST_GAP_S)) if step_s.size else _GAP_S
@@ -92,7 +92,7 @@ def energy_wh(utc_s: ArrayLike, power_w: ArrayLike, longest_gap_s: float = _GAP_
     utc_s, power_w
         Rising instants [s] and the power then.
     longest_gap_s
-        What lies between instants farther apart than this does not count.
+        A longer step does not count.
     """
     time, power = _alike(utc_s, power_w)
     step_s = np.diff(time)
@@ -106,7 +106,7 @@ def gain_pct(energy_cube: float, energy_chrono: float) -> float:
 
 
 def lies_flat(a_deg: ArrayLike, b_deg: ArrayLike, within_deg: float = 2.0) -> NDArray[np.bool_]:
-    """Tell where a tracker at A, B [deg] lies horizontal within `within_deg`; an unknown pose does not."""
+    """Tell where a tracker at A, B [deg] lies horizontal within `within_deg`; False for an unknown pose."""
     up = normal_from_angles(a_deg, b_deg)[..., 2]
     flat: NDArray[np.bool_] = up >= np.cos(np.radians(within_deg))
     return flat

@@ -87,9 +87,9 @@ class DaylightWeather:
         return np.where(total > 0.0, np.digitize(fraction, _DAY_TYPE_BOUNDS), -1)
 
     def whole_days(self) -> float:
-        """Return how many days with light it is of.
+        """Return how many days with light the weather covers.
 
-        Of each counts the share of its daylight that is known: the first and the last are seldom whole.
+        A day counts by the share of its daylight that is known: the first and the last are seldom whole.
         """
         lit = np.flatnonzero(self.day_types() >= 0)
         known = np.bincount(self.day)[lit]
@@ -103,7 +103,7 @@ def lay_out(utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, site: Site, step_s: 
     """Return the daylight part of weather at instants `utc_s`, multiples of `step_s`, in solar days of the site.
 
     NaN is missing weather; negative values count as zero. Raises `ValueError` if no instant has sun and weather,
-    or none of them any light.
+    or if none of those has any light.
     """
     sun = sun_direction(utc_s, *site)
     used = np.isfinite(dni_w_m2) & np.isfinite(dhi_w_m2) & (sun[:, 2] > 0.0)
@@ -203,7 +203,7 @@ class Harvest:
     energy_kwh_m2, travel_deg, moves
         Per day, shape (days,). Travel adds A and B, from the night position at sunrise to the last pose of the day.
     return_deg
-        From there back to the night position.
+        From that last pose back to the night position.
     """
 
     energy_kwh_m2: Array
@@ -214,7 +214,7 @@ class Harvest:
 
 Steer = Callable[[int, Array, Array], tuple[Array, Array]]
 Taken = Callable[[Array, Array], Array]
-"""Irradiance [W/m2] that something takes from planes at angles [deg], one for each instant: all of shape (n,)."""
+"""Returns the irradiance [W/m2] that planes at angles A and B [deg] lose at each instant; all of shape (n,)."""
 
 
 def fixed(weather: DaylightWeather, tilt_deg: float) -> Steer:
@@ -237,7 +237,7 @@ def harvest(
     steer
         Called before each step with its number and the target poses [deg], shape (days,); returns new ones.
     taken
-        What the plane does not receive of that light, such as what neighbours shade; None for nothing.
+        Irradiance that the plane does not receive, such as what neighbours shade; None for nothing.
     """
     steps, days = weather.shape
     a, b = np.full(days, _NIGHT_A_DEG), np.full(days, _NIGHT_B_DEG)
@@ -253,11 +253,11 @@ def harvest(
         moves += go
         target_a, target_b = np.where(go, wanted_a, target_a), np.where(go, wanted_b, target_b)
         if np.array_equal(a, target_a) and np.array_equal(b, target_b):
-            # As in most minutes of a thrifty law.
+            # The tracker stands still, as in most minutes under a thrifty law.
             poses[:, :, step] = np.stack((a, b))[:, None]
             continue
         for sample in range(drive.samples):
-            # np.clip takes several times as long for a few days.
+            # np.clip takes several times as long on arrays of a few days.
             by_a = bounded(target_a - a, -stride, stride)
             left = stride - np.abs(by_a) if np.isfinite(stride) else stride
             by_b = bounded(target_b - b, -left, left)

@@ -35,7 +35,7 @@ REMEMBERED_DAYS = 16
 REMEMBERED_WHOLE_DAYS = 1000
 
 _WORTH_A_DAY = 4
-# Instants an hour from which on all hours from the first to the last are looked up.
+# From so many instants an hour on, all hours from the first to the last are looked up.
 _CLOSE = 4
 _STEPS = 2
 _PATH_EVERY_S = 60.0
@@ -45,7 +45,7 @@ Number = TypeVar("Number", float, Array)
 Instant: TypeAlias = float | datetime | np.datetime64
 """Seconds since 1970-01-01 UTC, or a date and time, in UTC where it has no zone."""
 Instants: TypeAlias = "Sequence[float] | NDArray[Any] | pd.Index[Any] | pd.Series[Any]"
-"""Many of them, as seconds or as dates of numpy, such as the index of a frame."""
+"""Many instants, as seconds or as dates of numpy, such as the index of a frame."""
 
 
 class _Place(NamedTuple):
@@ -60,7 +60,7 @@ class Site(_Place):
     __slots__ = ()
 
     def __new__(cls, latitude_deg: float, longitude_deg: float, altitude_m: float) -> Self:
-        """Make one."""
+        """Check the numbers, and make the place."""
         _check_place(latitude_deg, longitude_deg, altitude_m)
         return super().__new__(cls, latitude_deg, longitude_deg, altitude_m)
 
@@ -89,12 +89,12 @@ class SunDay(NamedTuple):
     Attributes
     ----------
     sunrise_utc_s, sunset_utc_s
-        The sun's upper limb on a flat horizon, within half a day of noon; None on a day without. Where the polar day
-        begins or ends, a day may have one of them alone.
+        The sun's upper limb on a flat horizon, within half a day of noon; None on a day without one. Where the polar
+        day begins or ends, a day may have only one of them.
     noon_utc_s
         The sun crosses the meridian.
     highest_elevation_deg
-        Apparent elevation then. Without sunrise and sunset, below zero it is a polar night, above zero a polar day.
+        Apparent elevation at noon. Without sunrise and sunset, below zero it is a polar night, above zero a polar day.
     """
 
     sunrise_utc_s: float | None
@@ -116,9 +116,9 @@ def sun_position(
 ) -> SunPosition[float] | SunPosition[Array]:
     """Return the sun's position at `utc_s` [s since 1970-01-01 UTC], one instant or an array of any shape.
 
-    A date with its time, dates of numpy and the index of a frame are taken too, as UTC where they have no zone.
-    Refraction is that of mean pressure at `altitude_m` and 12 deg C. Raises `ValueError` for what is no instant, is not
-    finite, after 9999 or in 32 bits, and for a place that is not on Earth.
+    A datetime, dates of numpy and the index of a frame are taken too, as UTC where they have no zone. Refraction is
+    that of mean pressure at `altitude_m` and 12 deg C. Raises `ValueError` for a time that is no instant, not finite,
+    after the year 9999 or in 32 bits, and for a place that is not on Earth.
     """
     _check_place(latitude_deg, longitude_deg, altitude_m)
     instants = _finite(utc_s)
@@ -152,7 +152,7 @@ def extraterrestrial_dni(utc_s: "Instant | Instants") -> Array:
 def solar_days(utc_s: Number, longitude_deg: float) -> Number:
     """Return the solar day that an instant [s UTC], or each of many, falls in at a longitude, by mean midnights.
 
-    Counted from 1970-01-01 on. Where midnight of UTC falls in daylight, a day of UTC is halves of two of them.
+    Days are counted from 1970-01-01. Where midnight UTC falls in daylight, a UTC day is halves of two solar days.
     """
     return (utc_s + longitude_deg * 240.0) // DAY_S
 
@@ -180,12 +180,12 @@ def share_of_daylight_left(utc_s: float, latitude_deg: float, longitude_deg: flo
 
 @lru_cache(maxsize=REMEMBERED_DAYS)
 def _sun_day(mean_solar_day: float, latitude_deg: float, longitude_deg: float, altitude_m: float) -> SunDay:
-    """Work it out once for all trackers of a process, which ask as soon as a day begins."""
+    """Work a solar day out once for all trackers of a process: all of them ask when the day begins."""
     noon_utc_s = _noon_utc_s((mean_solar_day + 0.5) * DAY_S - longitude_deg * 240.0, longitude_deg)
     instants = noon_utc_s + np.arange(-DAY_S / 2.0, DAY_S / 2.0 + 1.0, _PATH_EVERY_S)
     sun = sun_position(instants, latitude_deg, longitude_deg, altitude_m)
     above_deg = sun.geometric_elevation_deg - RISE_ELEVATION_DEG
-    # Near the poles the sun is highest beside the meridian.
+    # Near the poles the sun is not highest at noon.
     top = int(np.argmax(above_deg))
     return SunDay(
         _first_below(instants[top::-1], above_deg[top::-1]),
@@ -206,7 +206,7 @@ def _noon_utc_s(mean_noon_utc_s: float, longitude_deg: float) -> float:
 
 
 def _first_below(instants: Array, above_deg: Array) -> float | None:
-    """When the sun, followed from its highest point, is on the horizon; None where it never is, or never above."""
+    """Return when the sun, followed from its highest point, reaches the horizon; None if never, or never above it."""
     below = np.flatnonzero(above_deg <= 0.0)
     if not below.size or below[0] == 0:
         return None
@@ -226,7 +226,7 @@ def _topocentric(utc_s: Array, latitude_deg: float, longitude_deg: float, altitu
     local_declination = spa.topocentric_sun_declination(declination, x, y, parallax, shift, hour_angle)
     local_hour_angle = spa.topocentric_local_hour_angle(hour_angle, shift)
     geometric = spa.topocentric_elevation_angle_without_atmosphere(latitude_deg, local_declination, local_hour_angle)
-    # Of the standard atmosphere, as `pvlib.atmosphere.alt2pres` has it.
+    # The pressure of the standard atmosphere, as in `pvlib.atmosphere.alt2pres`.
     pressure_hpa = ((44331.514 - altitude_m) / 11880.516) ** (1.0 / 0.1902632)
     refraction = spa.atmospheric_refraction_correction(
         pressure_hpa, TEMPERATURE_DEGC, geometric, REFRACTION_AT_HORIZON_DEG
@@ -243,7 +243,7 @@ def _geocentric(utc_s: Array) -> Array:
     hours = np.floor(utc_s / HOUR_S).astype(np.int64)
     first, last = (int(hours.min()), int(hours.max())) if hours.size else (0, 0)
     if (last - first) * _CLOSE <= hours.size:
-        # A law in the field asks for a few instants, and asks often: to sort them would take longer.
+        # A running law asks often, for a few instants: to sort them would take longer.
         position = hours - first
         known = _at_hours(np.arange(first, last + 2))
         before, rise = known[:, :-1], known[:, 1:] - known[:, :-1]
@@ -262,7 +262,7 @@ def _at_hours(hours: NDArray[np.int64]) -> Array:
         return np.empty((4, 0))
     if hours.size > REMEMBERED_HOURS // 8:
         days, position = np.unique(hours // 24, return_inverse=True)
-        # All hours of a day for the sake of one or two would take longer.
+        # To compute all hours of a day for one or two of them would take longer.
         if hours.size < days.size * _WORTH_A_DAY:
             return _geocentric_exact(hours.astype(np.float64) * HOUR_S)
         return _at_days(days)[:, position, hours % 24]
@@ -323,7 +323,7 @@ def _finite(utc_s: "Instant | Instants") -> Array:
     kept_as = getattr(utc_s, "dtype", None)
     kind = getattr(kept_as, "kind", "")
     if kind == "M":
-        # numpy would hand out the count of whatever unit the dates are kept in.
+        # A plain conversion to float would count in whatever unit the dates are kept in.
         dates = np.asarray(utc_s, dtype="datetime64[us]")
         instants: Array = np.asarray((dates - np.datetime64(0, "us")) / np.timedelta64(1, "s"))
     elif kept_as in (np.float16, np.float32):
@@ -364,7 +364,7 @@ class SunElevation:
         self._elevation_deg: list[float]
 
     def __call__(self, utc_s: float) -> float:
-        """Return the elevation at the beginning of the minute that this UTC [s] lies in (0.25 deg of its path)."""
+        """Return the elevation at the beginning of the minute that this UTC [s] lies in (the sun moves 0.25 deg)."""
         minute = int(utc_s // _SUN_EVERY_S)
         if minute not in self._minutes:
             self._minutes = range(minute, minute + _SUN_AT_ONCE)

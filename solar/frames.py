@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 FACE_NORMALS = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
-"""Of an upright cube's faces east, south, west and zenith, shape (4, 3)."""
+"""Unit normals of an upright cube's faces east, south, west and zenith, shape (4, 3)."""
 
 
 class Angles(NamedTuple):
@@ -28,7 +28,7 @@ class Angles(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The permitted range of each angle [deg], ends included; `ValueError` for no numbers or what permits no angle."""
+    """The permitted range of each angle [deg], ends included; `ValueError` for ends exchanged or no numbers."""
 
     a_min_deg: float = -50.0
     a_max_deg: float = 50.0
@@ -40,7 +40,7 @@ class Limits:
         ends = (self.a_min_deg, self.a_max_deg, self.b_min_deg, self.b_max_deg)
         if not all(isinstance(end, Real) for end in ends):
             raise ValueError(f"limits are four numbers, a_min_deg, a_max_deg, b_min_deg and b_max_deg, and not {ends}")
-        # NaN is below nothing.
+        # Written so that NaN fails.
         if not (self.a_min_deg <= self.a_max_deg and self.b_min_deg <= self.b_max_deg):
             raise ValueError(f"the lowest angle must not be above the highest, as in {self}")
 
@@ -61,7 +61,7 @@ class Limits:
 def normal_from_angles(a_deg: ArrayLike, b_deg: ArrayLike) -> Array:
     """Return the module's unit normal(s), shape (..., 3), for tracker angles [deg] that broadcast together.
 
-    Andriamahefa et al. (2023), equation (13). What is no number is a `ValueError`.
+    Andriamahefa et al. (2023), equation (13). Raises `ValueError` for what is no number.
     """
     a, b = np.radians(_numbers(a_deg)), np.radians(_numbers(b_deg))
     return joined(np.cos(a) * np.cos(b), -np.sin(a), np.cos(a) * np.sin(b))
@@ -80,7 +80,7 @@ def angles_from_direction(direction: ArrayLike) -> tuple[Array, Array]:
 
 
 def _length_and_b(vector: Array) -> tuple[Array, Array]:
-    """Return a direction's length, and B [deg] of equation (14) without limits; both NaN where there is none."""
+    """Return a direction's length, and B [deg] of equation (14) without limits; both NaN where it is no direction."""
     south, east, up = vector[..., 0], vector[..., 1], vector[..., 2]
     with np.errstate(invalid="ignore", over="ignore"):
         length = np.sqrt(south * south + east * east + up * up)
@@ -93,7 +93,7 @@ def angles_within(direction: ArrayLike, limits: Limits) -> tuple[Array, Array]:
 
     B is that of equation (14), clipped; A is then the best for that B, atan2(-j, i cos B + k sin B), which is (14)
     itself wherever B was inside. A direction that is zero, NaN or infinite gives NaN.
-    What is no `Limits` is a `ValueError`.
+    Raises `ValueError` for limits that are no `Limits`.
     """
     given: object = limits
     if not isinstance(given, Limits):
@@ -132,7 +132,7 @@ def equator_azimuth_deg(latitude_deg: float) -> float:
 def separation_deg(first: ArrayLike, second: ArrayLike) -> Array:
     """Return the angle(s) [deg] between vectors of shape (..., 3); exact for small angles too.
 
-    Nothing is at an angle to a direction that is zero, NaN or infinite: there it is NaN.
+    NaN where either direction is zero, NaN or infinite.
     """
     u, v = vectors(first), vectors(second)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -143,7 +143,7 @@ def separation_deg(first: ArrayLike, second: ArrayLike) -> Array:
 
 
 def bounded(values: ArrayLike, low: ArrayLike, high: ArrayLike) -> Array:
-    """Return values, none of them beyond its bounds, as `np.clip` does in several times as long where they are few."""
+    """Return the values, clipped to their bounds; `np.clip` takes several times as long where they are few."""
     result: Array = np.minimum(np.maximum(values, low), high)
     return result
 

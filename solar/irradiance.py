@@ -1,4 +1,4 @@
-"""What irradiance can be: whatever lies outside marks a missing value, such as -9999, or is damage."""
+"""The range of possible irradiance: a value outside it marks a missing one, such as -9999, or is damaged."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -6,9 +6,9 @@ from numpy.typing import ArrayLike, NDArray
 from solar.ephemeris import Site, sun_position
 from solar.frames import Array
 
-# A pyranometer's thermal offset at night is above the one, the sun between bright clouds below the other.
+# A pyranometer's thermal offset at night is above the lower bound, the sun between bright clouds below the upper one.
 LOWEST_W_M2, HIGHEST_W_M2 = -50.0, 2500.0
-# Under thick clouds there is several times as much.
+# With the sun this high even thick clouds let several times 2 W/m2 through.
 _HIGH_SUN_DEG, _DARKEST_W_M2 = 20.0, 2.0
 
 
@@ -20,10 +20,10 @@ def possible(irradiance_w_m2: ArrayLike) -> NDArray[np.bool_]:
 
 
 def kilowatts_note(name: str, of: str, highest_w_m2: float, utc_s: Array, site: Site) -> str | None:
-    """Return in a sentence that measurements look like kW/m2, as the sky is too dark under a high sun, or None.
+    """Return a sentence that says that measurements look like kW/m2, too dark for a high sun; None if they do not.
 
-    `name` and `of` are how it calls them, `highest_w_m2` is the highest among them, NaN without any, and `utc_s` are
-    their times [s], shape (n,).
+    `name` and `of` name the measurements in the sentence, `highest_w_m2` is the highest of them (NaN if there are
+    none), and `utc_s` are their times [s], shape (n,).
     """
     if not highest_w_m2 < _DARKEST_W_M2 or not np.any(sun_position(utc_s, *site).elevation_deg > _HIGH_SUN_DEG):
         return None

@@ -1,7 +1,7 @@
 """The maximum power of a measured I-V curve, by a local fit around its knee.
 
 Near its maximum the power P = V I of a curve is smooth in V, so a polynomial through the points around the highest one
-tells the maximum better than that point alone, and how well it is known. Nothing of the module is assumed.
+tells the maximum better than that point alone, and how well it is known. Nothing is assumed about the module.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _KNEE = (0.70, 0.92)
 _OUTLIER = 5.0
 _WILD = 0.02
 _MAD_TO_SIGMA = 1.4826
-# Rounding alone must not make an outlier of a point, nor noise in the dark a maximum.
+# Rounding alone must not make a point an outlier, and noise in the dark must not make a maximum.
 _EXACT = 1e-6
 _ABSURD = 1e6
 _LEAST_SIGNIFICANCE = 3.0
@@ -80,11 +80,10 @@ def sweep_voltages(voc_v: float, least_v: float, points: int) -> Array:
 def measured_maximum(voltage_v: ArrayLike, current_a: ArrayLike) -> MeasuredMaximum:
     """Return the maximum power point of the points of one curve, shape (n,) each, in any order.
 
-    Points that are no possible number are left out, and so is a point far from what its neighbours say. The voltage
-    that was read in open circuit is a point without current. There is no maximum where fewer than `LEAST_POINTS`
-    remain, where the highest power is at either end of them (the knee is not in the curve), where it is more than
-    points of one curve can give, or where it is no more than noise. Equal voltages are allowed. Never raises for a
-    curve of odd values.
+    Points that are no possible number are left out, and so is a point far from what its neighbours say. A voltage that
+    was read in open circuit is a point of 0 A. There is no maximum where fewer than `LEAST_POINTS` remain, where the
+    highest power is at either end of them (the knee is not in the curve), where it is more than points of one curve can
+    give, or where it is no more than noise. Equal voltages are allowed. Never raises for a curve of odd values.
     """
     voltage, current = np.asarray(voltage_v, dtype=np.float64), np.asarray(current_a, dtype=np.float64)
     # Written so that NaN fails; the bound keeps powers finite.
@@ -106,7 +105,7 @@ def measured_maximum(voltage_v: ArrayLike, current_a: ArrayLike) -> MeasuredMaxi
     if fit is None:
         return _none("the points around the highest power have no maximum", voc_v)
     vmpp_v, pmpp_w, sigma_w, points = fit
-    # The current falls with the voltage, so no point between these gives more; a polynomial between odd ones may.
+    # The current falls as the voltage rises, so the curve cannot give more than this; a polynomial of odd points may.
     if pmpp_w > voltage[last] * current[first : last + 1].max():
         return _none("the points around the highest power are not of one curve", voc_v)
     if not pmpp_w > 0.0 or pmpp_w < _LEAST_SIGNIFICANCE * sigma_w:
@@ -138,8 +137,8 @@ def _none(why: str, voc_v: float = np.nan) -> MeasuredMaximum:
 def _without_wild_points(voltage: Array, current: Array) -> tuple[Array, Array]:
     """Leave out the points that are far from the median of themselves and their two neighbours.
 
-    The current of a curve falls throughout, so without noise every point is that median: those at the ends too, with a
-    neighbour beyond them that is as high or as low as can be.
+    The current of a curve falls throughout, so without noise every point is that median. The points at the ends are
+    given a neighbour beyond them, infinitely high or low, so that this holds for them too.
     """
     if voltage.size < LEAST_POINTS:
         return voltage, current
@@ -196,7 +195,7 @@ def _fit(voltage: Array, power: Array, middle_v: float) -> tuple[float, float, f
 
 
 def _voc(voltage: Array, current: Array) -> float:
-    """Return where the line through the two points nearest to no current crosses it, if that is within their reach."""
+    """Return where the line through the two points nearest to 0 A reaches 0 A; NaN if over a step beyond them."""
     nearest = np.sort(np.argsort(np.abs(current))[:2])
     (low, high), (at_low, at_high) = voltage[nearest], current[nearest]
     if not at_low > at_high or not high > low:
@@ -206,7 +205,7 @@ def _voc(voltage: Array, current: Array) -> float:
 
 
 def _isc(voltage: Array, current: Array, vmpp_v: float) -> float:
-    """Return the current at no voltage by the line through the points below half of Vmpp."""
+    """Return the current at 0 V by the line through the points below half of Vmpp."""
     flat = voltage < 0.5 * vmpp_v
     if np.unique(voltage[flat]).size < 2:
         return np.nan

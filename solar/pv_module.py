@@ -31,7 +31,7 @@ class PvModule:
     photocurrent_a, saturation_current_a
         I_L and I_o.
     series_resistance_ohm, shunt_resistance_ohm
-        R_s and R_sh; the shunt's goes with the inverse of irradiance.
+        R_s and R_sh; the shunt's is inversely proportional to irradiance.
     ideality_v
         a = n N_s k T / q: the diode's ideality times the thermal voltage of all cells.
     isc_per_k_a
@@ -70,7 +70,7 @@ that the rig's modules are like the sheet; the paper found theirs 2.4 % apart, t
 
 @dataclass(frozen=True, slots=True)
 class MaximumPower:
-    """The points of the I-V curve that tell the most, arrays of one shape."""
+    """The main points of the I-V curve, arrays of one shape."""
 
     pmpp_w: Array
     vmpp_v: Array
@@ -92,8 +92,8 @@ def curve(
 class SingleDiode(NamedTuple):
     """A module in one light: the model of `curve`, for one number at a time and 50 times as quick.
 
-    With V_d the voltage across the diode, I = I_L - I_o (exp(V_d / a) - 1) - V_d / R_sh and V = V_d - I R_s. Either is
-    solved for V_d by Newton's method from above, where a convex function is approached without overshooting.
+    With V_d the voltage across the diode, I = I_L - I_o (exp(V_d / a) - 1) - V_d / R_sh and V = V_d - I R_s. For a
+    given V or I, V_d is found by Newton's method from above, which approaches a convex function without overshooting.
     """
 
     photocurrent_a: float
@@ -119,7 +119,7 @@ class SingleDiode(NamedTuple):
         return self._through(diode_v)[0]
 
     def voltage(self, current_a: float) -> float:
-        """Return the voltage [V] at a current, the inverse of `current`; that of the open circuit for none."""
+        """Return the voltage [V] at a current, the inverse of `current`; at 0 A that of the open circuit."""
         if self.dark:
             return 0.0
         diode_v = self.ideality_v * math.log1p(max(self.photocurrent_a - current_a, 0.0) / self.saturation_a)
@@ -132,7 +132,7 @@ class SingleDiode(NamedTuple):
         return diode_v - current_a * self.series_ohm
 
     def maximum(self) -> MaximumPower:
-        """Return what `maximum_power` does, in a hundredth of its time: arrays of no dimension."""
+        """Return what `maximum_power` does, a hundred times as quickly, in arrays of no dimension."""
         open_v, short_a = self.voltage(0.0), self.current(0.0)
         if self.dark or math.isnan(open_v):
             power_w = at_v = at_a = open_v
@@ -203,10 +203,10 @@ def cell_temperature(
 def _parameters(
     module: PvModule, irradiance_w_m2: ArrayLike, cell_temperature_c: ArrayLike
 ) -> tuple[Array, np.ndarray, tuple[Array, ...]]:
-    """Return the irradiance, where it is none, and (I_L, I_o, R_s, R_sh, a) for it."""
+    """Return the irradiance, where there is no light, and (I_L, I_o, R_s, R_sh, a)."""
     light = np.asarray(irradiance_w_m2, dtype=np.float64)
     dark = light <= _LEAST_W_M2
-    # The shunt's resistance is infinite without light, which the solvers do not take.
+    # Without light the shunt's resistance is infinite, which the solvers do not accept.
     photocurrent_a, saturation_a, series_ohm, shunt_ohm, ideality_v = pvsystem.calcparams_cec(
         np.where(dark, _LEAST_W_M2, light),
         np.asarray(cell_temperature_c, dtype=np.float64),

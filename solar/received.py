@@ -4,8 +4,8 @@ The estimate of :mod:`solar.laws.light` (beam B, uniform diffuse D, horizon H; a
 
     I(n) = B max(s.n, 0) + D (1 + n_z)/2 + H sqrt(1 - n_z^2) + rho (B s_z + D) (1 - n_z)/2,
 
-equation (1) of Andriamahefa et al. (2023) with the horizon's part. These are results of a model, for nothing measures
-the light in any plane but those of the four faces; what counts is their difference under one and the same light.
+equation (1) of Andriamahefa et al. (2023) with the horizon's part. These are results of a model, for the light is
+measured only in the planes of the four faces; what counts are the differences between them in the same light.
 """
 
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from solar.laws.light import FACES_NEEDED, aim_vector, irradiance_on, light_from
 
 
 class Received(NamedTuple):
-    """Irradiance [W/m2] of three planes at the same instants, arrays of one shape; NaN in all where one is not known.
+    """Irradiance [W/m2] of three planes at the same instants, arrays of one shape; NaN in all if one is unknown.
 
     Attributes
     ----------
@@ -45,9 +45,9 @@ def received(
     faces
         Irradiances east, south, west, zenith [W/m2], shape (..., 4), NaN for a reading that is not good.
     sun
-        Unit vectors to the apparent sun, shape (..., 3). With the sun below the horizon nothing is known.
+        Unit vectors to the apparent sun, shape (..., 3). With the sun below the horizon the result is NaN.
     a_deg, b_deg
-        Where the tracker stands [deg], shape (...), NaN where that is not known.
+        Where the tracker stands [deg], shape (...), NaN where unknown.
     limits
         Of the tracker, for the other two planes.
     albedo
@@ -59,7 +59,7 @@ def received(
     actual = irradiance_on(light, sun, albedo, normal_from_angles(a_deg, b_deg))
     chronometric = irradiance_on(light, sun, albedo, normal_from_angles(*angles_within(sun, limits)))
     aimed = normal_from_angles(*angles_within(aim_vector(within_reach(light, sun, limits), sun, albedo), limits))
-    # The closed form is the best of the sun's vertical plane; at the limits another pose may be better by a little.
+    # The closed form finds the best pose in the sun's vertical plane; at the limits another may be a little better.
     best = np.maximum(irradiance_on(light, sun, albedo, aimed), np.fmax(actual, chronometric))
     known = (usable.sum(axis=-1) >= FACES_NEEDED) & (sun[..., 2] > 0.0) & np.isfinite(actual)
     return Received(*(np.where(known, part, np.nan) for part in (actual, chronometric, best)))
@@ -68,8 +68,8 @@ def received(
 def insolation(utc_s: ArrayLike, irradiance_w_m2: ArrayLike, longest_s: float = 60.0) -> tuple[float, float]:
     """Return the insolation [kWh/m2] of rising instants, shape (n,), and the time [s] that they stand for.
 
-    Each value stands until the next instant but for no longer than `longest_s`, the last for as long as the one before
-    it; a gap beyond that, and NaN, stand for nothing.
+    Each value holds until the next instant, for `longest_s` at most; the last holds as long as the one before it. NaN
+    and the rest of a longer gap count as nothing.
     """
     time, power = np.asarray(utc_s, dtype=np.float64), np.asarray(irradiance_w_m2, dtype=np.float64)
     if time.size < 2:

@@ -1,7 +1,7 @@
 """pvlib's solar position algorithm by itself.
 
-The rest of pvlib brings pandas, scipy and h5py along: two thirds of the time in which a service starts, and of its
-memory, for what it never asks. `pvlib.spa` needs numpy alone.
+The rest of pvlib imports pandas, scipy and h5py, which the service never uses but which take two thirds of its start
+time and of its memory. `pvlib.spa` needs numpy alone.
 """
 
 from functools import cache

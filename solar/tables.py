@@ -1,4 +1,4 @@
-"""Tables of measurements as people save them: what stands between their cells, what is missing, and when it was."""
+"""Tables of measurements as people save them: separators, missing values, cut-off lines and times."""
 
 import csv
 import gzip
@@ -13,12 +13,12 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple, TextIO, cast
 
 if TYPE_CHECKING:
-    # The command line imports this module to show its help, which must not wait for the science.
+    # The command line imports this module to show its help, which must not wait for pandas.
     import pandas as pd
 
 NO_READING = frozenset({"", "nan", "na", "n/a", "null"})
 """How tables write a value that is missing, in small letters."""
-# In no file of text: a cell that holds it has been open until the end.
+# No text file contains this: a cell that ends with it was not closed before the end of the file.
 _END = "\0end\0"
 _OFFSET = re.compile(r":\d\d.*(Z|[+-]\d\d:?\d*)\s*$", re.IGNORECASE)
 # Clocks go back in April in the south, in October or November in the north.
@@ -27,12 +27,12 @@ _LATEST_HOUR = 3
 _EVIDENT = 3
 _LAST_BYTES = 65536
 _DECIMALS = re.compile(r"(?=\S)[+-]?\d*(?:[.,](\d*))?", re.ASCII)
-# Of numbers written as short as they go, every tenth has a decimal less: one that all so many before have is a rule.
+# Without trailing zeros every tenth number has a decimal fewer. If none of so many does, their decimals are fixed.
 _RULE = 30
 
 
 class CellError(ValueError):
-    """A row of a table that cannot be parted into its cells: the line and what to do, in a sentence."""
+    """A row of a table cannot be split into its cells; the text names the line and says what to do."""
 
 
 def separator_of(header: str) -> str:
@@ -53,7 +53,7 @@ def opened(path: Path) -> TextIO:
 def numbered_rows(lines: Iterable[str], separator: str) -> Iterator[tuple[int, list[str]]]:
     """Yield the cells of each row of a CSV file, the header's too, each behind the number of its first line.
 
-    Raises `CellError`, for a quoted cell that is never closed among others.
+    Raises `CellError`, for example for a quoted cell that is never closed.
     """
     reader = csv.reader(chain(lines, (_END,)), delimiter=separator, skipinitialspace=True)
     line = 1
@@ -61,7 +61,7 @@ def numbered_rows(lines: Iterable[str], separator: str) -> Iterator[tuple[int, l
         try:
             cells = next(reader)
         except csv.Error as error:
-            # A cell that takes in line after line until it is longer than a cell may be.
+            # A cell that is never closed takes in line after line until it is longer than csv allows.
             unclosed = reader.line_num > line
             raise _never_closed(line) if unclosed else CellError(f"line {line}: not CSV ({error})") from None
         if cells == [_END]:
@@ -73,7 +73,7 @@ def numbered_rows(lines: Iterable[str], separator: str) -> Iterator[tuple[int, l
 
 
 class BrokenLine(NamedTuple):
-    """The last line of a table that was cut off while it was written: its number, its cells, and how many are due."""
+    """The last line of a table that was cut off while it was written: its number, its cells, and the cells due."""
 
     number: int
     cells: int
@@ -85,13 +85,13 @@ class BrokenLine(NamedTuple):
 
 
 def broken_line(path: Path, separator: str) -> BrokenLine | None:
-    """Return the last line of a CSV file, plain or ``.gz``, if it has neither its end nor all that is due.
+    """Return the last line of a CSV file, plain or ``.gz``, if it has no line end and is incomplete; else None.
 
-    That is all cells of the header, and in the last one as many decimals as all numbers above it have, 30 at least. A
-    logger that loses its power leaves such a line, and of the last number in it perhaps the first digit alone. Any
-    other line with all its cells counts, as many programs write no end behind the last. A cell that is never closed is
-    left to the reader, and so is a pipe, which can be read but once. Raises `OSError`, `UnicodeDecodeError`, and for a
-    damaged ``.gz`` `EOFError` or `zlib.error`.
+    It is incomplete if it has fewer cells than the header, or if its last number has fewer decimals than every number
+    above it, of which there must be 30 or more. A logger that loses its power leaves such a line, and perhaps only the
+    first digit of its last number. A line with all its cells is valid without a line end, for many programs write none
+    after the last line. None also for a cell that is never closed, which the reader reports, and for a pipe, which can
+    be read only once. Raises `OSError`, `UnicodeDecodeError`, and for a damaged ``.gz`` `EOFError` or `zlib.error`.
     """
     if not path.is_file() or not _unfinished(path).strip(f"{separator} \t".encode()):
         return None
@@ -121,7 +121,7 @@ def _lacks_decimals(column: Sequence[int | None]) -> bool:
 
 
 def _unfinished(path: Path) -> bytes:
-    """Return what stands behind the last end of a line, or the last part of it: nothing in most files."""
+    """Return what follows the last line end, or its last 64 KiB: nothing in most files."""
     with gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb") as file:
         if not isinstance(file, gzip.GzipFile):
             file.seek(max(path.stat().st_size - _LAST_BYTES, 0))
@@ -133,11 +133,11 @@ def _unfinished(path: Path) -> bytes:
 
 @contextmanager
 def whole_lines(path: Path, separator: str | None, apart: int = 1) -> Iterator[tuple[Path, BrokenLine | None]]:
-    """Yield a table unpacked and without a last line that breaks off, and that line.
+    """Yield the path of a table, unpacked and without a last line that breaks off, and that line or None.
 
-    It has no end then, and fewer cells than the line so many before it, or a decimal too few in the last one, as of
-    `broken_line`: what a record of two lines has in the first is no measure for the second. `separator` None is a blank
-    or more. Raises as `broken_line`.
+    The last line breaks off if it has no line end, and has fewer cells than the line `apart` lines before it or too few
+    decimals, as for `broken_line`. `apart` is the number of lines of a record: its first line is no measure for its
+    second. With `separator` None blanks separate the cells. Raises as `broken_line`.
     """
     packed = path.suffix.lower() == ".gz"
     if not packed and not _unfinished(path).strip():
@@ -167,9 +167,9 @@ def why_unread(error: Exception) -> str:
 
 
 def unreadable(path: Path, separator: str, error: Exception) -> str:
-    """Return in a sentence, path first, what is wrong with a CSV file, plain or ``.gz``, that has made pandas raise.
+    """Return a sentence, path first, that says what is wrong with a CSV file, plain or ``.gz``, on which pandas raised.
 
-    A cell too many and one that is never closed are told with their line; pandas gives the words of its parser.
+    It names the line of a cell too many or of a cell that is never closed; pandas gives its parser's words only.
     """
     with opened(path) as file:
         rows = numbered_rows(file, separator)
@@ -184,10 +184,11 @@ def unreadable(path: Path, separator: str, error: Exception) -> str:
 
 
 def summer_time_hint(text: str, seconds: Sequence[float]) -> str:
-    """Return the end of a sentence that refuses a time for going back, or nothing.
+    """Return the end of a sentence that refuses a time because it goes back, or nothing.
 
-    `text` is what stands in its cell, `seconds` [s UTC] are the times up to it. Only an hour that was lived through
-    twice leads from one to the next as the two before do; Europe's, America's and Australia's end in the night.
+    `text` is the time's cell, `seconds` [s UTC] are the times up to it. It is the hour that clocks repeat at the end of
+    summer time if the step to it, with an hour added, is like the step before. In Europe, America and Australia that
+    hour is at night.
     """
     if len(seconds) < _EVIDENT or _OFFSET.search(text):
         return ""
@@ -203,12 +204,12 @@ def summer_time_hint(text: str, seconds: Sequence[float]) -> str:
 
 
 def zone_note(texts: Iterable[str]) -> str:
-    """Return in a sentence what ISO 8601 times that name no zone are taken for, or nothing where each names one."""
+    """Return a sentence that says how ISO 8601 times that name no zone are read, or nothing where each names one."""
     return "" if all(map(_OFFSET.search, texts)) else "times that name no zone are taken as UTC"
 
 
 def second_header_hint(text: str, row: int) -> str:
-    """Return the end of a sentence that refuses a time without a digit in the first row, counted from 0, or nothing."""
+    """Return the end of a sentence that refuses a time, if it has no digit and is in row 0, the first; else nothing."""
     units = row == 0 and not any(map(str.isdigit, text))
     return "; take a second line of the header, such as units, out" if units else ""
 
@@ -220,7 +221,7 @@ def _never_closed(line: int) -> CellError:
 
 
 def utc_times(column: "pd.Series[str]") -> "pd.Series[pd.Timestamp]":
-    """Return the UTC times that a column of ISO 8601 texts gives; NaT for what is none of the years 1900 to 2199."""
+    """Return the UTC times of a column of ISO 8601 texts; NaT for a text that is no time in the years 1900 to 2199."""
     import pandas as pd  # noqa: PLC0415 - as above
 
     # pandas takes 'now' and 'today' for times as well.

@@ -17,7 +17,7 @@ from solar.gain.horizontal import horizontal_parts
 from solar.gain.static import static_energy
 from solar.gain.vertical import half_day_cosine, half_day_sine
 
-# How the search goes on from every second degree: each step is looked for between two of the one before.
+# The search begins at every second degree and goes on by these steps; 20 of each make one of the step before.
 _CLOSER_DEG = (0.1, 0.005, 0.00025)
 
 

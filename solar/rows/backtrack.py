@@ -1,11 +1,10 @@
 """Backtracking with two axes: the pose nearest to the wanted one in which no tracker of a group shades another.
 
 A row of one axis turns back to the angle at which its shadow ends at the next row's edge (Lorenzo et al. (2011),
-Progress in Photovoltaics 19, pvlib's :func:`pvlib.tracking.singleaxis`). With two axes there are many poses without
-shade, and the one is taken whose normal is nearest to the wanted and no steeper: turning on beyond the sun takes the
-shadow away as well as turning back does, and gives the sky away. It is found by search, over the limits' whole range
-and then ever closer around the best: to a few hundredths of a degree from the edge of the shade, and along that edge
-to some tenths.
+Progress in Photovoltaics 19, pvlib's :func:`pvlib.tracking.singleaxis`). With two axes many poses have no shade. The
+one taken has the normal that is nearest to the wanted one and no steeper: turning beyond the sun ends the shade as well
+as turning back does, but sees less of the sky. It is found by search, over the limits' whole range and then ever closer
+around the best: to a few hundredths of a degree across the edge of the shade, and to some tenths along it.
 """
 
 from collections.abc import Sequence
@@ -20,10 +19,10 @@ _COARSE_DEG = 5.0
 _FINE = np.linspace(-1.0, 1.0, 7)
 _CLOSER = 3
 _TIMES = 5
-# Instants that are searched side by side: more would be slower, for memory.
+# Instants that are searched side by side: more need more memory, and are slower.
 _AT_ONCE = 8
-# Added to the squared distance from the wanted pose, which is 4 at most: any steeper pose costs more than all that are
-# not, and any with shade more than all without.
+# Added to the squared distance from the wanted pose, which is 4 at most: any steeper pose costs more than every pose
+# that is not, and any pose with shade more than every pose without.
 _STEEPER = 5.0
 _SHADED = 10.0
 _AS_STEEP = 1e-9
@@ -36,18 +35,19 @@ def out_of_shade(
 ) -> tuple[Array, Array]:
     """Return the poses (a_deg, b_deg) inside `limits`, nearest to the given ones, that have no shade.
 
-    Where every pose has some, the one with the least. Poses without shade, and NaN, are returned as they are.
+    Where every pose has shade, the one with the least is returned. Poses without shade, and NaN, are returned as they
+    are.
 
     Parameters
     ----------
     group
-        Whose shade it is; all of it is taken to stand in the pose that is returned.
+        The trackers; all of them are taken to stand in the pose that is returned.
     suns
-        Unit vectors to the sun, each of shape (..., 3), at the instants that the pose is for: at the beginning and at
-        the end of a rest, for at the very edge of the shade some minutes make it another. A sun below the horizon is
+        Unit vectors to the sun, each of shape (..., 3), at the instants that the pose is for: the beginning and the end
+        of a rest, for a pose at the very edge of the shade may be in it some minutes later. A sun below the horizon is
         taken to be on it, so that the evening's last pose lasts.
     a_deg, b_deg
-        What is wanted [deg], shape (...).
+        The wanted poses [deg], shape (...).
     """
     a, b = (np.array(angle, dtype=np.float64) for angle in np.broadcast_arrays(a_deg, b_deg))
     instants = _instants(suns, a.shape)
@@ -65,7 +65,7 @@ def out_of_shade(
 def turned_back(
     group: TrackerGroup, suns: Sequence[ArrayLike], a_deg: ArrayLike, b_deg: ArrayLike, limits: Limits
 ) -> tuple[Array, Array]:
-    """Return the poses of `out_of_shade`; a group with `only_if_it_pays` turns only where that gives it more beam."""
+    """Return the poses of `out_of_shade`; a group with `only_if_it_pays` turns only where it gets more beam by that."""
     turned = out_of_shade(group, suns, a_deg, b_deg, limits)
     if not group.only_if_it_pays:
         return turned

@@ -1,16 +1,16 @@
 """The shade that the trackers of a group cast on each other.
 
-All of a group are taken to stand in one pose. Their modules are then parallel, and what the sun's rays carry of a
-neighbour's rectangle into the module's plane is the same rectangle, shifted: with d the way from the module's middle to
-the neighbour's, s the sun, n the normal and u one edge's direction, the shift along that edge is
+All trackers of a group are taken to stand in one pose. Their modules are then parallel, and the shadow that a
+neighbour casts on a module's plane is the neighbour's rectangle, shifted. With d the vector from the module's middle to
+the neighbour's, s the direction to the sun, n the normal and u the direction of one edge, the shift along that edge is
 
     (d - t s).u,    t = d.n / s.n
 
 and there is shade where t is positive (the neighbour stands before the module) and both shifts are shorter than their
-edges. It is exact, and needs no search. The sun is a point here; diffuse light is left as it is, so that what rows take
-of each other's sky and ground is not counted.
+edges. This is exact, and needs no search. The sun is a point here. Diffuse light is left as it is: what rows hide of
+each other's sky and ground is not counted.
 
-What a shaded area takes from the electrical power is more than its share. With groups of cells behind bypass diodes,
+A shaded area takes more than its share from the electrical power. With groups of cells behind bypass diodes,
 side by side across the width, the beam's part that is lost is
 
     1 - (1 - f) (1 - m/(N + 1))
@@ -27,10 +27,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from solar.frames import Array, direction_from_azimuth
 
-# Further ones stand behind these, but for a sun a few degrees high.
+# Farther neighbours stand behind these, except under a sun only a few degrees high.
 _MOST_NEIGHBOURS = 24
 _SAME_M = 1e-3
-# A share of an edge: less is the rounding of two edges that touch.
+# Share of an edge: a smaller overlap is rounding, where two edges touch.
 _TOUCH = 1e-9
 _GRAZING = 1e-9
 
@@ -41,9 +41,9 @@ class Shade(NamedTuple):
     Attributes
     ----------
     share
-        Of the area that is shaded, 0..1.
+        Share of the area that is shaded, 0..1.
     lost
-        Of the beam's part of the power, 0..1.
+        Share of the beam's part of the power that is lost, 0..1.
     """
 
     share: Array
@@ -103,14 +103,14 @@ class TrackerGroup:
         *,
         only_if_it_pays: bool = True,
     ) -> "TrackerGroup":
-        """Return the group of trackers that stand so far east, north and up [m] of one point; nothing `up` is level."""
+        """Return the group of trackers that stand so far east, north and up [m] of one point; empty `up_m`: level."""
         to_east, to_north = direction_from_azimuth([90.0, 0.0], 0.0, latitude_deg)
         level = np.outer(east_m, to_east) + np.outer(north_m, to_north)
         above = np.outer(up_m or np.zeros(len(east_m)), [0.0, 0.0, 1.0])
         return cls(level + above, *size_m, bypass_groups, only_if_it_pays=only_if_it_pays)
 
     def __deepcopy__(self, _memo: object) -> "TrackerGroup":
-        """Return the group itself: nothing changes it, and a law that is asked ahead is copied for that."""
+        """Return the group itself: nothing changes it, so the copy of a law can share it."""
         return self
 
     def worst_share(self, sun: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> Array:
@@ -134,14 +134,14 @@ class TrackerGroup:
         return Shade(each.share @ self.weights, each.lost @ self.weights)
 
     def beam_share(self, sun: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> Array:
-        """Return what modules get of the beam, 1 for all that faces the sun, in the mean; parameters as before."""
+        """Return the mean share of the beam that modules get, 1 if all face the sun unshaded; parameters as before."""
         sun, _, _, normal = _frame(sun, a_deg, b_deg)
         towards = np.maximum(np.sum(sun * normal, axis=-1), 0.0)
         result: Array = towards * (1.0 - self.shade(sun, a_deg, b_deg).lost)
         return result
 
     def shade_of_each(self, sun: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> Shade:
-        """Return the shade at every distinct place in the group, shape (..., places); `weights` has their shares."""
+        """Return the shade at every distinct place in the group, shape (..., places); `weights` are their shares."""
         sun, across, along, normal = _frame(sun, a_deg, b_deg)
         by_width, by_height = self._shifts(self.offsets_m, sun, across, along, normal)
         share = _covered(by_width, by_height)
@@ -151,7 +151,7 @@ class TrackerGroup:
         return Shade(covered, 1.0 - (1.0 - covered) * (1.0 - touched / (self.bypass_groups + 1.0)))
 
     def _shifts(self, offsets: Array, sun: Array, across: Array, along: Array, normal: Array) -> tuple[Array, Array]:
-        """Return how far neighbours' shadows are shifted, in edges: from 1 on they miss the module; NaN: no shadow."""
+        """Return the shifts of neighbours' shadows, in edge lengths: from 1 on they miss the module; NaN: no shadow."""
         places = (1,) * (offsets.ndim - 1)
 
         def on(way: Array) -> Array:
@@ -162,16 +162,16 @@ class TrackerGroup:
             return share.reshape(*share.shape, *places)
 
         reach = on(normal) / np.maximum(of_sun(normal), _GRAZING)
-        # One that stands beside or behind casts nothing.
+        # A neighbour that stands beside or behind the module casts no shadow on it.
         reach = np.where(reach > _TOUCH, reach, np.nan)
         across_m, along_m = (on(edge) - reach * of_sun(edge) for edge in (across, along))
         return across_m / self.size_m[0], along_m / self.size_m[1]
 
 
 def _views(positions: Array) -> tuple[Array, Array]:
-    """Return the ways to the neighbours as distinct trackers see them, (places, neighbours, 3), and how many do.
+    """Return the vectors to the neighbours from each distinct place, (places, neighbours, 3), and the places' shares.
 
-    A tracker with fewer neighbours than another has itself for the rest: a way of no length casts no shade.
+    A tracker with fewer neighbours than another has itself for the rest: a vector of no length casts no shade.
     """
     seen = positions[None, :, :] - positions[:, None, :]
     near = np.argsort(np.linalg.norm(seen, axis=-1), kind="stable")[:, : _MOST_NEIGHBOURS + 1]
@@ -193,7 +193,7 @@ def _frame(sun: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> tuple[Array, A
 
 
 def _covered(by_width: Array, by_height: Array) -> Array:
-    """Return the share of the module that each shadow covers, of shifts in edges."""
+    """Return the share of the module that each shadow covers, from shifts in edge lengths."""
     across, along = (1.0 - np.abs(shift) for shift in (by_width, by_height))
     # Written so that NaN, which casts nothing, fails.
     result: Array = np.where((across > _TOUCH) & (along > _TOUCH), across * along, 0.0)
@@ -203,8 +203,8 @@ def _covered(by_width: Array, by_height: Array) -> Array:
 def _union(by_width: Array, by_height: Array, share: Array) -> Array:
     """Return the share that shadows cover together, over the last axis.
 
-    Each is as large as the module, so that it covers a corner of it: in a strip between two vertical edges, what is
-    covered is a piece from below and one from above.
+    Each shadow is as large as the module, so it covers one of the module's corners. In a strip between two vertical
+    edges of shadows, the covered part is one piece from below and one from above.
     """
     total: Array = share.max(axis=-1)
     several = np.count_nonzero(share, axis=-1) > 1

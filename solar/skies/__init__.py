@@ -1,1 +1,1 @@
-"""Skies: what light comes from where, and how it is told what kind of sky there is."""
+"""Skies: how much light comes from which direction, and which kind of sky it is."""

@@ -48,7 +48,7 @@ def all_weather_sky(sun: ArrayLike, dni_w_m2: ArrayLike, dhi_w_m2: ArrayLike, dn
         Unit vectors to the apparent sun, shape (n, 3).
     dni_w_m2, dhi_w_m2, dni_extra_w_m2
         Direct normal, diffuse horizontal and extraterrestrial normal irradiance [W/m2], shape (n,). Negative values
-        count as zero. The sky of a sun below the horizon is dark but for the diffuse light, as at the horizon.
+        count as zero. With the sun below the horizon there is diffuse light only, its parameters those of the horizon.
     """
     sun = np.asarray(sun, dtype=np.float64)
     sine = np.clip(sun[:, 2], 0.0, 1.0)

@@ -6,11 +6,11 @@ CIE S 011/E:2003 (ISO 15469:2004), "Spatial distribution of daylight - CIE stand
     (1 + a exp(b / cos zeta)) (1 + c (exp(d gamma) - exp(d pi/2)) + e cos^2 gamma)
 
 Four types are blended by the sky's clearness, 1 + (DNI/DHI)/(1 + 1.041 z^3) of Perez et al. (1990) with the sun's
-zenith angle z [rad]: the overcast sky (1), partly cloudy ones (6 and 8), and the clear sky (12). Over them goes
+zenith angle z [rad]: the overcast sky (1), partly cloudy ones (6 and 8), and the clear sky (12). They are overlaid with
 structure that no standard sky has: the radiance is multiplied by exp(s g), where g is a sum of plane waves of unit
 variance on the clouds' plane that drift with the wind and change as they go, and s is greatest under broken clouds.
-What s and the waves are is chosen, not measured. The whole is scaled so that a horizontal plane receives DHI; the beam
-is as it was measured, and knows nothing of the structure.
+Both s and the waves are chosen, not measured. The whole is scaled so that a horizontal plane receives DHI; the beam is
+as it was measured, without the structure.
 """
 
 import numpy as np
@@ -31,12 +31,12 @@ _TYPES = np.array(
 _TYPE_CLEARNESS = (1.0, 1.3, 2.2, 6.0)
 _STRUCTURE_CLEARNESS = (1.0, 1.15, 2.2, 6.0)
 _STRUCTURE = (0.15, 0.45, 0.5, 0.05)
-"""s at these values of the clearness; between them it is linear in its logarithm."""
+"""s at these values of the clearness; between them s is linear in the clearness' logarithm."""
 
 _HIGHEST_CLEARNESS = 12.0
 _WAVES = 24
 _WAVELENGTHS = (0.7, 4.0)
-"""Shortest and longest, in heights of the clouds."""
+"""Shortest and longest wave, in heights of the clouds."""
 _WIND_HEIGHTS_PER_S = 0.01
 """10 m/s under clouds at 1 km."""
 _WIND_TURNS_IN_S = 5.3 * 86400.0
@@ -55,9 +55,9 @@ def cie_sky(
     dni_w_m2, dhi_w_m2
         Direct normal and diffuse horizontal irradiance [W/m2], shape (n,). Negative values count as zero.
     utc_s
-        The instants [s], shape (n,): where the clouds are by then.
+        The instants [s], shape (n,); they tell where the clouds are.
     structure
-        What s is multiplied by; 0 is a smooth sky.
+        Factor of s; 0 is a smooth sky.
     """
     sun, utc_s = np.asarray(sun, dtype=np.float64), np.asarray(utc_s, dtype=np.float64)
     clearness = _log_clearness(sun, np.maximum(dni_w_m2, 0.0), np.maximum(dhi_w_m2, 0.0))
@@ -102,7 +102,7 @@ def _waves(dome: Dome, utc_s: Array, strength: Array) -> NDArray[np.float32]:
     pace = 2.0 * np.pi / _between(random, _CLOUD_LASTS_S) * random.choice((-1.0, 1.0), _WAVES)
     wave = 2.0 * np.pi / length * np.stack([np.cos(towards), np.sin(towards)])
     directions = dome.directions.astype(np.float64)
-    # The clouds' plane, drawn in as by a fisheye, so that what is near the horizon is not finer than a patch.
+    # The clouds' plane, compressed as by a fisheye lens: structure near the horizon must not be finer than a patch.
     plane = 2.0 * directions[:, :2] / (1.0 + directions[:, 2:])
     turned = 2.0 * np.pi * utc_s / _WIND_TURNS_IN_S
     blown = (

@@ -28,7 +28,7 @@ class Dome(NamedTuple):
     directions
         Unit vectors, shape (p, 3).
     ring
-        Of each patch, shape (p,): its number from the horizon up.
+        Ring of each patch, counted from the horizon up, shape (p,).
     ring_slant
         1/cos(zenith angle) of each ring.
     weight
@@ -83,7 +83,7 @@ class DomeSky:
 def dome_sky(
     sun: ArrayLike, dni_w_m2: ArrayLike, dhi_w_m2: ArrayLike, radiance: Callable[[Dome, slice], NDArray[np.float32]]
 ) -> DomeSky:
-    """Return the sky of n instants whose radiance is known but for its scale, by which a horizontal plane gets DHI.
+    """Return the sky of n instants from its relative radiance, scaled so that a horizontal plane receives DHI.
 
     Parameters
     ----------

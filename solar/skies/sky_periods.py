@@ -17,7 +17,7 @@ CLEAR_BELOW = 0.5
 OVERCAST_ABOVE = 0.9
 SHORTEST_S = 3600.0
 LOWEST_SUN_DEG = 7.0
-"""Lower, the light of a clear sky is mostly diffuse, and the diffuse fraction tells nothing."""
+"""Under a lower sun the light of a clear sky is mostly diffuse, and the diffuse fraction tells nothing."""
 
 _MINUTE_S = 60.0
 _LONGEST_GAP_S = 900.0
