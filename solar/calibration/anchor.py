@@ -7,15 +7,15 @@ elevation, the water vapour and the aerosol optical depth of the day a_d:
 
 As in a Langley plot, the change with air mass tells a_d, and then the level tells e_z and e_v. G and B are those of the
 simplified Solis model, Ineichen (2008), B with the circumsolar part of the sky model. A priori the responses are 1 give
-or take the sensors' tolerance, and the water vapour what it is said to be give or take half a centimetre; G falls by
-2 % with each. The model's GHI and DNI are fitted each for itself, and its DHI closes with them to 3 % only; over a
-measured year GHI and DNI as they are gave the smaller errors.
+or take the sensors' tolerance, and the water vapour is as stated give or take half a centimetre, which changes G by
+2 %. The model fits GHI and DNI separately, so that its DHI closes with them to 3 % only; over a measured year GHI and
+DNI as they are gave the smaller errors.
 
 The model's own level may be off too, by as much for G as for B: on the right of both equations stands one more unknown,
 a priori 0 give or take 1.2 %. A response that is known from elsewhere (:mod:`.level`) is one equation more.
 
-How surely the level is known is told by the fit itself, with what it is given beforehand in it (Bayes' rule, linear
-about the solution): the inverse of J' J.
+The fit itself tells how surely the level is known, with what was known beforehand (Bayes' rule, linear about the
+solution): the inverse of J' J.
 """
 
 from typing import NamedTuple
@@ -33,10 +33,10 @@ from solar.skies.sky import SkyModel, sky
 # before it has been calibrated (5 % is the maker's limit).
 _GLOBAL_SIGMA, _BEAM_SIGMA = 0.015, 0.05
 _TOLERANCE = 0.05
-# What no number of days averages out: how far the model's own level is off. Chosen by 2015 at Lyngby, a year that has
-# chosen nothing else and whose errors were larger than the fit alone told.
+# How far the model's own level is off, which no number of days averages out. Chosen from 2015 at Lyngby, a year that
+# nothing else was chosen from, and whose errors were larger than the fit alone told.
 _MODEL_SIGMA = 0.012
-# What clear days are like before anything is known of this one: 0.08 at 550 nm, and the spread of its logarithm.
+# The optical depth of clear days before anything is known of this one, 0.08 at 550 nm; the spread of its logarithm.
 _USUAL_AOD, _LN_AOD_SIGMA = 0.06, 0.6
 # One sigma of the water vapour that the user gives [cm].
 _WATER_SIGMA_CM = 0.5
@@ -90,7 +90,7 @@ def clear_sky_anchor(
     water_cm
         Precipitable water, roughly.
     zenith, vertical
-        What else tells e_z and e_v; None for nothing.
+        What is known of e_z and e_v from elsewhere; None for nothing.
     """
     sun, extra = sun_direction(utc_s, *site), extraterrestrial_dni(utc_s)
     _, day = np.unique(solar_days(utc_s, site.longitude_deg), return_inverse=True)
@@ -135,7 +135,7 @@ def clear_sky_anchor(
 
     known = [(at, tie) for at, tie in enumerate((zenith, vertical)) if tie is not None]
     days = int(day.max()) + 1
-    # Three sigma of water at most, and never none.
+    # The water vapour is off by three sigma at most, and never zero.
     least_cm = max(-3.0 * _WATER_SIGMA_CM, 0.05 - water_cm)
     bounds = ([-0.5, -0.5, least_cm, -0.1, *[low] * days], [0.5, 0.5, 3.0 * _WATER_SIGMA_CM, 0.1, *[high] * days])
     start = [0.0, 0.0, 0.0, 0.0, *[np.log(_USUAL_AOD)] * days]

@@ -1,4 +1,4 @@
-"""How a cube stands that was meant to stand level and square: its yaw and its lean.
+"""How far a cube stands from level and square: its yaw and its lean.
 
 The cube is rigid, so three angles say where all its faces look. The rotation is written in the frame of
 :mod:`solar.frames` by components alone, so that it holds in both hemispheres.

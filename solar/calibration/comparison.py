@@ -43,7 +43,7 @@ class SeriesGain:
     Attributes
     ----------
     gain_w_m2_per_mv
-        With the scatter of the series alone; what the reference's own calibration adds is the caller's to add.
+        Its interval is by the scatter of the series alone; the caller adds the error of the reference's calibration.
     series_gains, series_utc_s
         Ratio and middle of each series, shape (k,).
     kept
@@ -64,8 +64,8 @@ def lag_s(
     argmax over L of corr(d reference(t), d sensor(t + L)): the lag with the largest correlation between the changes of
     both, refined by a parabola through its neighbours.
     Both are smoothed over four of the longer steps first: linear interpolation weakens faster changes between the
-    readings and would draw the lag towards a whole number of steps. Clouds tell it to a twentieth of the longer step;
-    under a steady sky nothing moves and the correlation stays low.
+    readings and would draw the lag towards a whole number of steps. Under clouds the lag is found to a twentieth of the
+    longer step; under a steady sky nothing moves and the correlation stays low.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def series_gain(
     Raises
     ------
     ValueError
-        Fewer than 3 series are there or left; the sentence says how many.
+        There are fewer than 3 series, or fewer than 3 are left; the text says which.
     """
     place = np.floor(utc_s / series_s)
     number, index = np.unique(place, return_inverse=True)
@@ -144,10 +144,10 @@ def fitted_offset(utc_s: Array, reference_w_m2: Array, voltage_mv: Array) -> Int
     """Return the voltage [mV] at which a straight line through the readings reaches zero irradiance.
 
     V = V_0 + E / gain, for sensors whose nights were not recorded: the intercept V_0 of the least-squares line of
-    voltage on irradiance. Its 95 % interval is the wider one of the line's own and of a jackknife over the hours of
-    the day: cosine response and level bend the line, alike on all days, and minutes of one hour share that. What a
-    cosine response of one kind all day does to the line does not show in full. Readings of shape (n,) without NaN;
-    raises `ValueError` for fewer than 3.
+    voltage on irradiance. Its 95 % interval is the wider one of the line's own and of a jackknife over the hours of the
+    day: cosine response and levelling bend the line, alike on all days, and minutes of one hour share that. If the
+    cosine response errs alike all day, its effect on the line does not show in full. Readings of shape (n,) without
+    NaN; raises `ValueError` for fewer than 3.
     """
     if reference_w_m2.size < 3:
         raise ValueError(f"a line through {reference_w_m2.size} readings gives no offset")

@@ -51,8 +51,8 @@ class UndeterminedError(ValueError):
 class FieldErrors(NamedTuple):
     """Standard errors (one sigma) of responses, angles [deg] and albedo.
 
-    Days left out one after the other, with what no day shows: the level of the clear-sky model, by its own fit, in
-    responses and albedo, and the sensors' cosine response in angles.
+    From leaving out one day after the other, with what no day shows added: the level of the clear-sky model, by its own
+    fit, in responses and albedo, and the sensors' cosine response in angles.
     """
 
     response: Array
@@ -124,7 +124,7 @@ def calibrate_in_place(
     utc_s, faces_w_m2, ghi = utc_s[whole], faces_w_m2[whole], ghi[whole]
     clear = clear_and_stable(utc_s, faces_w_m2[:, 3], site, stability)
     utc_s, faces_w_m2, ghi = utc_s[clear], faces_w_m2[clear], ghi[clear]
-    # The ratio, not the GHI itself: means over a quarter of an hour need not be of the same minutes.
+    # Average the ratio, not the GHI itself: in a quarter of an hour the GHI may have other minutes than the faces.
     blocks_s, means = block_means(utc_s, np.column_stack([faces_w_m2, ghi / faces_w_m2[:, 3]]), _BLOCK_S)
     missing = _missing(blocks_s, site)
     if missing:
@@ -173,7 +173,7 @@ def jackknife_error(each: Array) -> Array:
 
 
 class _Told(NamedTuple):
-    """What the person has told, beside the readings."""
+    """What the user has given beside the readings."""
 
     site: Site
     model: SkyModel
@@ -185,7 +185,7 @@ class _Told(NamedTuple):
 def _estimate(utc_s: Array, means: Array, told: _Told, vertical: float, rounds: int) -> tuple[Array, Shape, Anchor]:
     """Shape and anchor in turn until the vertical faces' gain over the zenith face's settles.
 
-    `means` are the four faces' and of the GHI nearby over the zenith face's reading, shape (n, 5).
+    `means` are those of the four faces, and of the GHI nearby over the zenith face's reading, shape (n, 5).
     """
     faces_w_m2, ghi_w_m2 = means[:, :4], means[:, 3] * means[:, 4]
     for _ in range(rounds):

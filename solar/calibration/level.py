@@ -1,7 +1,7 @@
 """The level of the gains where something other than the clear-sky model tells it: a referenced face, or a GHI nearby.
 
-A face with a calibration of its own has a known response. A pyranometer nearby reads the G of the same clear sky, and
-what the zenith face reads, turned to the horizontal, over that is e_z. Either is one more measurement beside those of
+A face with a calibration of its own has a known response. A pyranometer nearby reads the G of the same clear sky; e_z
+is the zenith face's reading, turned to the horizontal, over that. Either is one more measurement beside those of
 :mod:`.anchor`, with the weight that its uncertainty gives it.
 """
 
@@ -16,9 +16,9 @@ from solar.frames import FACE_NORMALS, Array
 
 _ZENITH = len(FACE_NORMALS) - 1
 _LEAST_COMMON = 8
-# Beyond these the other instrument does not see this sky, or its clock, place or unit is another one.
+# Beyond these the other instrument sees another sky, or its clock, place or unit is wrong.
 _LARGEST_SPREAD, _LARGEST_RATIO = 0.02, 1.3
-# From here on it matters to which instant of its span a mean belongs.
+# From this step on it matters to which instant of its span a mean belongs.
 _LONG_STEP_S = 150.0
 
 
@@ -36,7 +36,7 @@ class Level:
     Attributes
     ----------
     faces
-        Of east, south, west and zenith; None for what is not known.
+        Ties of east, south, west and zenith; None for a face that has none.
     ghi_w_m2
         Global horizontal irradiance by a pyranometer nearby at the instants of the readings, shape (n,), NaN where it
         has none; None without such an instrument.
@@ -58,14 +58,14 @@ def ties(level: Level, shape: Shape, vertical: float, zenith_over_ghi: Array) ->
     Parameters
     ----------
     shape, vertical
-        The fit, and the ratio v that it was made with: its responses are over the zenith face's.
+        The fit, and the ratio v that it was made with; its responses are relative to the zenith face's.
     zenith_over_ghi
         Z / G at the instants of the fit, shape (m,), by the pyranometer nearby; NaN where it has no reading.
 
     Raises
     ------
     ValueError
-        That instrument does not go together with the zenith face; the sentence says how.
+        The pyranometer and the zenith face do not agree; the text says how.
     """
     of_zenith = [level.faces[_ZENITH]]
     if level.ghi_w_m2 is not None:

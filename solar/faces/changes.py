@@ -39,7 +39,7 @@ class Changes(NamedTuple):
     Attributes
     ----------
     as_they_are
-        By four sound faces. Where they explain the changes, no fault is sought: the others are infinite.
+        With four sound faces. Where they explain the changes, no fault is sought, and the other shares are infinite.
     single
         With one face that is dead, shaded or at half its gain, the least of the three, for each face, shape (4,).
     swapped
@@ -121,7 +121,7 @@ def _at_fault(sound: Array, direct: Array) -> Array:
 
 
 def _left_over(steps: Array, columns: Array) -> Array:
-    """Return the squares left over, shape (k,), by the least that beam, uniform sky and horizon leave at each step."""
+    """Return the squares left over, shape (k,), with the beam, uniform sky and horizon that explain each step best."""
     prior = np.diag([_RIDGE, _UNIFORM_PRIOR, _HORIZON_PRIOR])
     normal = np.swapaxes(columns, -1, -2) @ columns + prior
     seen = np.einsum("knfc,nf->knc", columns, steps)

@@ -22,15 +22,15 @@ PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 SWAPS = np.array([[{one: other, other: one}.get(face, face) for face in range(4)] for one, other in PAIRS])
 """The order of the faces with each of `PAIRS` swapped, shape (6, 4)."""
 MISFIT = 0.15
-"""Share of the readings above which they contradict each other."""
+"""A misfit above this share of the readings says that the faces contradict each other."""
 AGREEMENT = 0.08
-"""Share below which they agree."""
+"""A misfit below this share says that they agree."""
 _SOLVED = 0.06
 _CLEARLY = 2.0
 _ALBEDOS = np.array([0.1, 0.3, 0.7])
 _WITHOUT_SNOW = _ALBEDOS[:2]
 _HORIZON_RANGE = (-0.2, 0.7)
-# Snow and the brightest horizon explain much: a face at half its gain agrees with three others once or twice a day.
+# Snow and the brightest horizon explain so much that a face at half its gain agrees with the rest once or twice a day.
 _ORDINARY_HORIZON_RANGE = (-0.2, 0.4)
 _LIT_W_M2 = 30.0
 _PARTS = 3
@@ -40,7 +40,7 @@ _DOUBLED = (1.0 + np.eye(4))[:, None, :]
 
 
 class Misfits:
-    """What is left over of the readings, as a share of them; but for the first two worked out when asked for.
+    """What is left over of the readings, as a share of them; all but `whole` and `least` are worked out when asked for.
 
     Parameters
     ----------
@@ -101,17 +101,17 @@ class Misfits:
             # A face that stands still may for a while look like its neighbour.
             return ()
         if swapped is not None:
-            # What one face explains about as well is no swap: one at half its gain looked like two.
+            # Where one wrong face explains the readings about as well, it is no swap: half a gain can look like one.
             alone = float(self.without.min()) < _CLEARLY * float(self.swapped[swapped])
             return () if alone else PAIRS[swapped]
         return () if single is None else (single,)
 
     def bears(self, face: int) -> bool:
-        """Tell whether it may be this face alone that is wrong: the three others agree."""
+        """Tell whether this face alone may be wrong, as the three others agree."""
         return float(self.without[face]) < AGREEMENT
 
     def instead_of(self, face: int) -> int | None:
-        """Return the face that is wrong in place of this one, without which the others contradict each other still."""
+        """Return the face that is wrong instead, if the others contradict each other without this one too; or None."""
         if not float(self.least_without[face]) > MISFIT or len(self.accused) != 1:
             return None
         return self.accused[0]
@@ -165,7 +165,7 @@ def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
 
 
 def _clear(shares: Array) -> int | None:
-    """Return the place of the one share that leaves nothing over; None for none, or more than one."""
+    """Return the place of the one share that is near zero; None if there is none, or more than one."""
     best, second = np.sort(shares)[:2]
     return int(np.argmin(shares)) if best < _SOLVED and second > max(_CLEARLY * best, AGREEMENT) else None
 
@@ -173,7 +173,7 @@ def _clear(shares: Array) -> int | None:
 def _squares_left_over(
     faces: Array, sun: Array, used: NDArray[np.bool_], albedos: Array, horizon_range: tuple[float, float]
 ) -> Array:
-    """Return the squares left over, shape (k, n), over the ground that explains the faces best."""
+    """Return the squares left over, shape (k, n), for the albedo that explains the faces best."""
     albedo = albedos[:, None, None]
     light = light_from_faces(faces, sun, albedo, used)
     over = np.where(used, faces - faces_of(light, sun, albedo, horizon_range), 0.0)
@@ -186,7 +186,7 @@ def faces_of(
 ) -> Array:
     """Return what the faces of a cube read [W/m2] in a light whose horizon is within a range, shape (..., 4).
 
-    Without a range it is no darker, and no brighter, than any is; a range is a share of the uniform part.
+    The range is in shares of the uniform part; by default it is that of all horizons.
     """
     low, high = horizon_range
     horizon = np.clip(light.horizon, low * light.uniform, high * light.uniform)

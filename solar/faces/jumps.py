@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from solar.frames import FACE_NORMALS, Array
 
-# How far a face is apart, and how much of that another one shares at the most: not to be gone by, and to be accused.
+# How far a face has to be from its median, and how much of that any other face may share: for its reading to be
+# replaced, and for the face to be accused.
 _UNSURE_W_M2, _UNSURE_SHARED = 15.0, 0.2
 _SURE_W_M2, _SURE_SHARED = 80.0, 0.05
 _REACHED_COSINE = 0.15
 _REACHED_OTHERS = 2
 _JUMPS = 2
-# Minutes together that tell what a face reads without a jump; a jump of one or two of them is over within these.
+# The median of so many minutes is what a face reads without a jump; a jump of one or two is over within them.
 _MINUTES, _BESIDE = 5, 2
 _ITSELF = np.eye(4, dtype=np.bool_)
 
@@ -29,9 +30,9 @@ class Jumps(NamedTuple):
     Attributes
     ----------
     sure
-        In which minutes a face was surely alone apart from the median of five, shape (n, 4).
+        In which minutes a face, and no other, was surely far from its median of five, shape (n, 4).
     settled
-        The faces [W/m2], with that median where one may have been, shape (n, 4).
+        The faces [W/m2], with that median where a face may have been, shape (n, 4).
     """
 
     sure: NDArray[np.bool_]
@@ -40,8 +41,8 @@ class Jumps(NamedTuple):
     def repeated(self, sun: Array, believed: Sequence[bool]) -> NDArray[np.bool_]:
         """Tell which face has jumped, and come back, more than once, shape (4,).
 
-        `sun` are the unit vectors to the sun, shape (n, 3). It has to reach two other faces that are `believed`: what
-        passes before the sun now and then leaves one of them at its own median.
+        `sun` are the unit vectors to the sun, shape (n, 3). The sun has to reach two other faces that are `believed`:
+        clouds that pass before it now and then leave one of them at its own median.
         """
         reached = (sun @ FACE_NORMALS.T > _REACHED_COSINE) & np.asarray(believed)
         others = reached.sum(axis=-1, keepdims=True) - reached
@@ -57,7 +58,7 @@ def jumps(faces_w_m2: Array) -> Jumps:
     Parameters
     ----------
     faces_w_m2
-        East, south, west and zenith, shape (n, 4). With less than five, and beside NaN, no jump is found.
+        East, south, west and zenith, shape (n, 4). With fewer than five minutes, and beside NaN, no jump is found.
     """
     count = len(faces_w_m2)
     if count < _MINUTES:
@@ -68,7 +69,7 @@ def jumps(faces_w_m2: Array) -> Jumps:
     apart = np.abs(faces_w_m2 - middle)
     unsure = apart > _UNSURE_W_M2
     if not unsure.any():
-        # What is sure is unsure as well.
+        # A sure jump is above the unsure bound as well.
         return Jumps(unsure, faces_w_m2)
     others = np.where(_ITSELF, 0.0, apart[:, None, :]).max(axis=-1)
     sure = (apart > _SURE_W_M2) & (others < _SURE_SHARED * apart)
@@ -79,7 +80,7 @@ def jumps(faces_w_m2: Array) -> Jumps:
 def _medians(faces: Array) -> Array:
     """Return the median of each five minutes that follow each other, shape (n - 4, 4), NaN being above everything."""
     one, two, three, four, five = (faces[first : len(faces) - _MINUTES + 1 + first] for first in range(_MINUTES))
-    # The least and the greatest of four are not the median of five: it is that of the two between them and the fifth.
+    # The median of five is neither the least nor the greatest of four of them, but the median of the other three.
     # `fmin` and `maximum` both take NaN for the greater one.
     low = np.maximum(np.fmin(one, two), np.fmin(three, four))
     high = np.fmin(np.maximum(one, two), np.maximum(three, four))

@@ -41,7 +41,7 @@ _NIGHT_SINE = float(np.sin(np.radians(-6.0)))
 _NIGHT_W_M2 = 20.0
 _NIGHT_OTHERS_W_M2 = 5.0
 OTHERS = ~np.eye(4, dtype=np.bool_)[:, None, :]
-"""By which faces each is judged at every instant, shape (4, 1, 4): all but itself."""
+"""The faces by which each face is judged at every instant, shape (4, 1, 4): all but itself."""
 _PAIRINGS = (((3, 0), (1, 2)), ((3, 1), (0, 2)), ((3, 2), (0, 1)))
 
 
@@ -70,7 +70,7 @@ class Response(IntEnum):
 
 
 def doubts(faces_w_m2: Sequence[float], voltages_mv: Sequence[float], sun: Array, normals: Array) -> list[Doubt]:
-    """Return what is wrong with each of the four faces; nothing is known of NaN.
+    """Return what is wrong with each of the four faces; of one that is NaN nothing is known.
 
     Parameters
     ----------
@@ -88,8 +88,8 @@ def doubts(faces_w_m2: Sequence[float], voltages_mv: Sequence[float], sun: Array
     Dark
         no face reads 1 W/m2 with the sun higher than 10 deg.
     Same
-        the zenith face and another one read the same voltage, and so do the other two: the switch has taken two
-        inputs for one, or one for all.
+        the zenith face and another one read the same voltage, and so do the other two: the multiplexer has taken one
+        input for both of a pair, or for all.
     Over
         a face reads more than the sun at its angle, clouds at their brightest and the ground can give; for a vertical
         face by the zenith face. Two such faces accuse the zenith face.
@@ -142,10 +142,10 @@ def responses(faces_w_m2: ArrayLike, sun: ArrayLike, believed: Sequence[bool]) -
     -----
     The other three faces and the sun's position give the light (:mod:`solar.laws.light`), and the light what the face
     should read. Where that changes by more than 60 W/m2 and the face by less than a tenth of it, it stays: it is
-    frozen, or was dead from the beginning. What a single minute has is no such change, as one wrong reading of another
-    face is enough for it. Nothing is known of a face that the sun does not reach all the while, nor
-    without another vertical one that it reaches: the predictions are not good enough there. A frozen face spoils the
-    predictions for the others, so that of several which stay only the stillest is named.
+    frozen, or was dead from the beginning. A change in a single minute does not count, as one wrong reading of another
+    face is enough for it. Nothing is known of a face that the sun does not reach all the while, nor without another
+    vertical face that it reaches: the predictions are not good enough there. A frozen face spoils the predictions for
+    the others, so that only the stillest of several that stay is named.
     """
     faces, up = np.asarray(faces_w_m2, float), np.asarray(sun, float)
     found = [Response.UNKNOWN] * 4
@@ -160,7 +160,7 @@ def responses(faces_w_m2: ArrayLike, sun: ArrayLike, believed: Sequence[bool]) -
     changes = np.ptp(faces, axis=0).tolist()
     for face, (lowest, second, last_but_one, highest) in zip(judged, ordered[:, [0, 1, -2, -1]].tolist(), strict=True):
         predicted, changed = highest - lowest, changes[face]
-        # But for the one minute that widens it most.
+        # The predicted change without the one minute that widens it most.
         lasting = min(last_but_one - lowest, highest - second)
         if not predicted > _PREDICTED_W_M2:
             continue

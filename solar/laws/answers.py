@@ -1,4 +1,4 @@
-"""What a law says, checked and in numbers of Python: anybody may have written it, and with numpy."""
+"""A law's answer, checked and in Python's own numbers: anybody may have written the law, and with numpy."""
 
 import math
 
@@ -8,7 +8,7 @@ from solar.laws.law import Aim
 
 
 def checked_aim(found: object, limits: Limits) -> Aim:
-    """Return what a law says, its target inside the limits; `TypeError` or `ValueError` for what is no answer."""
+    """Return what a law says, its target inside the limits; `TypeError` or `ValueError` for an invalid answer."""
     if not isinstance(found, Aim):
         raise TypeError(f"{type(found).__name__} is no Aim")
     if not isinstance(found.sun, SunPosition):

@@ -1,8 +1,9 @@
-"""What a law has heard of the cube, as a chain: trackers that have heard the same hold the same link of it.
+"""What a law has heard of the cube, as a chain of links: trackers that have heard the same readings hold the same link.
 
-A link never changes what it stands for. Whoever hears the next reading asks its link for the link after that; the first
-who asks works it out, and the others find it. So what hundreds of trackers know alike is worked out once, and a tracker
-that has missed a reading, or has been told to forget, goes on along links of its own: sharing can change no result.
+What a link stands for never changes. A law that hears the next reading asks its link for the link after that reading;
+the first law that asks works it out, and the others find it. So what hundreds of trackers know alike is worked out
+once. A tracker that has missed a reading, or has been told to forget, goes on along links of its own: sharing can
+change no result.
 """
 
 import math
@@ -22,9 +23,10 @@ from solar.laws.site import Learned
 _MEAN_S = 15.0
 # No reading stands for longer than this; a cube that scans more slowly leaves the rest open.
 _LONGEST_S = 60.0
-# Means that nobody asks for in some mode without decisions are taken in this many at a time.
+# In modes without decisions nobody asks for the means: they are then taken in this many at a time.
 _MOST_WAITING = 40
-# Trackers of one cube are this many links apart at the most; one that hears no more would hold every later link.
+# So many of the newest links are held, for trackers of one cube are no further apart. If each link held the next, a
+# tracker that hears no more would hold every later one.
 _MOST_KEPT = 60
 
 FourNumbers = tuple[float, float, float, float]
@@ -32,7 +34,7 @@ _NONE: FourNumbers = (0.0, 0.0, 0.0, 0.0)
 
 
 class Begun(NamedTuple):
-    """A mean that is being made: the seconds of each face, sums by seconds of its readings and of their UTC [s]."""
+    """A mean that is being made: its seconds, those of each face, and sums by seconds of readings and of UTC [s]."""
 
     elapsed_s: float = 0.0
     middle: float = 0.0
@@ -40,7 +42,7 @@ class Begun(NamedTuple):
     seconds: FourNumbers = _NONE
 
     def with_reading(self, reading: Reading, elapsed_s: float) -> "Begun":
-        """Return the mean with one reading more, which stands for so long."""
+        """Return the mean with one reading more, which stands for `elapsed_s`."""
         sums, seconds = list(self.sums), list(self.seconds)
         for place, irradiance_w_m2 in enumerate(reading.faces_w_m2):
             if not math.isnan(irradiance_w_m2):
@@ -69,7 +71,7 @@ class Heard:
     site, scan_every_s
         Where the cube stands, and its rhythm.
     day
-        The solar day of which the end has not been taken over yet.
+        The solar day; what it teaches of the site is taken over at its end.
     """
 
     site: Site
@@ -88,7 +90,7 @@ class Heard:
         return self
 
     def after(self, reading: Reading) -> "Heard":
-        """Return the link of whoever has heard one reading more."""
+        """Return the link of a law that has heard this reading as well."""
         known = self._after[1]() if self._after is not None and self._after[0] == reading else None
         if known is None:
             day = int(solar_days(reading.utc_s, self.site.longitude_deg))
@@ -98,7 +100,7 @@ class Heard:
         return known
 
     def on(self, day: int) -> "Heard":
-        """Return the link of whoever has taken over what past days have taught, on this day."""
+        """Return the link of a law that has taken over what the days before this one have taught."""
         if day == self.day:
             return self
         if self._turned is None or self._turned.day != day:
@@ -108,8 +110,8 @@ class Heard:
         return self._turned
 
     def relearned(self, learned: Learned) -> "Heard":
-        """Return the link of whoever has forgotten what was learned of the site, and begins with this."""
-        # The light is no knowledge of the site: what waits is still taken in.
+        """Return the link of a law that has forgotten what was learned of the site, and begins with `learned`."""
+        # The light is no knowledge of the site: the means that wait are still taken in.
         memory = self.memory().copied()
         memory.site.reset()
         memory.site.learned = learned
@@ -122,11 +124,11 @@ class Heard:
 
     @property
     def waiting_utc_s(self) -> list[float]:
-        """Of what waits to be taken in, in UTC [s]."""
+        """The times of the means that wait to be taken in, in UTC [s]."""
         return [mean[0] for mean in self._waiting]
 
     def memory(self, sun: Array | None = None) -> LightMemory:
-        """Return the memory of all means so far, to be read only; `sun` are the directions of those that wait."""
+        """Return the memory of all means so far, to be read only; `sun` are the directions for those that wait."""
         if self._waiting:
             utc_s, elapsed_s, faces = zip(*self._waiting, strict=True)
             memory = self._memory.copied()
@@ -141,14 +143,14 @@ class Heard:
         elapsed_s = reading.monotonic_s - self._newest_s
         begun, waiting = self._begun, self._waiting
         if not (elapsed_s <= _LONGEST_S):
-            # The memory ages by what nobody has read; what was begun before that would be of two suns.
+            # The memory ages by the gap. The mean that was begun before it is dropped, for the sun has moved since.
             unread = (reading.utc_s, elapsed_s - self.scan_every_s, [math.nan] * len(_NONE))
             begun, waiting = _NOTHING, (*waiting, unread) if math.isfinite(elapsed_s) else waiting
             elapsed_s = self.scan_every_s
         begun = begun.with_reading(reading, elapsed_s)
         if begun.elapsed_s >= _MEAN_S - 1e-3:
             begun, waiting = _NOTHING, (*waiting, begun.ended())
-        # Once a scan for each tracker: `replace` takes as long as all the rest.
+        # This runs once a scan for each tracker, and `replace` would take as long as all the rest.
         made = Heard(
             site=self.site,
             scan_every_s=self.scan_every_s,

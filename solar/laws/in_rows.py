@@ -1,8 +1,8 @@
 """Where the expected light is collected best among neighbours that shade each other (:mod:`solar.rows.group`).
 
-What a pose collects is what :func:`solar.laws.light.aim_vector` says, less what the neighbours take of the beam
-when they stand in the same pose. There is no closed form any more, so the best is searched for, and only where the best
-pose of a tracker alone would have shade: shade gives nothing, so that without it that pose stays the best.
+What a pose collects is what :func:`solar.laws.light.aim_vector` says, less what the neighbours take of the beam when
+they stand in the same pose. That has no closed form, so the best pose is searched for, but only where the best pose of
+a tracker alone would have shade. Shade never adds light, so elsewhere that pose stays the best.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ def best_among(
 ) -> tuple[Array, Array]:
     """Return the poses [deg] that collect most, all of the group in the same one.
 
-    It is never less than alone, or turned back from all shade.
+    They collect no less than the best poses of a tracker alone, or than those turned back out of all shade.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a pointing law is given, and what it gives: the one door between the laws and whoever points by them.
+"""The interface of pointing laws: what a law is given, and what it answers.
 
 A law is a module with two names, found through the entry points of the group `heliocube.law`:
 
@@ -27,7 +27,7 @@ from solar.rows.backtrack import turned_back
 from solar.rows.group import TrackerGroup
 
 Faces = tuple[float, float, float, float]
-"""Irradiances of the faces east, south, west and zenith [W/m2]; NaN where there is none."""
+"""Irradiances of the faces east, south, west and zenith [W/m2]; NaN for a face without a reading."""
 
 
 class LawSettings(BaseModel):
@@ -48,7 +48,7 @@ class LawSettings(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class TrackerFacts:
-    """What a law is told of the tracker that it points, once.
+    """What a law is told once, of the tracker that it points.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class TrackerFacts:
     group
         The tracker and the neighbours that may shade it; None for a tracker that stands alone.
     common
-        Where laws of trackers by one cube find what they know alike, for as long as one of them holds it.
+        What laws of trackers at one cube share; each entry lasts for as long as one of the laws holds it.
     """
 
     site: Site
@@ -81,7 +81,7 @@ class TrackerFacts:
 
 
 class Reading(NamedTuple):
-    """One scan of the cube: when it was, by the time of day and by a clock that nobody sets, and its good faces."""
+    """One scan of the cube: its time of day, its time by a clock that nobody sets, and its good faces."""
 
     utc_s: float
     monotonic_s: float
@@ -112,21 +112,21 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Aim:
-    """What a law says.
+    """A law's answer.
 
     Attributes
     ----------
     azimuth_deg, elevation_deg
         Of the direction before limits; NaN when there is none.
     sun
-        Ephemeris of the same instant.
+        The sun's position at the same instant, by ephemeris.
     target
         Where to point, inside the limits; None to stay.
     why
         In words, without the law's name.
     beam_w_m2, diffuse_w_m2, albedo
-        What the law made of the light: normal to the sun, and the rest on a horizontal plane; NaN from laws that
-        estimate nothing.
+        The law's estimates: the beam normal to the sun, the rest of the light on a horizontal plane, and the ground's
+        albedo; NaN from laws that estimate nothing.
     """
 
     azimuth_deg: float
@@ -140,7 +140,7 @@ class Aim:
 
 
 class Estimates(NamedTuple):
-    """What readings show of the light by what was known of the site: arrays of one shape, NaN where nothing."""
+    """The light that readings show, by what was known of the site: arrays of one shape, NaN where they show nothing."""
 
     beam_w_m2: Array
     diffuse_w_m2: Array
@@ -160,7 +160,7 @@ class Law(ABC):
     faces_needed
         How many good faces a reading needs to be steered by.
     needs_sun
-        Whether the law is worth nothing while the sun's position is in doubt: the tracker then stays.
+        Whether the law is useless while the sun's position is in doubt: the tracker then stays.
     decide_every_s
         Time from one decision to the next.
     learned
@@ -180,7 +180,7 @@ class Law(ABC):
     def aim(self, now: Moment) -> Aim:
         """Return where the law wants to point."""
 
-    # What follows is left as it is here by a law that has no use for it.
+    # A law overrides the methods below only if it has a use for them.
 
     @property
     def learned(self) -> Any:
@@ -191,7 +191,7 @@ class Law(ABC):
         """Take in a scan that has just arrived. Not called while the time of day is in doubt."""
 
     def turn(self, utc_s: float) -> bool:  # noqa: ARG002
-        """Look whether a new day has begun since the last call; True if :meth:`to_dict` has changed by that."""
+        """Look whether a new day has begun since the last call; True if that has changed :meth:`to_dict`."""
         return False
 
     def affords(self, distance_deg: float) -> bool:  # noqa: ARG002
@@ -199,7 +199,7 @@ class Law(ABC):
         return True
 
     def book(self, distance_deg: float) -> None:  # noqa: B027
-        """Take a move that was ordered out of the plan of the day."""
+        """Charge a move that was ordered to the plan of the day."""
 
     def believes_zenith(self, faces_w_m2: Faces, utc_s: float) -> bool:  # noqa: ARG002
         """Whether the zenith face of a mean can be believed, to tell day from night by it."""
@@ -213,11 +213,11 @@ class Law(ABC):
         return None
 
     def shown(self) -> dict[str, dict[str, float]]:
-        """Return what a person may want to see of it: `learned` of the site, used up `today`."""
+        """Return what a person may want to see: what was `learned` of the site, and what was used up `today`."""
         return {}
 
     def estimates(self, faces: Array, sun: Array, learned: Any) -> Estimates:  # noqa: ARG002
-        """Return what faces (n, 4) [W/m2] show under suns (n, 3) by what was `learned`."""
+        """Return what faces (n, 4) [W/m2] show under suns (n, 3), given what was `learned`."""
         return Estimates(*np.full((3, len(faces)), np.nan))
 
     def sun(self, utc_s: float) -> SunPosition[float]:
@@ -226,7 +226,7 @@ class Law(ABC):
 
 
 class DirectionLaw(Law):
-    """A law that says a direction and leaves it to limits and neighbours to make angles of it."""
+    """A law that gives a direction, from which the limits and the neighbours' shade make angles."""
 
     @abstractmethod
     def direction(self, now: Moment, to_sun: Array) -> Array:

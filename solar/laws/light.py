@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from solar.frames import FACE_NORMALS, Array, Limits, angles_within, bounded, joined
 
 FACES_NEEDED = 3
-"""How many faces the light can be told by, with the sun's position."""
+"""How many faces tell the light, given the sun's position."""
 
 # Weight of the assumption that H is 0, beside one face's reading: it decides only where faces are missing.
 _HORIZON_PRIOR = 0.02
@@ -33,12 +33,12 @@ _SMALLEST = 1e-4
 _HORIZON_RANGE = (-0.3, 0.7)
 _LOWEST_W_M2, _HIGHEST_W_M2 = -20.0, 2000.0
 _DEAD_SHARE = 0.4
-# Of the darkest vertical face; less than theirs, for with the west face missing a low sun is on all that are left.
+# Of the darkest vertical face; less than _DEAD_SHARE, for if the west face is missing a low sun may be on both others.
 _DEAD_ZENITH_SHARE = 0.2
 _ZENITH_SHARE = 0.03
 _NOISE_W_M2 = 1.0
 _ALIKE = 1e-6
-# Of the beam, up to which a face does not tell it: the sine of 3 deg.
+# A face that gets no larger share of the beam than this does not show it: the sine of 3 deg.
 _TOLD_SHARE = 0.05
 
 
@@ -63,17 +63,17 @@ class Light(NamedTuple):
 def usable_faces(faces: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
     """Tell which of the faces, shape (..., 4) in the order east, south, west, zenith [W/m2], can be believed.
 
-    Not believed are readings that are no finite number in -20..2000 W/m2, and faces that are covered or dead: a
+    Readings that are no finite number in -20..2000 W/m2 are not believed, nor are faces that are covered or dead: a
     vertical face that reads less than 3 % of the zenith face, or less than two fifths of another vertical one that
     gets no more beam by the sun's direction (shape (..., 3)); a zenith face that reads less than a fifth of every
-    vertical one; each with 1 W/m2 for noise. At dawn a dead east face would draw the tracker away from the sun.
+    vertical one; each bound less 1 W/m2 for noise. At dawn a dead east face would draw the tracker away from the sun.
     """
     readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
     axes = max(readings.ndim, sun.ndim)
     possible = _are_possible(readings)
     seen, shares = _by_face(np.where(possible, readings, 0.0), axes), beam_shares(sun, axes)
     vertical, zenith = seen[:3], seen[3]
-    # Of each face by each other one; by itself only that is less which is too little beside the zenith face anyway.
+    # Bounds of each face by each face. A face below the bound by itself is below that by the zenith face anyway.
     bounds = np.where(shares <= (shares + _ALIKE)[:, None], _DEAD_SHARE * vertical, 0.0)
     least = np.maximum(np.maximum(bounds[:, 0], bounds[:, 1]), np.maximum(bounds[:, 2], _ZENITH_SHARE * zenith))
     believed = np.empty((*least.shape[1:], 4), dtype=np.bool_)
@@ -84,7 +84,7 @@ def usable_faces(faces: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
 
 
 def zenith_usable(faces: ArrayLike) -> NDArray[np.bool_]:
-    """Tell of the zenith face what :func:`usable_faces` says, shape (...): no sun is needed for that."""
+    """Tell whether the zenith face can be believed, as :func:`usable_faces` does, shape (...), without the sun."""
     readings = np.asarray(faces, dtype=np.float64)
     possible = _are_possible(readings)
     result: NDArray[np.bool_] = possible[..., 3] & _zenith_believed(readings, possible)
@@ -92,10 +92,10 @@ def zenith_usable(faces: ArrayLike) -> NDArray[np.bool_]:
 
 
 def tell_beam(usable: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
-    """Tell whether the faces that count show what there is of the beam, shape (...).
+    """Tell whether the faces that count show how much beam there is, shape (...).
 
-    A low sun puts next to nothing of it on the zenith face, and none on the vertical faces that look away. Without the
-    one that looks to the sun a clear dawn reads like a dull one. Four faces leave nothing open.
+    A low sun puts next to no beam on the zenith face, and none on the vertical faces that look away. Without the face
+    that looks to the sun a clear dawn reads like a dull one. Four faces always show it.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def on_faces(light: Light, sun: ArrayLike, albedo: ArrayLike) -> Array:
 def aim_vector(light: Light, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Array:
     """Return M [W/m2], shape (..., 3): its product with a unit normal is the normal's irradiance but for a constant.
 
-    `sun` may stand elsewhere than where it stood when the light was measured: ahead of it, for a pose that is to last.
+    `sun` need not be where it was when the light was measured: for a pose that is to last, take it ahead of that.
     """
     sun = np.asarray(sun, dtype=np.float64)
     height = np.maximum(sun[..., 2], 0.0)
@@ -210,10 +210,10 @@ def as_far_as_it_pays(
     price_w_m2_per_deg: ArrayLike,
     limits: Limits,
 ) -> tuple[Array, Array]:
-    """Return how far to go from `here` towards the best pose [deg] where a degree has a price.
+    """Return the pose [deg] between `here` and the best one from which another degree is not worth its price.
 
-    Along one axis the irradiance is a cosine about that axis' best angle; its slope falls to the price some way before
-    it, and what is left is not worth going. B is chosen where A is best, then A for that B.
+    Along one axis the irradiance is a cosine about that axis' best angle. Its slope falls to the price some way before
+    that angle, and the rest of the way does not pay. B is chosen where A is best, then A for that B.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def _near(best_deg: Array, most_w_m2: Array, here_deg: ArrayLike, price_w_m2_per
 def beam_shares(sun: Array, axes: int = 0) -> Array:
     """Cosines of the beam's incidence on east, south and west, shape (3, ...); zero where they are shaded.
 
-    Of as many axes as `sun`, shape (..., 3), or more, so that they go with what has a face of its own for each.
+    They have as many axes as `sun`, shape (..., 3), or `axes` if that is more, to broadcast with values by face.
     """
     south, east, up = _by_face(sun, max(sun.ndim, axes))
     shares: Array = np.maximum((east, south, -east), 0.0) * (up > 0.0)
@@ -256,7 +256,7 @@ def beam_shares(sun: Array, axes: int = 0) -> Array:
 
 
 def _by_face(values: NDArray[Any], axes: int) -> NDArray[Any]:
-    """Return a view of values (..., k) as (k, ...), of so many axes: one call of numpy is for all faces then."""
+    """Return a view of values (..., k) as (k, ...) with `axes` axes: one call of numpy then serves all faces."""
     whole = values.reshape((1,) * (axes - values.ndim) + values.shape)
     return whole.transpose(-1, *range(axes - 1))
 

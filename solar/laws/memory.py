@@ -1,4 +1,4 @@
-"""What the law `optimal` weighs, and how it remembers the light: over a few minutes and over twelve.
+"""What the law `optimal` weighs, and how it remembers the light: over a few minutes and over twelve minutes.
 
 Where a tracker points has no part in it: trackers that hear the same readings remember the same light.
 """
@@ -31,15 +31,15 @@ class OptimalSettings:
     diffuse_half_life_s
         Of the quick memory of the diffuse light, which changes less than the beam; the slow one is for both.
     unrest_weight, slow_share_max
-        The expected light takes from the slow memory `unrest_weight` times the beam's relative deviation between the
-        two memories, averaged over the slow one, up to this share.
+        The slow memory's share of the expected light is `unrest_weight` times the beam's relative deviation between the
+        two memories, averaged over the slow one's time, and at most `slow_share_max`.
     lead_s
         How far ahead of the last reading the sun is taken.
     rest_s
         How far ahead a pose should still be out of the neighbours' shade.
     price_per_degree_w_m2, price_per_move_w_m2
         Irradiance that a move must be expected to gain, per degree travelled (A and B added) and per move; an axis goes
-        only as far as its last degree is worth the first of them.
+        only as far as its last degree gains the price per degree.
     thrift
         What both prices are multiplied by, 0.1 to 100: the one knob between harvest and wear. A varying sky is
         also taken at its slower mean, the more so the thriftier.
@@ -132,8 +132,8 @@ class LightMemory:
     def observe(self, faces: ArrayLike, sun: ArrayLike, elapsed_s: ArrayLike) -> None:
         """Take in the mean faces [W/m2], shape (*shape, 4), of the last `elapsed_s` seconds.
 
-        `sun` (*shape, 3) is the unit vector to the apparent sun in their middle. Any reading may be NaN. All three may
-        have one more axis in front: means that followed each other, the oldest first.
+        `sun` (*shape, 3) is the unit vector to the apparent sun in the middle of that time. Any reading may be NaN. All
+        three may have one more axis in front: means that followed each other, the oldest first.
         """
         faces, sun, elapsed = (np.asarray(value, dtype=np.float64) for value in (faces, sun, elapsed_s))
         if faces.ndim == len(self._shape) + 1:
@@ -151,13 +151,13 @@ class LightMemory:
         self.site.observe(faces, sun, usable, lights[:, 0], elapsed)
 
     def _remember(self, light: Array, good: Flags, blind: Flags, elapsed: Array, shares: Array) -> None:
-        """Go by its share from each memory towards the light of one reading, and all the way after a gap."""
+        """Move each memory by its share towards the light of one reading, and all the way after a gap."""
         age_s = self._since_good_s + elapsed
         shares = np.where(good & ~(age_s <= self._settings.forget_after_s), 1.0, shares)
         self._light = self._light + shares * (np.where(good, light, self._light) - self._light)
         deviation = np.where(good, np.abs(self._light[0, 0] - self._light[1, 0]), self._deviation)
         self._deviation = self._deviation + shares[1, 0] * (deviation - self._deviation)
-        # What a dead face made of the minutes before it was told from a dull dawn is no better.
+        # A dead face may have passed for a dull dawn in the minutes before this reading: forget those too.
         self._since_good_s = np.where(good, 0.0, np.where(blind, np.inf, age_s))
 
     def expect(self, thrift: ArrayLike = 1.0) -> Expectation:

@@ -25,7 +25,7 @@ class MuPrimeSettings(LawSettings):
 
 
 class MuPrimeLaw(ThreeFacesLaw, DirectionLaw):
-    """Points along mu' of the mean; a face that tells nothing reads what the light behind the others puts on it.
+    """Points along mu' of the mean; a face that tells nothing is replaced by what the others lead to expect.
 
     Parameters
     ----------

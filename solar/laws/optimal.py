@@ -4,10 +4,10 @@ At every reading the light is estimated from the faces (:mod:`solar.laws.light`)
 minutes and over twelve. What is expected of the next minutes lies between the two: near the quick memory while the sky
 is steady, near the slow one while it varies, for a beam that comes and goes is worth its mean. The pose that collects
 the expected light best is known in closed form, with the sun where it will be halfway through the rest that follows.
-The tracker goes there, but for the last degrees that do not pay, when the expected gain [W/m2] exceeds the price of
-the move, and not otherwise: many times an hour under broken clouds, hardly ever under an even sky. As the day's budget
-of moves and degrees is used up faster than the daylight, the price rises; the budget itself is never exceeded. Among
-neighbours the best pose is the one that collects most with their shade in it (:mod:`solar.laws.in_rows`).
+The tracker goes there, but for the last degrees that do not pay, only when the expected gain [W/m2] exceeds the price
+of the move: many times an hour under broken clouds, hardly ever under an even sky. As the day's budget of moves and
+degrees is used up faster than the daylight, the price rises; the budget itself is never exceeded. Among neighbours the
+best pose is the one that collects most with their shade in it (:mod:`solar.laws.in_rows`).
 
 Everything is an array of one shape: () for one tracker, (n,) for n days or sites at once.
 """
@@ -35,13 +35,13 @@ class Choice(NamedTuple):
     Attributes
     ----------
     a_deg, b_deg
-        Where the tracker should stand: where it stands, unless `move`.
+        Where the tracker should stand; without `move` its present pose.
     move
         Whether moving there is worth it.
     gain_w_m2
-        Expected of the best pose over the present one.
+        Gain that is expected of the best pose over the present one.
     price_w_m2
-        What it had to exceed.
+        What the gain had to exceed.
     vector
         The direction of the best pose before limits, shape (..., 3), of any length.
     """
@@ -73,7 +73,7 @@ class OptimalLaw:
     Attributes
     ----------
     memory
-        Of the light. Trackers that hear the same readings may have one and the same.
+        Memory of the light. Trackers that hear the same readings may share one.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class OptimalLaw:
         daylight_left: ArrayLike,
         later: ArrayLike | None = None,
     ) -> Choice:
-        """Choose where to stand, and leave it to the caller to `book` the move that comes of it.
+        """Choose where to stand; the caller has to `book` the move that comes of it.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class OptimalLaw:
         a, b = np.asarray(a_deg, dtype=np.float64), np.asarray(b_deg, dtype=np.float64)
         sun = np.asarray(sun, dtype=np.float64)
         vector = aim_vector(within_reach(expected.light, sun, self._limits), sun, self.site.learned.albedo)
-        # Without faces the sun is followed, at the price of a sunny day.
+        # Where the light is unknown the tracker follows the sun, with gains weighed as on a sunny day.
         vector = np.where(expected.known[..., None], vector, _SUNNY_W_M2 * sun)
         alone = angles_within(vector, self._limits)
         per_degree = thrift * self._settings.price_per_degree_w_m2
@@ -179,7 +179,7 @@ class OptimalLaw:
             beam = np.where(expected.known, expected.light.beam, _SUNNY_W_M2)
             suns = [sun] if later is None else [sun, np.asarray(later, dtype=np.float64)]
             best = best_among(self._group, vector, beam, suns, alone, self._limits)
-            # Short of the best pose only where neither is in the shade: its last degree may be what leaves it.
+            # Stop short of the best pose only where neither pose has shade: the last degree may be what ends it.
             shaded = (taken_by_neighbours(self._group, beam, suns, best_a, best_b) > 0.0) | (best[0] != alone[0])
             shaded = shaded | (best[1] != alone[1])
             best_a, best_b = np.where(shaded, best[0], best_a), np.where(shaded, best[1], best_b)
@@ -199,12 +199,12 @@ class OptimalLaw:
         )
 
     def book(self, distance_deg: ArrayLike, move: ArrayLike = True) -> None:
-        """Take moves out of the day's budget: what was travelled, or ordered to be, A and B added [deg]."""
+        """Charge moves to the day's budget: degrees travelled or ordered, A and B added [deg]."""
         self._travelled_deg = self._travelled_deg + np.where(move, distance_deg, 0.0)
         self._moves = self._moves + np.asarray(move)
 
     def resume(self, travelled_deg: ArrayLike, moves: ArrayLike) -> None:
-        """Go on with a day of which so much of the budget has been used."""
+        """Go on with a day whose budget has been used up to here."""
         self._travelled_deg = np.broadcast_to(np.asarray(travelled_deg, dtype=np.float64), self._shape)
         self._moves = np.broadcast_to(np.asarray(moves, dtype=np.float64), self._shape)
 

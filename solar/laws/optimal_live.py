@@ -71,7 +71,7 @@ class Kept(BaseModel):
 
     @property
     def learned(self) -> Learned:
-        """What the science makes of it."""
+        """The albedo and gains, as the law uses them."""
         return Learned(self.albedo, self.gain_east, self.gain_south, self.gain_west)
 
 
@@ -81,7 +81,7 @@ class LiveOptimal(ThreeFacesLaw):
     Parameters
     ----------
     settings, tracker
-        Its parameters and what it points; `ValueError` for something kept that is none of this law's.
+        Its parameters and what it points; `ValueError` if what was kept is not this law's.
     """
 
     needs_sun = True
@@ -97,7 +97,7 @@ class LiveOptimal(ThreeFacesLaw):
         self._day = int(solar_days(tracker.utc_s, self.site.longitude_deg))
         if kept is not None and kept.day == self._day:
             self._law.resume(kept.travelled_deg, kept.moves)
-        # What was used of a later day: a machine without a clock of its own begins in 1970, and is set then.
+        # Keep what a later day has used: a machine without a clock of its own is in 1970 until its time is set.
         self._later = kept if kept is not None and kept.day > self._day else None
         first = Heard(self.site, tracker.scan_every_s, self._day, self._law.memory)
         alike = (type(self), self.site, tracker.scan_every_s, self._day, *self._law.site.learned.to_dict().values())
@@ -112,7 +112,7 @@ class LiveOptimal(ThreeFacesLaw):
         return kept.model_dump()
 
     def shown(self) -> dict[str, dict[str, float]]:
-        """Return both apart."""
+        """Return what was learned apart from what the day has used of its budget."""
         learned = self._kept().model_dump(exclude={"day"})
         return {"learned": learned, "today": {name: learned.pop(name) for name in ("travelled_deg", "moves")}}
 
@@ -126,7 +126,7 @@ class LiveOptimal(ThreeFacesLaw):
         self._heard = self._heard.relearned(self._fresh)
 
     def turn(self, utc_s: float) -> bool:
-        """Begin a new day when the sun has passed its lowest point since the last call, or go on with a later one."""
+        """Begin a new day when the sun has passed its lowest point since the last call, or resume a later one."""
         day = int(solar_days(utc_s, self.site.longitude_deg))
         if day == self._day:
             return False
@@ -184,7 +184,7 @@ class LiveOptimal(ThreeFacesLaw):
         return bool(self._law.affords(distance_deg))
 
     def book(self, distance_deg: float) -> None:
-        """Take a move that was ordered out of the day's budget."""
+        """Charge a move that was ordered to the day's budget."""
         self._law.book(distance_deg)
 
     def estimates(self, faces: Array, sun: Array, learned: Learned) -> Estimates:
@@ -200,7 +200,7 @@ class LiveOptimal(ThreeFacesLaw):
         )
 
     def _hindered(self, choice: Choice, sun_ahead: Array) -> str:
-        """Return what forbids a move whatever it gains, or this one although it is worth it; empty for nothing."""
+        """Return what forbids every move, or what forbids this one although it pays; empty if nothing does."""
         if not self._law.affords(0.0):
             return _TOO_MUCH
         if choice.move or not choice.gain_w_m2 > choice.price_w_m2:

@@ -25,8 +25,7 @@ def mu_prime(faces: ArrayLike, *, uniform_threshold: float = 0.01) -> Array:
     Parameters
     ----------
     faces
-        Irradiances [W/m2], shape (..., 4); of a frame whose columns have names those called east,
-        south, west and zenith.
+        Irradiances [W/m2], shape (..., 4); of a frame with named columns, the columns east, south, west and zenith.
     uniform_threshold
         I_S - I_min counts as zero (B = 90 deg) unless it is more than this share of I_Z: under a uniform sky it is
         noise about zero. The jump of B at the threshold is atan(uniform_threshold).
@@ -52,7 +51,7 @@ def sun_vector(
     """Return s, equation (11), with the better DHI = 2 I_min - albedo I_Z that the paper offers; its length is BNI.
 
     Where a uniform sky and wrong gains can explain s there is no beam to point at, and the direction is the zenith,
-    where a uniform sky is best collected. Wrong gains explain what is no longer than two standard errors,
+    where a uniform sky is best collected. Wrong gains explain an s that is no longer than two standard errors,
 
         sigma^2 = g^2 [(I_S^2 + I_min^2) + (I_E^2 + I_W^2) + ((1 + albedo)^2 I_Z^2 + 4 I_min^2)]
 
@@ -62,8 +61,7 @@ def sun_vector(
     Parameters
     ----------
     faces
-        Irradiances [W/m2], shape (..., 4); of a frame whose columns have names those called east,
-        south, west and zenith.
+        Irradiances [W/m2], shape (..., 4); of a frame with named columns, the columns east, south, west and zenith.
     albedo
         Of the ground around the cube.
     uniform_threshold
@@ -107,8 +105,8 @@ def complete_poleward(vector: ArrayLike, sun_direction: ArrayLike) -> Array:
     """Return `vector` with the component that no face of the cube can see: away from the equator.
 
     Equation (9) holds only while the sun is on the equator's side; beyond the East-West plane I_S - I_min is 0 whatever
-    the sun does. There the sun's azimuth by ephemeris fills the gap: i = j (i_sun / j_sun). Vectors with an equatorward
-    component of their own, and a sun within 45 deg of the pole's azimuth, leave the vector as it is.
+    the sun does. There the sun's azimuth by ephemeris fills the gap: i = j (i_sun / j_sun). A vector stays as it is if
+    it has an equatorward component of its own, or if the sun is within 45 deg of the pole's azimuth.
 
     Parameters
     ----------
@@ -123,7 +121,7 @@ def complete_poleward(vector: ArrayLike, sun_direction: ArrayLike) -> Array:
 
 
 def chronometric(sun_direction: ArrayLike) -> Array:
-    """Return the sun's direction(s), shape (..., 3), NaN where it is below the horizon; `ValueError` for others."""
+    """Return the sun's direction(s), shape (..., 3), NaN where below the horizon; `ValueError` for another shape."""
     sun = vectors(sun_direction)
     return np.where(sun[..., 2:] > 0, sun, np.nan)
 

@@ -10,9 +10,9 @@ multiply to 1. The vertical intercept h (what a face without beam reads) and the
     rho = (2 h - 1.2 (I_Z - B s_z))/I_Z
 
 where a tenth of the diffuse light is left to the horizon, which is brighter than the vault under a clear sky. The
-zenith sensor's gain is in rho too: one equation cannot tell them apart, and for pointing it need not. Sums of a day
-are taken over at its end, a small step at a time, inside bounds. A day on which a face was left out teaches nothing: it
-may have read wrong before that was found, and what it taught would outlast it.
+zenith sensor's gain is in rho too: one equation cannot tell them apart, and for pointing it need not. At the end of
+each day the law takes a small step towards what its sums show, inside bounds. A day on which a face was left out
+teaches nothing: the face may have read wrong before that was found, and what it taught would outlast the fault.
 """
 
 from dataclasses import dataclass
@@ -58,7 +58,7 @@ _NAMES = ("albedo", "gain_east", "gain_south", "gain_west")
 class DaySums(NamedTuple):
     """Weighted sums of one day: seconds and second-weighted values, each of the law's shape.
 
-    Of `left_out_s` seconds some faces had readings and others none.
+    In `left_out_s` seconds some faces had readings and others none.
     """
 
     albedo_s: Array
@@ -103,8 +103,8 @@ class SiteLearning:
             return
         added = _sums_of(np.where(usable, faces, 0.0), sun, beam_w_m2, np.where(clear, elapsed_s, 0.0))
         added = added._replace(left_out_s=np.where(left_out, elapsed_s, 0.0))
-        # Readings of many instants, shape (n, *shape), one after the other: so that the sum does not depend on how many
-        # are taken in at once.
+        # Add readings of many instants, shape (n, *shape), one after the other, so that the sum does not depend on how
+        # many are taken in at once.
         parts = np.array(added).reshape(len(added), -1, *self._shape)
         sums = np.concatenate((np.array(self._sums)[:, None], parts), axis=1)
         self._sums = DaySums(*np.cumsum(sums, axis=1)[:, -1])
@@ -172,7 +172,7 @@ def _step(now: Array, seconds: Array, total: Array, base: Array | float = 0.0) -
 
 
 def _log_ratio(lit: Array, south: Array, cosine: Array, south_cosine: Array, seconds: Array) -> tuple[Array, Array]:
-    """Seconds and log of what `lit` reads too much relative to the south face, both less the shaded face."""
+    """Return seconds, and the log of the factor by which `lit` over `south` is too much; both less the shaded face."""
     valid = (seconds > 0.0) & (cosine > _LIT_COSINE) & (south_cosine > _LIT_COSINE)
     valid &= (lit > _LIGHT_W_M2) & (south > _LIGHT_W_M2)
     ratio = np.where(valid, lit * south_cosine, 1.0) / np.where(valid, south * cosine, 1.0)

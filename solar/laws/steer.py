@@ -1,4 +1,4 @@
-"""From a law to what steers the trackers of many days in the benchmark (:mod:`solar.energy`)."""
+"""Turn a law into what steers the trackers of many days in the benchmark (:mod:`solar.energy`)."""
 
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -18,7 +18,7 @@ PAPER_MEAN_S = 120.0
 
 
 class LawFailedError(RuntimeError):
-    """A law raised an error, its cause, or answered with what is no answer; the text is the day, UTC."""
+    """A law raised an error, or its answer was invalid, as the cause says; the text is the day, UTC."""
 
 
 def or_stay(a_deg: Array, b_deg: Array, a_now: Array, b_now: Array) -> tuple[Array, Array]:
@@ -28,7 +28,7 @@ def or_stay(a_deg: Array, b_deg: Array, a_now: Array, b_now: Array) -> tuple[Arr
 
 
 def towards(weather: DaylightWeather, directions: Array, limits: Limits, late_steps: int = 0) -> Steer:
-    """Point along the direction of each instant, shape (n, 3), at once or so many steps late."""
+    """Point along the direction of each instant, shape (n, 3), at once or `late_steps` late."""
     a_deg, b_deg = (weather.gridded(angle, np.nan) for angle in angles_within(directions, limits))
 
     def steer(step: int, a: Array, b: Array) -> tuple[Array, Array]:
@@ -56,7 +56,7 @@ def by_the_mean(
     limits
         Of the tracker.
     direction
-        Of means (steps, days, 4), shape (steps, days, 3); NaN where there is none.
+        Returns the directions, shape (steps, days, 3), for means (steps, days, 4); NaN where there is none.
     group
         The tracker with its neighbours, out of whose shade it turns; None for a tracker alone.
     """

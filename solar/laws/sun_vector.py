@@ -58,7 +58,7 @@ class SunVectorLaw(ThreeFacesLaw, DirectionLaw):
         self._settings = settings
 
     def direction(self, now: Moment, to_sun: Array) -> Array:
-        """Return s; none without a mean, and nothing by the ephemeris while the sun's position is in doubt."""
+        """Return s; none without a mean, and not completed while the sun's position is in doubt."""
         if now.mean_w_m2 is None:
             return NO_DIRECTION
         if not now.sun_known:

@@ -1,7 +1,7 @@
 """Three faces and the sun's position for a law that reads four.
 
-The light that explains three faces best (:func:`solar.laws.light.light_from_faces`) tells what the fourth would read,
-where it has no reading or one that its neighbours contradict.
+Where a face has no reading, or one that the other three contradict, it is given the reading that follows from the light
+that explains those three best (:func:`solar.laws.light.light_from_faces`).
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from solar.laws.light import FACES_NEEDED, light_from_faces, on_faces, usable_fa
 
 
 class ThreeFacesLaw(Law):
-    """A law that goes on with three faces, be it that it reads none."""
+    """A law that goes on with three faces, or that reads none at all."""
 
     faces_needed = FACES_NEEDED
 
@@ -23,12 +23,12 @@ class ThreeFacesLaw(Law):
 
 
 def completed(faces: ArrayLike, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Array:
-    """Return the faces, and for one that tells nothing what the light behind the other three puts on it.
+    """Return the faces; one that tells nothing is replaced by what the light that the other three show puts on it.
 
     Parameters
     ----------
     faces
-        Irradiances [W/m2], shape (..., 4). One tells nothing if it is NaN or, where all four have a reading, covered
+        Irradiances [W/m2], shape (..., 4). A face tells nothing if it is NaN or, where all four have a reading, covered
         or dead by what the others read (:func:`solar.laws.light.usable_faces`). Where more than one tells nothing all
         stay as they are.
     sun
@@ -38,7 +38,7 @@ def completed(faces: ArrayLike, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Arra
     """
     readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
     read = np.isfinite(readings)
-    # With one face missing already, the others are all there is.
+    # With one face missing the other three are all needed, and not judged.
     known = np.where(read.all(axis=-1, keepdims=True), usable_faces(readings, sun), read)
     alone = ~known & (known.sum(axis=-1, keepdims=True) == FACES_NEEDED)
     if not alone.any():

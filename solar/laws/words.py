@@ -3,7 +3,7 @@
 from solar.frames import Angles, normal_from_angles, separation_deg
 
 _POINTS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
-# The noise of the faces tilts the direction of an even sky by so much, which costs 0.4 % at most.
+# Noise of the faces tilts the direction of an even sky by up to this, which costs 0.4 % at most.
 _EVEN_WITHIN_DEG = 5.0
 
 
@@ -32,7 +32,7 @@ def towards_sun(azimuth_deg: float, elevation_deg: float) -> str:
 
 
 def out_of_shade_by(wanted: Angles, target: Angles, reason: str) -> str:
-    """Return the reason with how far the tracker is turned from what it wants, for the rows of trackers."""
+    """Return the reason, with how far the tracker is turned from the wanted pose to be out of the rows' shade."""
     turned_deg = float(separation_deg(normal_from_angles(*wanted), normal_from_angles(*target)))
     told = f"turned back by {turned_deg:.0f} deg so that no row shades another"
     return f"{reason}; {told}" if reason else told
