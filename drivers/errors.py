@@ -27,7 +27,7 @@ class DriverMissingError(ConnectError):
 
 
 class DriverHungError(ConnectError):
-    """Too many calls of the software under the driver have never returned; only a new process gets any further."""
+    """Too many calls of the software under the driver have never returned; only a new process can go on."""
 
 
 class IdentityError(ConnectError):
@@ -43,7 +43,7 @@ class DeadlineError(DeviceError):
 
 
 class UnreachedError(DeadlineError):
-    """A gateway, or a device that is busy, says that there is no answer to be had now."""
+    """A gateway, or a busy device, says that it cannot give an answer now."""
 
 
 class ProtocolError(DeviceError):

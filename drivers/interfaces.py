@@ -39,7 +39,7 @@ class Voltmeter(Protocol):
 
 
 FaceFlaw = Literal["over-range", "late", "missing"]
-"""Why a face was not read: beyond the range; no answer in time; an answer that is none."""
+"""Why a face was not read: it was beyond the range; no answer came in time; the answer was no reading."""
 
 
 class FaceSample(NamedTuple):
@@ -50,12 +50,12 @@ class FaceSample(NamedTuple):
     value
         In the unit of the reading; NaN where the face was not read.
     time_utc_s, time_monotonic_s
-        When it was measured, or had failed to be.
+        When the face was measured, or when that failed.
     flaw
         Why it was not read; None where it was.
     note
-        What the sensor has against itself, or why it gives nothing for longer: a sentence for people that names the
-        face; empty while all is well.
+        What the sensor reports to be wrong with itself, or why it has long given nothing: a sentence for people that
+        names the face; empty while all is well.
     """
 
     value: float
@@ -77,7 +77,7 @@ class CubeReading:
         ``V`` for what bare sensors give, to which dark offsets and gains of the settings apply; ``W/m2`` for sensors
         that apply their own.
     proven
-        False if a test of the way from sensor to number has failed; True if it has passed, or there is none.
+        False if a test of the signal path has failed; True if it has passed, or if there is no test.
     rounded
         The values come in steps, so that a steady light gives the same one again and again.
     """
@@ -97,7 +97,7 @@ class CubeReading:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the sensors have against themselves, without those that are well."""
+        """The notes of the faces that have one."""
         return tuple(face.note for face in self.faces if face.note)
 
 
@@ -161,7 +161,7 @@ class Telemetry:
     homing
         A reference run is on; the driver says so until it has judged how the run ended.
     aims_home
-        An axis has a destination that only a reference run gives it; where a make shows that before `homing`.
+        An axis has a destination that only a reference run gives it; for makes that show this before `homing`.
     reference_doubt
         Why the driver does not trust the count, such as a restart, a jump of the count, or a reference run that did not
         end where it should. Stays until reference runs of both axes have succeeded, or until `clear_faults`.
@@ -177,8 +177,8 @@ class Telemetry:
     a_motor_current_a, b_motor_current_a
         Motor currents; NaN where the positioner does not tell.
     details
-        What else the make tells of itself, for people alone: shown as it is, by name, and never decided by. A name is
-        lower-case words joined by underscores, with the unit at its end.
+        What else the positioner tells, for people only: shown as it is, by name, and never used for a decision. A name
+        is lower-case words joined by underscores, with the unit at its end.
     """
 
     time_monotonic_s: float
@@ -203,7 +203,7 @@ class Telemetry:
     details: Mapping[str, str | float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        """Make numbers of numpy those of Python: neither the store nor any message takes others."""
+        """Turn numpy's numbers into Python's: neither the store nor any message takes numpy's."""
         for name in self.__slots__:
             value = getattr(self, name)
             if hasattr(value, "item"):
@@ -212,7 +212,7 @@ class Telemetry:
             object.__setattr__(self, "details", {name: _of_python(value) for name, value in self.details.items()})
 
     def again(self, time_s: float) -> "Telemetry":
-        """Return the same look, made once more at this time [s]: its values have been gone through already."""
+        """Return the same look, made once more at this time [s]: its values need no second conversion."""
         later = object.__new__(Telemetry)
         for name in Telemetry.__slots__:
             object.__setattr__(later, name, getattr(self, name))
@@ -222,7 +222,7 @@ class Telemetry:
 
     @property
     def needs_homing(self) -> str:
-        """Why its angles are not to be moved by, faults among it, as the words of a sentence; empty where they are."""
+        """Why no move may rely on its angles, faults included, as words of a sentence; empty where one may."""
         restarted = "has restarted" if self.was_reset else ""
         return ", ".join(filter(None, (*self.faults, restarted, self.reference_doubt)))
 
@@ -244,7 +244,7 @@ class Positioner(Protocol):
         """Return the present state; `LinkLostError` when the positioner has gone silent."""
 
     async def disable_autonomy(self) -> None:
-        """Switch off what may move the axes of the positioner's own accord; `RefusedError` if it stays on."""
+        """Switch off what may move the axes without a command; `RefusedError` if it stays on."""
 
     async def move_to(self, a_deg: float, b_deg: float, *, first: AxisName = "a") -> None:
         """Start a move, axis `first` before the other, and return once the positioner has taken the target.
@@ -254,7 +254,7 @@ class Positioner(Protocol):
         """
 
     async def stop(self) -> None:
-        """Send stop once and at once, before anything that waits. One stop may be lost: only `halt` knows."""
+        """Send stop once and at once, before anything that waits. A single stop may be lost: only `halt` makes sure."""
 
     async def halt(self) -> None:
         """Send stop again and again until telemetry shows both axes standing; `StillMovingError` if they do not."""
@@ -265,17 +265,17 @@ class Positioner(Protocol):
     async def clear_faults(self, *, forgive: bool = True) -> Telemetry:
         """Clear latched faults and `was_reset`; return the last look before that, its status no older than the call.
 
-        What shows in that look is what was cleared; whatever came later was not seen by anybody. Without `forgive` the
-        doubts about the reference stay, as before a reference run: nobody has said that the count is right.
+        That look shows what was cleared; a fault that came later has been seen by nobody. Without `forgive` the doubts
+        about the reference stay, as before a reference run: nobody has said that the count is right.
         """
 
 
 @runtime_checkable
 class Repeating(Protocol):
-    """A positioner that can tell without asking anybody whether it still shows what it showed last."""
+    """A positioner that can tell, without an exchange, whether it still shows what it showed last."""
 
     def repeated_s(self, telemetry: Telemetry) -> float | None:
-        """Return the time of a look that would show again what this last one did; None where it has to be made."""
+        """Return the time at which a look would show what this last one did; None where a new look has to be made."""
 
 
 @runtime_checkable
@@ -283,10 +283,10 @@ class Recalling(Protocol):
     """A positioner that makes use of where its axes stood before the service was started anew."""
 
     def standing(self) -> tuple[float | None, float | None]:
-        """Return where A and B stand by all that is known, in the `position_unit`; None where nobody knows."""
+        """Return where A and B stand by all that is known, in the `position_unit`; None where that is unknown."""
 
     def recall(self, a: float | None, b: float | None, doubt: str) -> None:
-        """Take in, before the first `open`, what `standing` said at rest in the process before, and any doubt of then.
+        """Take in, before the first `open`, what `standing` said at rest in the previous process, and its doubt.
 
         The doubt is a sentence, or empty; it stands as `Telemetry.reference_doubt` from then on.
         """
@@ -313,7 +313,7 @@ class SweptCurve:
 
 
 SweepPlan = Callable[[float], Sequence[float]]
-"""Returns the voltages [V] to step through, highest first, for an open-circuit voltage [V]; none of them: no sweep."""
+"""Returns the voltages [V] to step through, highest first, for an open-circuit voltage [V]; none for no sweep."""
 
 
 class ElectronicLoad(Protocol):

@@ -1,8 +1,8 @@
 """Questions and answers in SCPI over a line, in turn and proven to belong together.
 
-A query that an instrument does not understand is answered by silence, and a reply that comes too late would be taken
-for the answer to the next question. So whatever does not answer as it should leaves a doubt, and nothing that it says
-is believed before it has given back a number that was never sent before.
+An instrument answers a query that it does not understand by silence, and a reply that comes too late would be taken for
+the answer to the next question. So an instrument that does not answer as it should is in doubt, and nothing that it
+says is believed before it has given back a number that was never sent before.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ POWER_ON = 128
 ERRORS = 4 | 8 | 16 | 32
 """Event bits of commands that were not carried out."""
 
-# No register has more digits, and Python turns no text of thousands of them into a number.
+# No register has more digits, and Python refuses to make a number of thousands of them.
 _WHOLE = re.compile(r"\+?[0-9]{1,10}")
 _NO_ERROR = re.compile(r"[+-]?0+,")
 _QUIET_S = 0.1
@@ -67,7 +67,7 @@ class ScpiSession:
     Attributes
     ----------
     in_doubt
-        Whether it is open to which question the next answer belongs.
+        Whether it is unclear to which question the next answer belongs.
     """
 
     def __init__(self, line: ScpiLine, device: str, deadline_s: float) -> None:
@@ -85,7 +85,7 @@ class ScpiSession:
         self.in_doubt = False
 
     async def write(self, command: str) -> None:
-        """Send what is not answered."""
+        """Send a command that is not answered."""
         await self._line.send(command)
 
     async def ask(self, query: str) -> str:
@@ -96,7 +96,7 @@ class ScpiSession:
             raise DeadlineError(self._device, f"did not answer {query} within {self._deadline_s:g} s") from None
 
     async def quieten(self) -> None:
-        """Make the instrument drop what it still had to say, and throw away what of it is under way."""
+        """Make the instrument drop what it still had to say, and throw away what is under way already."""
         await self._line.interrupt()
         await self._line.drain(_QUIET_S)
 
@@ -112,17 +112,17 @@ class ScpiSession:
         raise ProtocolError(self._device, f"keeps answering {answer[:80]!r} to *ESE?")
 
     async def events(self) -> int:
-        """Return the standard event register, which that clears; `ProtocolError` if the answer is no number."""
+        """Return the standard event register, which reading clears; `ProtocolError` if the answer is no number."""
         return self.whole("*ESR?", await self.ask("*ESR?"))
 
     def whole(self, query: str, answer: str) -> int:
-        """Return the whole number that a question was answered by; `ProtocolError` if it is none of ten digits."""
+        """Return the whole number that answers a question; `ProtocolError` if it has not one to ten digits."""
         if not _WHOLE.fullmatch(answer):
             raise ProtocolError(self._device, f"answers {answer[:80]!r} to {query}")
         return int(answer)
 
     async def command(self, command: str) -> None:
-        """Send a command and look whether the error queue has anything against it; `ProtocolError` if so."""
+        """Send a command and read the error queue; `ProtocolError` if that holds an error."""
         await self._line.send(command)
         error = await self.ask(":SYST:ERR?")
         if not _NO_ERROR.match(error):
@@ -131,7 +131,7 @@ class ScpiSession:
 
 @contextlib.contextmanager
 def opening(device: str, settings: str) -> Iterator[None]:
-    """Turn silence while an instrument is opened into a `ConnectError` with what to look at.
+    """Turn silence while an instrument is opened into a `ConnectError` that says what to check.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """A meter that speaks SCPI: configured when it is opened, and put right again after a doubtful exchange.
 
-Its front panel stays usable, so its settings are read back after every doubt, and one of them now and then.
+Its front panel stays usable, so its settings are read back after every doubt, and one of them now and then without one.
 """
 
 import re
@@ -56,13 +56,13 @@ class MeterSession(ScpiSession):
         return self._identity
 
     async def look(self) -> None:
-        """Read one setting back, another one each time: a filter of the front panel mixes the faces unnoticed."""
+        """Read one setting back, another one each time: a filter set at the front panel mixes the faces unnoticed."""
         self._looks += 1
         if why := await self._differs(*self._proofs[self._looks % len(self._proofs)]):
             raise LinkLostError(self._device, why)
 
     async def make_sure(self) -> None:
-        """Return when the next answer belongs to the next question: a meter may say more than it was asked for."""
+        """Make sure that the next answer belongs to the next question: a meter may have said more than it was asked."""
         if self.in_doubt or await self._line.has_unasked():
             self.in_doubt = True
             await self.resynchronise()

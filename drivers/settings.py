@@ -48,7 +48,7 @@ def text_of(form: str) -> WithJsonSchema:
 
 
 def with_defaults(section: type[BaseModel], value: Any, info: ValidationInfo) -> Any:
-    """Give an inner table of which the file names some keys the outer table's defaults for the others."""
+    """Complete an inner table, of which the file names only some keys, by the outer table's defaults."""
     if not isinstance(value, dict) or info.field_name is None:
         return value
     return {**section.model_fields[info.field_name].default.model_dump(), **value}
@@ -70,12 +70,12 @@ def stable_visa(text: str) -> str:
 
 
 def held_way(resource: str | None, prologix_port: str | None) -> dict[str, str | None]:
-    """Return what an instrument behind VISA holds: its adapter's port, or the VISA name, which counts from there on."""
+    """Return what an instrument behind VISA holds: the port of its adapter, or its VISA name if it has no adapter."""
     return {"resource": resource} if prologix_port is None else {"prologix_port": prologix_port}
 
 
 def way_of(name: str) -> str:
-    """Return what a port, a server or a VISA name leads to: the port itself for a serial line as VISA names it."""
+    """Return where a port, a server or a VISA name leads: for VISA's name of a serial line, its port."""
     found = _VISA_RESOURCE.fullmatch(name)
     if found is None:
         return name
@@ -108,7 +108,7 @@ def _range(value: float) -> float:
 
 Positive = Annotated[float, Field(gt=0)]
 METER_RANGES_V = (0.1, 1.0, 10.0)
-"""The ranges for DC voltages of sensors, of every meter here."""
+"""The ranges of every meter here for the DC voltages of sensors."""
 MeterRange = Annotated[float, AfterValidator(_range), WithJsonSchema({"type": "number", "enum": list(METER_RANGES_V)})]
 PortPath = Annotated[str, AfterValidator(stable_port), text_of("port")]
 HostAndPort = Annotated[str, AfterValidator(_server), text_of("server")]
@@ -142,7 +142,7 @@ class AngleRange(Protocol):
 
 
 class SettingsConflict(NamedTuple):
-    """A key that does not go with others: its name and theirs, from the driver's section on, and what is wrong.
+    """A key that conflicts with others: its name and theirs, relative to the driver's section, and what is wrong.
 
     Keys of other sections begin with a slash: ``/limits.a_min_deg``.
     """
@@ -307,7 +307,7 @@ class PositionerSurroundings:
     Attributes
     ----------
     limits
-        That it must hold its moves to, whatever it is asked for.
+        Limits that the driver keeps its moves within, whatever it is asked for.
     monotonic
         The service's monotonic time [s].
     tap

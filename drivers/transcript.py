@@ -16,7 +16,7 @@ Tap = Callable[[Direction, bytes], object]
 
 
 def no_tap(_direction: Direction, _data: bytes) -> None:
-    """Take no notice."""
+    """Do nothing."""
 
 
 class Piece(NamedTuple):

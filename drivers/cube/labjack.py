@@ -3,7 +3,7 @@
 Registers by LabJack's own list (ljm_constants): AINn float at 2n, its range at 40000 + 2n, its negative channel at
 41000 + n, its resolution index at 41500 + n, its settling time at 42000 + 2n; TEST 55100, PRODUCT_ID 60000,
 SERIAL_NUMBER 60028. The ranges of each type are from there too; a T8 ignores negative channel and settling time.
-Inferred: a reading at the end of the range or beyond is none, the error value -9999 among them.
+Inferred: a value at the end of the range or beyond is no reading, as is the error value -9999.
 """
 
 import math
@@ -89,7 +89,7 @@ SETTINGS = LabjackSettings
 
 
 class _Setting(NamedTuple):
-    """What an input is set to: for people, where, and as registers."""
+    """One setting of an input: its name for people, its register, and the words there."""
 
     name: str
     register: int

@@ -45,7 +45,7 @@ class MultiplexedCube:
 
     async def open(self) -> str:
         """Connect both; return who they are."""
-        # The meter first: a second service fails at its port before it can touch the switch of the first.
+        # The meter first: a second service fails at the meter's port before it can touch the first one's multiplexer.
         meter = await self._voltmeter.open()
         switch = await self._multiplexer.open()
         return f"multiplexer {switch}; voltmeter {meter}"
@@ -59,7 +59,7 @@ class MultiplexedCube:
         """Read the four faces once, in 4 x (settle + conversion) and as much for each self-test."""
         proven = await self._self_test()
         east, south, west, zenith = [await self._sample(channel) for channel in self._wiring.channels]
-        # A switch that was lost before the last reading has gone to another input: it must still take its address.
+        # A multiplexer lost before the last reading was at another input then: see that it still takes an address.
         await self._multiplexer.select(self._wiring.channels[-1])
         return CubeReading(east=east, south=south, west=west, zenith=zenith, unit="V", proven=proven)
 

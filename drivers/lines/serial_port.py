@@ -1,8 +1,8 @@
 """An instrument's USB serial port: raw before anything is read from it, held by one program, closed to other commands.
 
 A tty of Linux starts out with echo: what the instrument sends comes back to it, and a positioner may take its own
-telemetry for commands. So the first thing that is done with the port is to switch echo off and to throw away what was
-waiting, and whether it stays off is looked at from time to time.
+telemetry for commands. So before anything else echo is switched off, and what was waiting is thrown away; whether
+echo stays off is checked from time to time.
 """
 
 import errno
@@ -22,7 +22,7 @@ SerialForm = Literal["8N1", "8E1", "8O1", "8N2"]
 
 _READ_S = 0.2
 _WRITE_S = 0.9
-# A write that waits for room looks as often whether the port has been closed meanwhile.
+# How often a write that waits for room checks whether the port has been closed.
 _LOOK_EVERY_S = 0.05
 _LARGEST_READ = 4096
 
@@ -41,7 +41,7 @@ class SerialPort:
     tap
         Told what is sent and received.
     baud_rate, form
-        Speed; data bits, parity and stop bits. A USB device that is its own port goes by neither.
+        Speed; data bits, parity and stop bits. A USB device that is its own port uses neither.
     read_s
         How long a read waits for something to come.
     dtr, rts
@@ -103,7 +103,7 @@ class SerialPort:
         return data
 
     def _at_hand(self) -> bytes:
-        """Return what has come already; pyserial's own way takes five calls, which shows where a unit never pauses."""
+        """Return what has come already; pyserial takes five calls for that, a load if a unit never pauses."""
         if os.name != "posix":
             data: bytes = self._port.read(min(self._port.in_waiting, _LARGEST_READ))
             return data
@@ -113,7 +113,7 @@ class SerialPort:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Send one command; no longer than a second. `ValueError` for bytes that are none that may be sent."""
+        """Send one command, within a second; `ValueError` for bytes that may not be sent."""
         self._require_allowed(data)
         try:
             self._put(data)
@@ -122,7 +122,7 @@ class SerialPort:
         self._tap(">", data)
 
     def _put(self, data: bytes) -> None:
-        """Write it all; pyserial's own way calls what is written a timeout if the process then had no processor."""
+        """Write all; pyserial reports a timeout for what was written if the process then got no processor time."""
         if os.name != "posix":
             self._port.write(data)
             return
@@ -183,11 +183,11 @@ def cannot_open(device: str, path: str, error: BaseException) -> ConnectError:
 
 
 LONGEST_DRAIN_S = 3.0
-"""For how long what comes unasked is thrown away, until it is called endless."""
+"""How long data that nobody asked for is thrown away, until it counts as endless."""
 
 
 def keeps_sending(device: str) -> ConnectError:
-    """Return the error for what sends on and on although nobody has asked it."""
+    """Return the error for a device that sends on and on although nobody has asked it."""
     return ConnectError(device, "what is there keeps sending unasked: is it this instrument, and the speed right?")
 
 
@@ -204,7 +204,7 @@ def open_raw(device: str, path: str) -> int | None:
     except OSError as error:
         raise cannot_open(device, path, error) from error
     try:
-        # Whoever holds the port has set it as needed: hands off.
+        # Another program that holds the port has set it up as it needs: do not touch it.
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         tty.setraw(descriptor, termios.TCSANOW)
         termios.tcflush(descriptor, termios.TCIOFLUSH)
@@ -226,7 +226,7 @@ def _holder(path: str) -> str:
             try:
                 if str(link.readlink()) != wanted or link.parts[2] == str(os.getpid()):
                     continue
-                # A container's terminals have the names of this machine's.
+                # A container's terminals may have the same names as this machine's.
                 if not link.samefile(wanted):
                     continue
                 name = (link.parents[1] / "comm").read_text(encoding="utf-8", errors="replace").strip()

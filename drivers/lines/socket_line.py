@@ -100,7 +100,7 @@ class SocketLine:
         """Do nothing: a raw socket has no device clear."""
 
     async def drain(self, quiet_s: float) -> None:
-        """Throw away what comes until nothing has come for a time; `ConnectError` for what goes on and on."""
+        """Throw away what comes until nothing has come for a time; `ConnectError` if it never ends."""
         reader = self._reader
         if reader is None:
             raise LinkLostError(self._device, "has to be opened first")

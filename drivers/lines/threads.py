@@ -58,7 +58,7 @@ class DeviceThread:
         Raises
         ------
         LinkLostError
-            It did not return in time. Whatever session it belongs to must not be used again.
+            The call did not return in time. The session that it belongs to must not be used again.
         DriverHungError
             Too many calls have never returned.
         ConnectError
@@ -73,7 +73,7 @@ class DeviceThread:
                 result: T = await asyncio.wrap_future(job.future)
         except BaseException:
             late = job.give_up()
-            # A loop that was held up meets the deadline and what came before it in the same instant.
+            # An event loop that was held up finds the deadline past although the result came in time: return that.
             if limit.expired() and job.future.done() and not job.future.cancelled():
                 came: T = job.future.result()
                 return came
@@ -157,7 +157,7 @@ class _Worker:
     def __init__(self, name: str) -> None:
         self.jobs: SimpleQueue[_Job | None] = SimpleQueue()
         self.ended: Future[None] = Future()
-        # Whoever gives up waiting for the end must not cancel it.
+        # A caller that gives up waiting for the end must not cancel it.
         self.ended.set_running_or_notify_cancel()
         # A daemon, so that a call that never returns does not keep the process from ending.
         threading.Thread(target=self._run, name=name, daemon=True).start()

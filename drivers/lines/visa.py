@@ -23,11 +23,11 @@ _CONTROL_C = b"\x03"
 _LONGEST_LINE = 256
 _BITS_PER_BYTE = 10
 _LONGEST_OF_ADAPTER_S = 3.0
-# PyVISA hands out its one manager to a second thread while the first still makes it, and drops it once nobody has it.
+# PyVISA hands out its one manager to a second thread while the first still makes it, and drops it when it is unused.
 _making_manager = threading.Lock()
 _managers: dict[str, Any] = {}
-# PyVISA-py knows an adapter by the number of its bus alone, and the last one that was opened takes its instruments. So
-# each has a number of its own, beyond those of linux-gpib, whatever the instrument's name says.
+# PyVISA-py knows an adapter by its bus number alone: of several with one number the last to be opened takes all the
+# instruments. So each gets a number of its own, beyond those of linux-gpib, whatever the instrument's name says.
 _adapter_buses = itertools.count(100)
 
 
@@ -74,7 +74,7 @@ class VisaLine:
     """
 
     def __init__(self, settings: VisaSettings, tap: Tap = no_tap) -> None:
-        import pyvisa  # noqa: PLC0415 - loaded by whoever has such an instrument, a quarter of a second
+        import pyvisa  # noqa: PLC0415 - takes a quarter of a second: loaded only for such an instrument
 
         self._pyvisa = pyvisa
         self._settings = settings
@@ -115,7 +115,7 @@ class VisaLine:
             self._resource.clear()
 
     def drain(self, quiet_s: float) -> None:
-        """Read until nothing has come for `quiet_s`; `ConnectError` for what goes on and on."""
+        """Read until nothing has come for `quiet_s`; `ConnectError` if it never ends."""
         until_s = time.monotonic() + LONGEST_DRAIN_S + self.transfer_s
         with contextlib.suppress(DeadlineError):
             while time.monotonic() < until_s:
@@ -144,7 +144,7 @@ class VisaLine:
                 with contextlib.suppress(*self._gone, ValueError, AttributeError):
                     session = part.session
                     part.close()
-                    # PyVISA-py keeps what is closed; a meter that is off for months is opened again and again.
+                    # PyVISA-py keeps closed sessions: they would pile up, as a meter that is off is tried for months.
                     getattr(self._manager.visalib, "sessions", {}).pop(session, None)
         self._resource = self._adapter = self._manager = None
 
@@ -157,7 +157,7 @@ class VisaLine:
         except (OSError, ValueError) as error:
             message = f"NI-VISA is not installed on this PC; install it, or set {settings.section}.visa to py"
             raise DriverMissingError(settings.device, message) from error
-        # PyVISA-py sets a port before it is held, also one that another program has set otherwise and reads from.
+        # PyVISA-py sets a port up before it holds it, even one that another program has set otherwise and reads.
         first = open_raw(settings.device, self._port) if self._port.startswith("/") else None
         try:
             self._open_sessions()

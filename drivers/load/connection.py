@@ -30,7 +30,7 @@ class VisaLoadSettings(LoadSettings):
     )
 
     def exclusive(self) -> dict[str, str | None]:
-        """Return the port of the adapter that it is behind, or else the VISA name, which counts from the adapter on."""
+        """Return the port of the adapter that the load is behind, or its VISA name if it has no adapter."""
         return held_way(self.resource, self.prologix_port)
 
 

@@ -27,13 +27,13 @@ class Dialect:
     select
         Chooses the channel, before anything that belongs to one; empty where there is only one.
     select_proof
-        What is asked then, and what the answer begins with.
+        The question that proves the choice, and its answer.
     identify_channel
         Asks for the module's identity; empty where there is only one.
     on, off, is_on
         Switch the input; ask whether it is on.
     mode, mode_proof
-        Set constant voltage; what is asked then, and the answer, in upper case.
+        Set constant voltage; the question that proves it, and its answer in upper case.
     settings
         Made once per sweep, with the input off.
     level
@@ -89,7 +89,7 @@ class Measured(NamedTuple):
 class LoadSession(ScpiSession):
     """One connection to the load.
 
-    A session that is in doubt must not be used again but to close it.
+    A session that is in doubt must not be used again, except to close it.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class LoadSession(ScpiSession):
             return identity + await self._configure()
 
     async def prepare(self) -> tuple[float, str]:
-        """Put the load where a sweep begins; return the open-circuit voltage and what keeps protections latched."""
+        """Put the load where a sweep begins; return the open-circuit voltage and the protections still latched."""
         with self.doubting():
             dialect = self._dialect
             await self._select()
@@ -164,7 +164,7 @@ class LoadSession(ScpiSession):
                 )
 
     async def close(self) -> None:
-        """Switch the input of a load that is known to be one off, whatever it answers, and release the line."""
+        """Switch the input off, whatever the load answers, unless it was never identified; release the line."""
         if self._known:
             with contextlib.suppress(DeviceError):
                 if self.in_doubt:

@@ -1,8 +1,8 @@
 """An electronic load that traces the curve of a photovoltaic module: the sweep, for every make.
 
 The load holds one voltage after another, and the module is in open circuit in between. Whatever ends a sweep, the input
-is switched off and the load is asked whether it is; where it does not answer it is told to, unheard, and the next
-`open` switches the input off before anything else is set. A make is a `drivers.load.session.Dialect`.
+is switched off and the load is asked whether it is off. A load that does not answer is sent the command all the same,
+and the next `open` switches the input off before anything else is set. A make is a `drivers.load.session.Dialect`.
 """
 
 import asyncio
@@ -67,7 +67,7 @@ class ScpiLoad:
     async def close(self) -> None:
         """Switch the input off if the load still listens, and release the line."""
         session, self._session = self._session, None
-        # Whoever gives up waiting for this must not leave the module under load.
+        # A caller that is cancelled meanwhile must not leave the module under load.
         await (self._line.close() if session is None else asyncio.shield(session.close()))
 
     async def sweep(self, plan: SweepPlan, stop_why: Callable[[], str | None]) -> SweptCurve:

@@ -14,7 +14,7 @@ from drivers.scpi import ScpiLine
 from drivers.scpi_meter import MeterSession, Proof, ScpiMeter
 
 _DEVICE = "voltmeter"
-# Always with its exponent: settings and registers are answered by numbers too.
+# The exponent, which every reading has, is required: answers about settings and registers are numbers too.
 _READING = re.compile(r"([+-]?\d+(?:\.\d+)?E[+-]?\d{2,})(?:VDC)?", re.ASCII)
 # The meter measures to 120 % of its range, and answers 9.9E37 beyond.
 _BEYOND_RANGE = 1.21

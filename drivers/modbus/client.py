@@ -8,7 +8,7 @@ from drivers.errors import RefusedError, UnreachedError
 from drivers.modbus.paths import ModbusPath
 from drivers.modbus.pdu import READ_INPUT, ModbusRequest, exception_text, read_registers, registers_of
 
-# A device or its gateway that has no time now, and a gateway's device that is not there: silence, in another form.
+# The device or its gateway is busy, or the gateway does not reach the device: that counts as silence.
 _NOT_NOW = (5, 6, 10, 11)
 
 
@@ -22,7 +22,7 @@ class ModbusBus:
     device
         Role of what is on it, for errors.
     gap_s
-        Silence between a reply and the next question; there are devices that miss one that comes sooner.
+        Silence between a reply and the next question; some devices miss a question that comes sooner.
     monotonic_s
         The service's monotonic time.
     writes
@@ -49,7 +49,7 @@ class ModbusBus:
     async def open(self, within_s: float = 15.0) -> None:
         """Connect; raises `ConnectError`."""
         await self._path.open(within_s)
-        # Whoever had the line before may have got a reply just now.
+        # A program that had the line before may have got a reply just now.
         self._quiet_since_s = self._now()
 
     async def close(self) -> None:
@@ -62,7 +62,7 @@ class ModbusBus:
         Raises
         ------
         DeadlineError
-            None came in time; `UnreachedError` where device or gateway said so.
+            No reply came in time; `UnreachedError` where the device or its gateway said so.
         RefusedError
             The device answers that it cannot do that.
         LinkLostError

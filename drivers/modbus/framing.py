@@ -1,7 +1,7 @@
 """Frames around Modbus: RTU with its checksum on serial lines, TCP with its transaction numbers; for both ends.
 
-Nothing here reads or writes: bytes are handed in and out. A client's framing has one question open at a time and takes
-nothing but the reply that belongs to it: whatever comes beside it, late replies above all, is thrown away.
+Nothing here reads or writes: bytes are handed in and out. A client's framing has one question open at a time and
+takes only the reply that belongs to it: all else that comes, above all late replies, is thrown away.
 """
 
 import struct
@@ -39,7 +39,7 @@ def crc16(data: bytes) -> bytes:
 
 
 class BrokenStreamError(Exception):
-    """What comes over TCP are no frames of Modbus: the connection has to be made anew."""
+    """What comes over TCP is not Modbus: the connection has to be made anew."""
 
 
 class ClientFraming(Protocol):
@@ -51,7 +51,7 @@ class ClientFraming(Protocol):
     def feed(self, data: bytes) -> bytes | None:
         """Take in what has come; return the reply's function and data once it is complete.
 
-        Raises `BrokenStreamError` where what comes can never be followed again.
+        Raises `BrokenStreamError` if the frames can never be found again in what comes.
         """
 
 
@@ -139,7 +139,7 @@ class ServerFraming(Protocol):
 
 
 class RtuServer:
-    """RTU: what has a wrong checksum is no question, and nobody answers it."""
+    """RTU: a frame with a wrong checksum is no question, and is not answered."""
 
     def __init__(self) -> None:
         self._buffer = b""
@@ -205,10 +205,10 @@ def _tcp_taken(buffer: bytes) -> tuple[int, ModbusRequest, bytes] | None:
 
 
 def _request_length(buffer: bytes) -> int | None:
-    """Return how long the frame of RTU at the beginning is if it is a question; None while that cannot be told."""
+    """Return the length of the RTU frame at the beginning, taken as a question; None while that cannot be told."""
     if len(buffer) < _SHORTEST_RTU:
         return None
     if buffer[1] in (WRITE_COILS, WRITE_REGISTERS):
         return 9 + buffer[6] if len(buffer) > 6 else None
-    # A function whose length is not known here can only be one without data, and is refused.
+    # A function whose length is not known here is taken to have no data, and is refused.
     return 8 if READ_COILS <= buffer[1] <= WRITE_REGISTER else _SHORTEST_RTU

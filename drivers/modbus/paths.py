@@ -24,7 +24,7 @@ from drivers.transcript import Tap, no_tap
 _NETWORK = re.compile(r"(?P<kind>tcp|rtu-over-tcp):(?P<host>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:]+\]):(?P<port>\d{1,5})")
 _OPEN_S = 15.0
 _CLOSE_S = 1.0
-# By so much a deadline is missed at most.
+# A deadline is missed by this much at most.
 _READ_S = 0.01
 # A call that has not returned so long after its own deadline never will.
 _HUNG_S = 2.0
@@ -140,7 +140,7 @@ class SerialPath:
 
 
 def _anything(_data: bytes) -> None:
-    """Let every frame pass: which functions may be sent is `drivers.modbus.client.ModbusBus`'s to say."""
+    """Let every frame pass: `drivers.modbus.client.ModbusBus` decides which functions may be sent."""
 
 
 class TcpPath:
@@ -175,7 +175,7 @@ class TcpPath:
         except TimeoutError:
             raise ConnectError(self._device, f"{name} does not answer within {within_s:g} s; is it on?") from None
         except OSError as error:
-            # What asyncio makes of it names the address again, and not the reason.
+            # asyncio's own text names the address again, and not the reason.
             code = error.errno or 0
             reason = os.strerror(code) if code > 0 else error.strerror or str(error)
             raise ConnectError(self._device, f"{name} takes no connection ({reason}); is it on?") from error

@@ -82,7 +82,7 @@ def reply_length(request: bytes) -> int:
 
 
 def belongs(request: bytes, reply: bytes) -> bool:
-    """Tell whether a reply can be the one to a request: its function, its length, or what it echoes."""
+    """Tell whether a reply can belong to a request, by its function, its length, or what it echoes."""
     if len(reply) == 2 and reply[0] == request[0] | FAILED:
         return True
     if not reply or reply[0] != request[0] or len(reply) != reply_length(request):
@@ -110,7 +110,7 @@ def words_of(kind: NumberType) -> int:
 
 
 def number(words: Sequence[int], kind: NumberType, order: WordOrder = "high-first") -> float:
-    """Return the number in registers; NaN for what a float says instead of one.
+    """Return the number in registers; NaN for a float that is infinite or none.
 
     Parameters
     ----------

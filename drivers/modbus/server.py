@@ -1,4 +1,4 @@
-"""The answering end of Modbus over a table of registers: which questions are right, and what is said to the others."""
+"""The answering end of Modbus over a table of registers: it answers the right questions and refuses the others."""
 
 import struct
 from typing import Protocol
@@ -68,7 +68,7 @@ class NoBits:
 
 
 def answer(table: RegisterTable, pdu: bytes) -> bytes | None:
-    """Return the reply to a question; None where there is none."""
+    """Return the reply to a question; None where it is not answered."""
     try:
         return _answer(table, pdu)
     except RefusedRequestError as refused:

@@ -50,7 +50,7 @@ class NiPort:
         session, self._session = self._session, None
         await self._thread.finish(None if session is None else session.close, _CLOSE_S)
         if session is not None:
-            # What waits for a server that has gone silent comes back now.
+            # This ends a call that still waits for a server that has gone silent.
             session.interrupt()
 
     async def write(self, value: int) -> None:
@@ -77,7 +77,7 @@ class _Session:
         self._deadline_s = deadline_s
         self._task: Any = None
         self._channel: Any = None
-        # NI's package takes a fifth of a second to load and is needed by nobody else.
+        # NI's package takes a fifth of a second to load and is needed nowhere else.
         import nidaqmx  # noqa: PLC0415
         from nidaqmx.constants import LineGrouping  # noqa: PLC0415
         from nidaqmx.stream_writers import DigitalSingleChannelWriter  # noqa: PLC0415
@@ -103,7 +103,7 @@ class _Session:
             with self._translated():
                 self._write(value, timeout=self._deadline_s)
         except ValueError as error:
-            # What gRPC says of a channel that has been closed under a call.
+            # gRPC raises this for a channel that was closed during a call.
             raise DaqError(None, str(error)) from error
 
     def interrupt(self) -> None:
@@ -123,7 +123,7 @@ class _Session:
     def _new_task(self, port: str) -> Any:
         if self._server is None:
             return self._nidaqmx.Task()
-        # gRPC's own library writes to stderr what is told here as an error anyway; it looks only when it is loaded.
+        # gRPC writes to stderr what is raised here as an error anyway; it reads this variable only when it is loaded.
         os.environ.setdefault("GRPC_VERBOSITY", "ERROR")
         import grpc  # noqa: PLC0415 - only where a server is used
 
@@ -140,7 +140,7 @@ class _Session:
             self._nidaqmx.Task(name, grpc_options=options).close()
             return self._nidaqmx.Task(name, grpc_options=options)
         except self._nidaqmx.errors.DaqError:
-            # Its device was unplugged under it, and it cannot even be asked for its name: leave it, it holds nothing.
+            # The old session's device was unplugged: it cannot even be asked for its name. Leave it, it holds nothing.
             return self._nidaqmx.Task(grpc_options=self._nidaqmx.GrpcSessionOptions(self._channel, ""))
 
     def _product(self, port: str) -> str:
@@ -165,6 +165,6 @@ class _Session:
             )
             raise DriverMissingError(_DEVICE, message) from error
         except errors.Error as error:
-            # NI says it in many lines.
+            # NI's text has many lines.
             first = (str(error).strip().splitlines() or ["no reason given"])[0]
             raise DaqError(getattr(error, "error_code", None), first) from error

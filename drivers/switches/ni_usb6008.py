@@ -1,7 +1,7 @@
 """The multiplexer on digital lines of an NI USB-6008.
 
-After power-up, a reset and a loss of USB the lines of a USB-6008 are inputs that read high, so the switch is on its
-last input until the first write. Every failed write therefore counts as a lost link. Inferred and not measured on a
+After power-up, a reset and a loss of USB the lines of a USB-6008 are inputs that read high, so the multiplexer is at
+its last input until the first write. Every failed write therefore counts as a lost link. Inferred and not measured on a
 rig: which error a USB-6008 raises when it is unplugged, and that one write of all lines changes them together.
 """
 
@@ -26,7 +26,7 @@ class NiMultiplexer:
     addresses
         Value on the lines that selects input 0, 1, 2 and so on.
     enable_line, enable_level
-        Line that switches the multiplexer on at this level; None if its enable is wired fast.
+        Line that switches the multiplexer on at this level; None if its enable input is wired to be on.
     tap
         Told each value that is written.
     """

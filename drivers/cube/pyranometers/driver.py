@@ -1,4 +1,4 @@
-"""The cube of four pyranometers: lines at the same time, the sensors of one in turn, each with its instant."""
+"""The cube of four pyranometers: lines are read at the same time, the sensors of one in turn, each with its time."""
 
 import asyncio
 from collections.abc import Callable, Sequence
@@ -25,7 +25,7 @@ class SensorLine:
     bus
         The line.
     sensors
-        Their faces, 0 to 3, and they themselves.
+        Pairs of a face, 0 to 3, and its sensor.
     within_s
         Longest wait for the line to open anew during a scan.
     monotonic_s
@@ -53,7 +53,7 @@ class SensorLine:
             sensor.twins = tuple(other for _, other in sensors if other is not sensor and other.unit == sensor.unit)
 
     async def open(self, within_s: float = 15.0) -> None:
-        """Connect; what does not work is in `why_not`."""
+        """Connect; `why_not` says what has failed."""
         for _, sensor in self.sensors:
             sensor.begin()
         try:
@@ -69,7 +69,7 @@ class SensorLine:
         await self._bus.close()
 
     async def read(self) -> list[tuple[int, FaceSample]]:
-        """Read every sensor once; one of them, another one each time, has its serial number compared as well."""
+        """Read every sensor once, and compare the serial number of one of them, another one each time."""
         if not self.is_open and self._now() >= self._open_again_s:
             await self.open(self._within_s)
         self._turn = (self._turn + 1) % len(self.sensors)
@@ -96,8 +96,8 @@ class PyranometerCube:
     """The cube, in W/m2.
 
     A sensor that is silent, wrong or in a bad mode flaws its own face and costs the others at most its time-out; so
-    does a line of several that is gone. With nobody left who answers, the cube is gone; if a line's driver hangs for
-    good, only a new process gets any further.
+    does one of several lines that is gone. With no sensor left that answers, the cube is gone. If a line's driver hangs
+    for good, only a new process can go on.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ class PyranometerCube:
     async def read(self) -> CubeReading:
         """Read the four sensors."""
         east, south, west, zenith = await self._read()
-        # Digits end at 0.01 to 1 W/m2, where a steady light stands still.
+        # Values come in steps of 0.01 to 1 W/m2: in a steady light they stay the same.
         return CubeReading(east=east, south=south, west=west, zenith=zenith, unit="W/m2", rounded=True)
 
     async def _read(self) -> list[FaceSample]:

@@ -1,4 +1,4 @@
-"""What each make says in its registers, and what of it is to be believed.
+"""What each make says in its registers, and which of it can be believed.
 
 Sources: Kipp & Zonen "SMP series" manual, appendix A; Hukseflux "SR05-D1A3-PV manual v1801"; Apogee SP-522 manual; EKO
 MS-60S manual (its number type is inferred); Delta OHM LPPYRA13 manual. Registers count from 0.
@@ -33,7 +33,7 @@ class Told(NamedTuple):
     flaw
         Why there is none.
     note
-        What the sensor has against itself, for people.
+        What the sensor reports to be wrong with itself, for people.
     """
 
     w_m2: float
@@ -53,19 +53,19 @@ class Make(Protocol):
 
     @property
     def data(self) -> Block:
-        """What is read at every scan, in one question: value, scale and flags are of one moment."""
+        """The block read at every scan, in one question, so that value, scale and flags are of one moment."""
 
     @property
     def proof(self) -> Block | None:
-        """What is asked of a sensor that has been silent; None where no such question is known.
+        """The block asked of a sensor that has been silent; None where no such question is known.
 
-        Its reply has another length than that to `data`, so a late one does not pass for it. The serial number is in
-        it where there is one.
+        Its reply has another length than that to `data`, so that a late reply to one is not taken for the other. It
+        has the serial number where there is one.
         """
 
     @property
     def more(self) -> tuple[Block, ...]:
-        """What else `identify` wants to see."""
+        """Further blocks that `identify` needs."""
 
     def identify(self, proof: Words, *more: Words) -> WhoAmI:
         """Return who it is; `WrongSensorError` if it is something else."""
@@ -106,7 +106,7 @@ _SMP_FACTORS = {2: 0.01, 1: 0.1, 0: 1.0, -1: 10.0}
 
 
 class Smp:
-    """Kipp & Zonen SMP3 to SMP22. Register 7 restarts its deviation when it is read, so it is left alone."""
+    """Kipp & Zonen SMP3 to SMP22. Reading register 7 restarts the sensor's deviation, so it is never read."""
 
     data = Block(READ_INPUT, 0, 7)
     proof: Block | None = Block(READ_INPUT, 41, 5)
@@ -148,7 +148,7 @@ class Smp:
 
 
 class Hukseflux:
-    """Hukseflux SR05-D, SR15-D, SR20-D, SR30: at most five registers a question, more is not answered at all.
+    """Hukseflux SR05-D, SR15-D, SR20-D, SR30: a question for more than five registers is not answered at all.
 
     Parameters
     ----------
@@ -186,14 +186,14 @@ class Hukseflux:
 
 @dataclass(frozen=True)
 class PlainRegisters:
-    """A number at one place, with a status beside it or not: makes whose value is just there, and maps of the file.
+    """One number, with a status or without: for makes that have nothing else, and for maps of the configuration.
 
     Attributes
     ----------
     name
         Of the make.
     data, proof
-        What is read.
+        The blocks that are read.
     used
         How the number is written, its factor to W/m2, and the bits of the status that spoil it.
     value_at, status_at

@@ -8,11 +8,11 @@ from drivers.errors import DeadlineError, RefusedError, UnreachedError
 from drivers.interfaces import FaceFlaw, FaceSample
 from drivers.modbus.client import ModbusBus
 
-# A reply that is lost now and then is asked for again at the next scan; a sensor that stays silent, ever more rarely.
+# After a lost reply the next scan asks again; a sensor that stays silent is asked ever more rarely.
 _PATIENCE = 2
 _FIRST_PAUSE_S = 5.0
 _LONGEST_PAUSE_S = 30.0
-# A sensor is worth a word when it has given nothing so many times, one after another.
+# After so many failures in a row people are told of the sensor.
 _WORTH_A_WORD = 3
 
 
@@ -45,7 +45,7 @@ class BusSensor:
     identity
         Who it is; empty while that is not known.
     twins
-        Others at the same address, as a logger has them: on RTU a late reply to this one looks like one to them.
+        Others at the same address, as at a logger: on RTU a late reply for this sensor looks like one for them.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class BusSensor:
         told = self._make.told(await self._read(self._make.data))
         self.answers = True
         if self._doubtful:
-            # The reply to a question of before would look like this one: only what comes after it is believed.
+            # A late reply to an earlier question would look like this one: only the next reply is believed.
             self._doubtful = False
             return self._without("late")
         self._misses = 0
@@ -124,13 +124,13 @@ class BusSensor:
         return FaceSample(told.w_m2, self._utc_s(), self._now(), told.flaw, note=self.note)
 
     async def _prove(self) -> None:
-        """Ask who it is. The replies have other lengths than those to `data`, so a late one passes for neither."""
+        """Ask who it is. The reply has another length than one to `data`, so neither passes for the other if late."""
         proof = self._make.proof
         if proof is not None:
             try:
                 words = await self._read(proof)
             except RefusedError:
-                # An answer too: registers that cannot be read alone prove as much, but of the serial number.
+                # A refusal is an answer too, and proves as much, except for the serial number.
                 if self._pinned is not None:
                     raise
             else:

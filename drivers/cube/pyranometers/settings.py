@@ -122,7 +122,7 @@ class PyranometersSettings(CubeDriverSettings):
     @field_validator(*FACE_NAMES, mode="before")
     @classmethod
     def _complete(cls, value: Any, info: ValidationInfo) -> Any:
-        """Give a face of which the file names some keys that same face's defaults for the others."""
+        """Complete a face, of which the file names only some keys, by that face's defaults."""
         return with_defaults(cls, value, info)
 
     def face(self, name: str) -> PyranometerSettings:

@@ -30,8 +30,8 @@ class ScanDialect:
         Question for the card in the slot of a channel, and what its answer has to match; None where the meter says by
         an error that it has none.
     commands, proofs
-        Of channel list, range [V] and integration time [mains periods]: what configures it, and the questions that
-        prove it; a number has to come for each channel.
+        Return, for a channel list, range [V] and integration time [mains periods], what configures the meter, and the
+        questions that prove it; numbers are answered once for each channel.
     scan
         The line that triggers one scan and asks for it.
     """
@@ -117,7 +117,7 @@ def _agilent_commands(channels: str, range_v: float, nplc: float) -> tuple[str, 
         "*CLS",
         "*RST",
         "*ESE 0",
-        # This sets the scan list, and takes back what was said of the format of readings.
+        # This sets the scan list, and resets the format of readings, which is therefore set after it.
         f":CONF:VOLT:DC {range_v:g},DEF,{channels}",
         f":SENS:VOLT:DC:NPLC {nplc:g},{channels}",
         ":FORM:READ:UNIT OFF;:FORM:READ:TIME OFF;:FORM:READ:ALAR OFF;:FORM:READ:CHAN ON",

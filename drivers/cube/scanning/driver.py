@@ -64,7 +64,7 @@ class ScanningMeterSettings(CubeDriverSettings):
     )
 
     def conflicts(self) -> Iterator[SettingsConflict]:
-        """Yield the channels that are no four different ones."""
+        """Yield `channels` if two faces have the same channel."""
         if self.channels is not None and len(set(self.channels)) != len(self.channels):
             yield SettingsConflict("channels", "has one channel for two faces")
 

@@ -64,7 +64,7 @@ class ScanningMeterCube(ScpiMeter["_ScanSession"]):
         self._turn = asyncio.Lock()
 
     async def read(self) -> CubeReading:
-        """Trigger one scan and return it; the faces are stamped as evenly as they were measured between both ends."""
+        """Trigger one scan and return it; the faces' times are spread evenly between its begin and its end."""
         async with self._turn:
             session = self._session
             if session is None:
@@ -121,7 +121,7 @@ class _ScanSession(MeterSession):
             raise IdentityError(DEVICE, f"answers {identity[:80]!r}, which is no {self._dialect.name}")
 
     async def configure(self) -> None:
-        """See that its cards switch voltages, and set it to scan the faces."""
+        """Check that its cards switch voltages, and set it to scan the faces."""
         self._cards = await self._identified_cards()
         for command in self._commands:
             await self._configure(command)

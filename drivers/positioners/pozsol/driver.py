@@ -24,7 +24,7 @@ from drivers.settings import (
 )
 
 _STEP = {"mm": 0.02, "deg": 0.02, "impulse": 1.5}
-"""A Hall count and a little, where the unit does not tell how many there are to a unit."""
+"""A Hall count and a little, for a positioner that does not tell how many counts a position unit has."""
 B_OUT_BIT = {"unknown": None, "stm": wire.B_OUT_BIT_STM, "lpc": wire.B_OUT_BIT_LPC}
 
 Banner = Annotated[str, Field(pattern=r"^[ -#%-~]{4,80}$"), text_of("banner")]
@@ -86,7 +86,7 @@ class PozsolSettings(PositionerSettings):
     @field_validator("a_axis", "b_axis", mode="before")
     @classmethod
     def _complete(cls, value: Any, info: ValidationInfo) -> Any:
-        """Give an axis of which the file names some keys that same axis' defaults for the others."""
+        """Complete an axis, of which the file names only some keys, by that axis' defaults."""
         return with_defaults(cls, value, info)
 
     def exclusive(self) -> Mapping[str, str | None]:

@@ -9,25 +9,25 @@ from drivers.positioners.pozsol.reference import SHOWS
 from drivers.positioners.pozsol.refusals import likely_cause
 from drivers.positioners.pozsol.wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, SWITCH_BITS, StatusWord
 
-# B moves for certain, and did so when the status was sent.
+# A step by which B moves for certain, and how near in time a status has to be to show that motion.
 _MOVES = 0.1
 _OF_NOW_S = 0.7
-# So far from a switch an axis cannot be while the status is on its way.
+# An axis cannot get so far from a switch while the status is under way.
 _FAR_DEG = 4.0
-# What it may run on beyond where it is sent.
+# How far an axis may run on beyond its target.
 _RUN_OUT_UNITS = 1.0
-# Further than that an axis is driven off its switch to see whether the switch opens.
+# An axis is driven so far off its switch, further than _FAR_DEG, to see whether the switch opens.
 _OFF_DEG = 5.0
-# How near to where it is sent it has left the switch.
+# An axis this near to its target has left the switch.
 _NEAR_DEG = 0.5
 
 
 def off_switch(setup: AxisSetup, here: float, may_stand_at: float | None) -> int | None:
     """Return the whole position to send for an axis to leave the end switch that it stands on, or seems to stand on.
 
-    None where it need not (`may_stand_at` is None) or is off it already, and where the way might take it beyond its
-    limit: from `here`, its position by the count that began on the switch, or from `may_stand_at`, that by the count
-    before.
+    None if it need not leave it (`may_stand_at` is None), if it is off it already, and if the way might take it beyond
+    its limit, either from `here`, its position by the count that began on the switch, or from `may_stand_at`, its
+    position by the count before that.
     """
     if may_stand_at is None:
         return None
@@ -46,7 +46,7 @@ class WayOffSwitch:
     Parameters
     ----------
     axis, setup
-        Which one.
+        The axis, and how it is built.
     whole
         The position that it is sent to, as `off_switch` returns it.
 
@@ -65,7 +65,7 @@ class WayOffSwitch:
         self._taken = False
 
     def is_over(self, seen: Telemetry) -> bool:
-        """Take in one look; whatever else sends the axis off, its own tracking above all, ends the way."""
+        """Take in one look; the way is over too if something else, such as the unit's tracking, sends the axis off."""
         a, b = (seen.position_a, seen.destination_a), (seen.position_b, seen.destination_b)
         position, destination = a if self._axis == "a" else b
         aims = abs(destination - self.goes_to) <= SHOWS

@@ -136,8 +136,8 @@ class AxisSetup:
     def destination(self, angle_deg: float) -> int:
         """Return the whole position units to send for an angle, so that the axis stands within the limits.
 
-        That is half a unit from the angle at most, but at a limit, where it is the first whole unit inside. Raises
-        `ValueError` where the geometry has no such position.
+        That is half a unit from the angle at most, and at a limit the first whole unit inside. Raises `ValueError`
+        where the geometry has no such position.
         """
         ends = [self.geometry.position(end_deg) - self.zero_offset for end_deg in (self.minimum_deg, self.maximum_deg)]
         wanted = self.geometry.position(angle_deg) - self.zero_offset
@@ -150,14 +150,14 @@ class AxisSetup:
 
     @property
     def _spare(self) -> float:
-        """What an axis may run on beyond its destination, in position units."""
+        """How far an axis may run on beyond its destination, in position units."""
         return _RUN_OUT_MM if isinstance(self.geometry, Triangle) else -_HAIR
 
     def rests_within(self) -> float:
         """Return how far the axis comes to rest at the most [deg] from an angle within the limits that it is sent to.
 
-        At a limit that is the first whole unit inside; elsewhere half a unit and the run-out, which is most degrees at
-        one end of the travel or the other. NaN where there is no whole unit to be sent.
+        At a limit the axis rests at the first whole unit inside; elsewhere it may be off by half a unit and the
+        run-out, which are most degrees at one of the two ends of the travel. NaN where there is no whole unit to send.
         """
         try:
             first, last = self.destination(self.minimum_deg), self.destination(self.maximum_deg)
@@ -172,12 +172,12 @@ class AxisSetup:
         return self.geometry.angle(destination + self.zero_offset)
 
     def units(self, angle_deg: float) -> float:
-        """Return how many position units an angle [deg] is where the travel begins."""
+        """Return how many position units an angle [deg] is at the beginning of the travel."""
         way = abs(self.geometry.position(self.geometry.low_deg + angle_deg))
         back = abs(self.geometry.position(self.geometry.low_deg - angle_deg))
         return max(way, back) if math.isfinite(way + back) else abs(angle_deg)
 
     def fits(self, angle_deg: float, position: float) -> bool:
-        """Tell whether this geometry makes `position` of `angle_deg`, as far as the unit's roundings let one see."""
+        """Tell whether this geometry makes `position` of `angle_deg`, within the unit's rounding."""
         around = [self.geometry.position(angle_deg + step) for step in (-_ANGLE_STEP_DEG, _ANGLE_STEP_DEG)]
         return min(around) - _POSITION_STEP <= position <= max(around) + _POSITION_STEP

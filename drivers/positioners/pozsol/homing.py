@@ -1,6 +1,6 @@
 """Whether a reference run has begun, whether it is over, and whether it ended on its switch.
 
-The unit tells of a run late and only while Hall pulses come, and it breaks a run off without a word when its supply
+The unit reports a run late, and only while Hall pulses come, and it aborts a run without a report when its supply
 dips. So the verdict takes the homing bit, the position and the end switch together.
 """
 
@@ -19,8 +19,8 @@ _STILL_S = 0.5
 _AIMS_INWARDS = 2.0
 # An axis coasts past its switch; a count that differs from 0 by more was not set there.
 _COAST_DEG = 0.4
-# What an axis may have lost or gained since its last run without anything being wrong, and what it may have turned
-# since it was last seen when its count was lost in motion.
+# How far off a count may be since the last run without anything being wrong, and how far an axis may have turned since
+# it was last seen if its count was lost in motion.
 _SLIP_DEG, _LOST_DEG = 0.5, 5.0
 
 
@@ -42,7 +42,7 @@ class HomingRun:
     Parameters
     ----------
     axis, setup
-        Which one.
+        The axis, and how it is built.
     start
         Position just before the command.
     sent_s
@@ -50,18 +50,18 @@ class HomingRun:
     trusted
         The count was not in doubt before.
     stood
-        Where the axis stood by the last count that was to be trusted; `start` if it is trusted, None if nobody knows.
+        Where the axis stood by the last count that could be trusted; `start` if `trusted`, None if unknown.
 
     Attributes
     ----------
     begun, over
-        What has shown so far.
+        Whether telemetry has shown that the run began, and that it is over.
     failure
         Once over: why the run did not find the switch; empty if it did.
     mismatch
         Once over without failure: how the switch contradicts the count; empty if it does not.
     stands
-        Once over, where the count and the switch contradict each other: where the axis stands if the switch is wrong.
+        Once over, if the count and the switch contradict each other: where the axis stands if the switch is wrong.
     """
 
     axis: AxisName

@@ -26,13 +26,13 @@ class LinkState(NamedTuple):
     values
         The newest value of each field. The same object as long as nothing has changed, for a line that can tell.
     as_of_s
-        Time [s] at which everything that changes by itself was said again; -inf where each value has its own time.
+        Time [s] at which all that changes by itself was last repeated; -inf where each value has its own time.
     jumped_s
-        When the unit has last begun to count from elsewhere, or None.
+        When the unit last began to count from elsewhere, or None.
     restarted_s
         When the unit has last printed its banner, or None.
     unseen_s
-        When an axis last stood so far from where it had been heard of that it may have gone there in between, or None.
+        When an axis last showed far from its place before a silence, in which it can have moved there, or None.
     """
 
     values: Mapping[int, Value]
@@ -66,7 +66,7 @@ class PositionerLine(Protocol):
 
 
 def open_port(path: str, tap: Tap = no_tap, *, dtr: bool = True, rts: bool = True) -> SerialPort:
-    """Open the positioner's port, which lets nothing out but commands that the unit may be sent; see `SerialPort`."""
+    """Open the positioner's port, which lets out only commands that may be sent to the unit; see `SerialPort`."""
     return SerialPort(_DEVICE, path, require_allowed, tap, dtr=dtr, rts=rts)
 
 
@@ -123,7 +123,7 @@ class SerialLine:
         await self._thread.finish(None if reader is None else reader.close, _CLOSE_S)
 
     async def send(self, packet: bytes) -> None:
-        """Write one packet, within a second or what was asked for."""
+        """Write one packet, within `write_s`."""
         reader = self._require_reader()
         reader.attend()
         await self._thread.call(lambda: reader.port.write(packet), self._write_s)

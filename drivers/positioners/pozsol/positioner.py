@@ -3,7 +3,7 @@
 A command has worked when its effect shows in the telemetry. Angles, positions and destinations come every 120 ms,
 status, supply and mode every 3.24 s. A unit goes on with a move when the host falls silent: over USB nothing can stop
 it but a stop that arrives, and the first packet after each enumeration does not. So a stop is sent until both axes
-stand, and whatever else is sent first has a stop before it.
+stand, and a stop is sent before any other command that would be the first.
 
 Targets go out as whole positions (codes 46 and 50). The unit cuts the position of an angle down to whole units, which
 takes an axis past a limit on one side; a whole position is taken as it is, and may be chosen on the inner side.
@@ -49,8 +49,8 @@ _STATUS_SHOWS_S = 7.0
 _UNDER_WAY_S = 0.1
 _STOP_EVERY_S = 0.15
 _STAND_WITHIN_S = 12.0
-# Targets are whole units, and an axis rests up to 0.2 beyond its own. Told to go back that little, it may be braking
-# when the other target comes, which is lost then; within 0.07 it may stay switched on at rest, and is faulted for that.
+# Targets are whole units, and an axis rests up to 0.2 beyond. An axis sent back by so little may be braking when the
+# target of the other comes, which is lost then; within 0.07 it may stay switched on at rest, which becomes a fault.
 _AT_TARGET = 0.3
 # How long an axis takes at the most to leave its end switch.
 _LEFT_WITHIN_S = 30.0
@@ -72,7 +72,7 @@ class PozsolPositioner:
     boards
         What field 37 may say; to any other board nothing is ever written.
     stale_s
-        Silence of the fast fields after which the unit counts as lost; at the opening it is waited for so long as well.
+        Silence of the fast fields after which the unit counts as lost; opening waits for so long as well.
     b_out_bit
         Where the status word has axis B's motion bits; None where that is not known until B has moved.
     """
@@ -129,7 +129,7 @@ class PozsolPositioner:
         return self._read()
 
     def repeated_s(self, telemetry: Telemetry) -> float | None:
-        """Return the time of a look that would show again what this last one did; None where it has to be made."""
+        """Return the time at which a look would show what this last one did; None where a new look has to be made."""
         try:
             return self._watch.repeated_s(telemetry, self._line.state())
         except LinkLostError:
@@ -140,7 +140,7 @@ class PozsolPositioner:
         return self._watch.standing()
 
     def recall(self, a: float | None, b: float | None, doubt: str) -> None:
-        """Take in what `standing` said last in the process before: a reference run is judged by it."""
+        """Take in what `standing` said last in the previous process: a reference run is judged by it."""
         self._watch.recall({"a": a, "b": b}, doubt)
 
     def fields(self) -> dict[int, str]:
@@ -152,7 +152,7 @@ class PozsolPositioner:
         return self._line.has_lines()
 
     async def disable_autonomy(self) -> None:
-        """Switch the unit's own tracking off if it is on, and halt: that alone stops no motor that runs."""
+        """Switch the unit's own tracking off if it is on, and halt: switching it off stops no motor that runs."""
         if not self._read().autonomous:
             return
         stops = self._stops
@@ -205,7 +205,7 @@ class PozsolPositioner:
             raise
 
     async def stop(self) -> None:
-        """Send stop now; whoever is in the middle of sending something else sends no more."""
+        """Send stop now; a call that is in the middle of sending something else sends no more."""
         self._stops += 1
         self._watch.break_off_run()
         packet, first = encode_command(Field.ACTION, wire.STOP), self._nothing_sent
@@ -222,8 +222,8 @@ class PozsolPositioner:
     async def home(self, axis: AxisName) -> None:
         """Halt, start a reference run and wait until it shows, up to 7 s.
 
-        To home one axis while the other moves would leave that one running without control. Where count and end switch
-        have contradicted each other the axis leaves the switch first: a run without a way would tell nothing.
+        To home one axis while the other moves would leave the other running without control. Where count and end switch
+        have contradicted each other the axis leaves the switch first: a run without travel would prove nothing.
         """
         stops = self._stops
         await self._stand(stops)
@@ -238,7 +238,7 @@ class PozsolPositioner:
             raise
 
     async def clear_faults(self, *, forgive: bool = True) -> Telemetry:
-        """Halt, look at a status younger than the call, clear, and wait until it shows; return that look.
+        """Halt, look at a status younger than the call, clear, and wait until that shows; return the look.
 
         The unit would go on with what was pending behind a fault, so both axes stand first. Without `forgive` the
         doubts about the reference stay.
@@ -285,7 +285,7 @@ class PozsolPositioner:
     async def _wait_for_setup(self, serial: str) -> None:
         """Wait for the screens that tell how the unit is set; older units may not have all of them.
 
-        What one has not is waited for once: after a loss of the link an axis may run until the opening is over.
+        What a unit lacks is waited for only once: after a loss of the link an axis may run until the opening is over.
         """
         deadline_s, wanted = self._now() + self._setup_within_s, SETUP_FIELDS - self._has_not.get(serial, frozenset())
         while missing := wanted - self._listen()[0].keys():
@@ -332,7 +332,7 @@ class PozsolPositioner:
         begin_s = self._now()
         self._watch.break_off_run()
         standstill = Standstill(begin_s, self._jitter)
-        # A person's stop takes the place of what was sent an instant ago; our own must not.
+        # A person's stop may overwrite, in the unit, what was sent an instant ago; a stop of our own must not.
         again_s = self._sent_s + wire.COMMAND_SPACING_S if give_way else begin_s
         packet, sent = encode_command(Field.ACTION, wire.STOP), 0
         while sent < 2 or not standstill.reached:
@@ -384,7 +384,7 @@ class PozsolPositioner:
             raise RefusedError(_DEVICE, "a stop came in between")
 
     async def _confirm(self, done: Callable[[Telemetry], bool], what: str, stops: int, within_s: float) -> Telemetry:
-        """Wait until `done` says so of the telemetry, and return that; what is late says neither yes nor no."""
+        """Wait for telemetry that is `done`, and return it; the deadline is judged by the telemetry's own time."""
         deadline_s = self._now() + within_s
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)

@@ -6,7 +6,7 @@ from drivers.interfaces import AxisName
 
 _BOTH: frozenset[AxisName] = frozenset(("a", "b"))
 SHOWS = 0.5
-"""So near to what it was told a destination is the one."""
+"""A destination that shows within this of the one that was sent is that one."""
 
 
 @dataclass
@@ -48,8 +48,8 @@ class Reference:
     ) -> None:
         """Note a doubt of one axis or, with None, of both; an event that can happen again needs a kind of its own.
 
-        With `needs_travel` only a reference run on which the axis has moved settles it; `stands` is where it stands,
-        in the unit's position units, if its end switch lied about that.
+        With `needs_travel` only a reference run on which the axis has moved settles the doubt; `stands` is where the
+        axis stands, in the unit's position units, if its end switch has lied.
         """
         known = self._doubts.setdefault(kind, _Doubt(text, set(), needs_travel, stands))
         known.axes |= _BOTH if axis is None else {axis}
@@ -77,7 +77,7 @@ class LastKnown:
     """Where each axis stands if it has not moved while its count was lost, in the unit's position units.
 
     A unit that forgets its count begins again at some number, and a reference run may then end on a switch that is
-    stuck: what is known of before the loss tells how far the way to the end has to be.
+    stuck: the place that is known from before the loss tells how far the axis has to go to its end.
     """
 
     def __init__(self) -> None:
@@ -85,9 +85,9 @@ class LastKnown:
         # Where each axis may be on its way to: what it last showed, and what it was told and has not shown since.
         self._shown: dict[AxisName, float] = {}
         self._told: dict[AxisName, float] = {}
-        # What the count is short of; without an entry no count could be trusted yet.
+        # What has to be added to the count; there is no entry until a count could be trusted.
         self._lost: dict[AxisName, float] = {}
-        # What it is short of if the end switch has lied that set it.
+        # What has to be added if the end switch that set the count has lied.
         self._lost_if_lied: dict[AxisName, float] = {}
 
     def tell(self, axis: AxisName, destination: float) -> None:
@@ -99,7 +99,7 @@ class LastKnown:
         self._told.clear()
 
     def strayed(self, axis: AxisName, position: float, slip: float) -> str:
-        """Return in words that an axis is elsewhere than what was last seen of it can have led to; empty if not."""
+        """Return in words that an axis is where its last known move cannot have led it; empty if it is not."""
         if axis not in self._seen:
             return ""
         way = self._seen[axis], self._shown[axis], self._told.get(axis, self._shown[axis])
@@ -124,11 +124,11 @@ class LastKnown:
             self._told.pop(axis, None)
 
     def of(self, axis: AxisName, position: float) -> float | None:
-        """Return where an axis stands whose count is `position`; None where nobody knows."""
+        """Return where an axis stands whose count is `position`; None where that is unknown."""
         return position + self._lost[axis] if axis in self._lost else None
 
     def at_worst(self, axis: AxisName) -> float | None:
-        """Return where an axis stands by its newest count, or if its end switch has lied; None where nobody knows."""
+        """Return where an axis stands by its newest count, or would if its end switch has lied; None where unknown."""
         lost = self._lost_if_lied.get(axis, self._lost.get(axis))
         return None if lost is None or axis not in self._seen else self._seen[axis] + lost
 
@@ -143,7 +143,7 @@ class LastKnown:
         self._lost_if_lied.pop(axis, None)
 
     def contradicted(self, axis: AxisName, stands: float, position: float) -> None:
-        """Take note that the count was set where the axis stands at `stands` if its end switch has lied."""
+        """Take note that an end switch set the count, and that the axis stands at `stands` if the switch has lied."""
         self._lost_if_lied[axis] = stands - position
 
     def stuck(self, axis: AxisName, stood: float, position: float) -> None:

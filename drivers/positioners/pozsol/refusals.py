@@ -43,7 +43,7 @@ def likely_cause(seen: Telemetry) -> str:
     if seen.autonomous:
         return f"its own mode is on ({seen.details['mode']})"
     shown = f"destinations {seen.destination_a:g} and {seen.destination_b:g}"
-    # After its supply was low the unit takes no target for five seconds more, and tells nobody.
+    # After its supply was low the unit takes no target for five seconds more, and does not report that.
     return (
         f"it shows {shown} and no reason; was its motor supply low until just now, or is the geometry in"
         " instruments.positioner not that of this unit?"

@@ -12,11 +12,11 @@ from drivers.positioners.pozsol.wire import TokenStream
 # What comes first may be an old screen that has waited in the unit since its last listener left.
 _IGNORE_FIRST_S = 0.1
 _LOOK_AT_ECHO_EVERY_S = 1.0
-# A read costs its thread's waking, whatever comes, so screens of 20 ms are let come together: for two turns of those
-# that tell of the axes, and not at all where a command is about to show its effect.
+# Every read wakes its thread, however little has come. So screens, one every 20 ms, are gathered for two turns of those
+# that tell of the axes; they are not gathered while a command is about to show its effect.
 _GATHER_S = 0.25
 _ATTENDS_FOR_S = 1.0
-# More than comes in that time: the process stood still, and what is newer waits in the port.
+# More than comes in that time: the process stood still, and newer data waits in the port.
 _BACKLOG_BYTES = 2048
 
 
@@ -54,12 +54,12 @@ class TelemetryReader:
     banner
         What the unit prints when it has restarted; empty if nothing is known of that.
     gather_s
-        How long screens are let come together before they are read, of a unit that was sent nothing lately.
+        How long screens are gathered before they are read, while the unit was sent nothing lately.
 
     Attributes
     ----------
     port
-        What it listens to, for who sends something.
+        What it listens to; commands are sent through it.
     restarted_s
         When the banner has last come, or None.
     lost
@@ -87,7 +87,7 @@ class TelemetryReader:
         self._gather_s = gather_s
         self._end = b""
         self._closing = self._attends = False
-        # Let go to wake the reader; it costs a third less to wait for than an event.
+        # Released to wake the reader; to wait for it costs a third less than for an event.
         self._bell = threading.Lock()
         self._bell.acquire()
         self._attended_s: float
@@ -99,7 +99,7 @@ class TelemetryReader:
         self._thread.start()
 
     def attend(self) -> None:
-        """Take every screen as it comes for a second, and at once what has come: a command is about to be sent."""
+        """Read at once what has come, and for a second each screen as it comes: a command is about to be sent."""
         self._attends = True
         self._ring()
 
@@ -114,7 +114,7 @@ class TelemetryReader:
         self._thread.join()
 
     def _ring(self) -> None:
-        # It may be ringing.
+        # It may have been released already.
         with contextlib.suppress(RuntimeError):
             self._bell.release()
 
@@ -150,7 +150,7 @@ class TelemetryReader:
             waited_s = 0.0 if len(data) >= _BACKLOG_BYTES else self._gather(now)
 
     def _gather(self, now_s: float) -> float:
-        """Let screens come together until somebody attends to them; return for how long at most [s]."""
+        """Let screens come together, for less time if `attend` is called; return the longest wait [s]."""
         if self._attends:
             self._attends, self._attended_s = False, now_s
             self._bell.acquire(blocking=False)

@@ -6,17 +6,17 @@ from dataclasses import dataclass
 
 from drivers.positioners.pozsol.wire import DECIMALS, Field, parse_number, parse_status
 
-# An axis turns by a tenth of this between two screens, and no faster than that; more means that the unit counts from
-# elsewhere now.
+# Between two screens an axis turns by a tenth of the first, and it never turns faster than the second; a larger change
+# means that the unit now counts from elsewhere.
 _JUMP_DEG = 2.0
 _FASTEST_DEG_PER_S = 10.0
 _JUMP_WITHIN_S = 1.0
-# When nothing was read for so much longer than was meant, the first of what is read then has waited, and some that did
-# not fit is lost.
+# If nothing was read for so much longer than was meant, the first data that is read then has waited, and data that did
+# not fit into the port's buffer is lost.
 _PAUSE_S = 0.15
 _BACKLOG_S = 0.5
 _ANGLES: dict[int, float] = {Field.A_ANGLE: _JUMP_DEG, Field.B_ANGLE: _JUMP_DEG}
-# What one screen says of an axis holds together, by the code of the angle that it begins with.
+# The fields that one screen says of an axis belong together: each with the code of the angle that begins the screen.
 _SCREENS: dict[int, int] = {
     int(code): int(angle)
     for angle, codes in {
@@ -31,7 +31,7 @@ _ALL = frozenset(range(256))
 
 @dataclass(slots=True)
 class Value:
-    """A field as it was printed, when that has last come [s], and its number; NaN for a text."""
+    """A field as it was printed, when it last came in that form [s], and its number; NaN for a text."""
 
     text: bytes
     time_s: float
@@ -69,21 +69,21 @@ class FieldTable:
         return self._values.get(field)
 
     def snapshot(self) -> dict[int, Value]:
-        """Return all fields; when each has come goes on, what it says does not."""
+        """Return all fields; their times go on being updated, what they say does not."""
         return dict(self._values)
 
     def forget(self) -> None:
         """Start anew."""
         self._values: dict[int, Value] = {}
-        # By the token, as the stream has it.
+        # Values by their token, as the stream has it.
         self._said: dict[bytes, Value] = {}
         self._suspect: dict[int, float] = {}
-        # The axis's screen that is being read, which nobody sees before it is whole; whose angle was not believed.
+        # The axis' screen that is being read, hidden until it is whole; the axes whose angle was not believed.
         self._screen: dict[int, Value] = {}
         self._held: set[int] = set()
 
     def take(self, tokens: Sequence[bytes], now_s: float, waited_s: float = 0.0) -> None:
-        """Note what has come, but for what cannot be: bytes were lost then, and the next screen has it again.
+        """Note what has come, except impossible values: bytes of those were lost, and the next screen has them again.
 
         Parameters
         ----------
@@ -106,9 +106,9 @@ class FieldTable:
                 said[token].time_s = now_s
 
     def _news(self, tokens: Sequence[bytes]) -> Set[int]:
-        """Return the fields that have to be looked at: of a unit at rest hardly any says what it has not said before.
+        """Return the fields that have to be looked at: of a unit at rest hardly any says something new.
 
-        Of all that comes at once each of the others says the same, so nothing in between is left out.
+        All tokens of the other fields repeat what is known, so that no change in between is missed.
         """
         if self._screen or self._held:
             return _ALL
@@ -121,7 +121,7 @@ class FieldTable:
         axis = _SCREENS.get(code)
         if self._screen and (axis not in self._screen or axis == code):
             self._end_screen()
-        # Where the angle that began a screen cannot be believed yet, nothing of the axis can.
+        # While the angle that began a screen is not believed, nothing else of the axis is.
         if axis != code and axis in self._held:
             return
         value = self._believed(token, now_s)
@@ -136,7 +136,7 @@ class FieldTable:
         if value is None:
             return
         if axis != code and not self._screen:
-            # The unit prints it before the angle, or the angle was lost.
+            # The unit prints this field before the angle, or the angle was lost.
             self._keep({code: value})
             return
         self._screen[code] = value
@@ -158,10 +158,10 @@ class FieldTable:
         self._values.update(values)
 
     def _believed(self, token: bytes, now_s: float) -> Value | None:
-        """Return what a field says now, or None if it cannot be."""
+        """Return what a field says now, or None if that is impossible."""
         code, known = token[0], self._said.get(token)
         if known is not None:
-            # Believed before, and no jump from there.
+            # The unit repeats the believed value, so a suspected jump has not happened.
             self._suspect.pop(code, None)
             known.time_s = now_s
             return known
@@ -178,7 +178,7 @@ class FieldTable:
         return Value(text, now_s, number)
 
     def _plausible(self, code: int, number: float, now_s: float) -> bool:
-        """Tell whether a value can be; a jump is one once the next value confirms it."""
+        """Tell whether a value is possible; a jump is, once the next value confirms it."""
         known, most = self._values.get(code), self._jumps[code]
         if known is None:
             self._suspect.pop(code, None)

@@ -22,7 +22,7 @@ _OFFSET = {"a": 192, "b": 193}
 _PLACES = (_GEAR, _HIGHEST, _COORDINATE, _MODE, _LOWEST, _OFFSET)
 _AXES: tuple[AxisName, AxisName] = ("a", "b")
 SETUP_FIELDS = frozenset([*(place[axis] for place in _PLACES for axis in _AXES), *range(70, 78), *range(96, 104)])
-"""What has to be heard for a full comparison."""
+"""The fields that a full comparison needs."""
 
 _TRIANGLES, _DRIVES = (2, 3, 13), (1, 11)
 # Lengths and angles are printed with one decimal.
@@ -84,7 +84,7 @@ class _Axis:
         )
 
     def _range(self) -> list[str]:
-        """Compare the unit's range, at whose ends it holds every target without a word, with what is to be reached."""
+        """Compare the unit's range, to which it cuts every target without a report, with what is to be reached."""
         try:
             ends = [self.setup.destination(angle) for angle in (self.setup.minimum_deg, self.setup.maximum_deg)]
         except ValueError as error:

@@ -21,7 +21,7 @@ SLOW = (Field.SUPPLY, Field.STATUS, Field.MODE)
 _EXTRA = (Field.A_CURRENT, Field.B_CURRENT, Field.A_REMAIN, Field.B_REMAIN)
 _SLOW_STALE_S = 8.0
 _JUMP_SHOWS_S = 1.0
-# An axis that was out of sight may have run out, or slipped, by less.
+# An axis that was out of sight may have run out, or slipped, by less than this.
 _UNSEEN_DEG = 2.0
 # On a reference run the unit aims so many of its position units inwards of where it is.
 _HOMES_AHEAD, _HOMES_WITHIN = 10.0, 1.0
@@ -69,7 +69,7 @@ class PositionerWatch:
         self.start(None)
 
     def start(self, restarted_s: float | None) -> None:
-        """Begin anew with a fresh connection, at whose opening the unit restarted at `restarted_s` or did not."""
+        """Begin anew with a fresh connection; the unit restarted at `restarted_s` when it was opened, None if not."""
         self._restarted_s, self._jumped_s, self._unseen_s, self._last = restarted_s, None, None, None
         self._was_out_of_sight = True
         self._checks = tuple(SwitchCheck(axis, self._setups[axis]) for axis in AXES)
@@ -101,7 +101,7 @@ class PositionerWatch:
         return telemetry
 
     def repeated_s(self, telemetry: Telemetry, state: LinkState) -> float | None:
-        """Return the time of a look that would show again what this last one did; None where it has to be made."""
+        """Return the time at which a look would show what this last one did; None where a new look has to be made."""
         last = self._last
         if last is None or last.shown is not telemetry or self.run is not None:
             return None
@@ -112,7 +112,7 @@ class PositionerWatch:
         self._last_known.tell(axis, destination)
 
     def stand(self) -> None:
-        """Take note that both axes stand after a stop, which forgets what they were told."""
+        """Take note that both axes stand after a stop, and forget what they were told."""
         self._last_known.forget_told()
 
     def begin_run(self, axis: AxisName, before: Telemetry, sent_s: float) -> HomingRun:
@@ -120,7 +120,7 @@ class PositionerWatch:
         start = position_of(axis, before)
         stood, trusted = self._last_known.of(axis, start), not self.reference.doubts(axis)
         if stood is None and f"{axis} before" in self.reference.kinds:
-            # A process that died on a reference run knew no place, and the unit may have kept its count.
+            # A process that died on a reference run has left no place, but the unit may have kept its count.
             stood = start
         self._last_known.tell(axis, 0.0)
         self.run = HomingRun(axis, self._setups[axis], start, sent_s, trusted=trusted, stood=stood)
@@ -135,7 +135,7 @@ class PositionerWatch:
             self.reference.note(f"{run.axis} unfinished", f"the reference run of {name} did not end", run.axis)
 
     def standing(self) -> tuple[float | None, float | None]:
-        """Return where A and B stand by all that is known, in the unit's position units; None where nobody knows."""
+        """Return where A and B stand by all that is known, in the unit's position units; None where unknown."""
         return self._last_known.at_worst("a"), self._last_known.at_worst("b")
 
     def recall(self, places: dict[AxisName, float | None], doubt: str) -> None:
@@ -224,7 +224,7 @@ class PositionerWatch:
             if run.stands is not None:
                 self._last_known.contradicted(run.axis, run.stands, seen[run.axis].position)
         if run.mismatch:
-            # On the spot neither count nor switch can be shown to be right.
+            # Without travel neither the count nor the switch can be shown to be right.
             needs_travel = stuck or run.stands is not None
             kind = f"{run.axis} mismatch {run.sent_s}"
             self.reference.note(kind, run.mismatch, run.axis, needs_travel=needs_travel, stands=run.stands)
@@ -243,7 +243,7 @@ class PositionerWatch:
                 self.reference.note(f"jump {state.jumped_s}", "the positioner's count has jumped")
         if state.unseen_s != self._unseen_s:
             self._unseen_s = state.unseen_s
-            # Whoever holds a button drives it where nothing was told to go.
+            # A person who holds a button drives an axis to where it was not told to go.
             self._was_out_of_sight = self._was_out_of_sight or not status.button_pressed
         for check in self._checks:
             look = seen[check.axis]
@@ -254,7 +254,7 @@ class PositionerWatch:
             position, destination, set_anew = seen[axis].position, seen[axis].destination, self._set_anew
             trusted = not self.reference.doubts(axis)
             if self._was_out_of_sight and not status.autonomous:
-                # A unit that has restarted takes its mark back by itself after 15 minutes.
+                # A restart may have gone unseen: the unit takes its mark back by itself after 15 minutes.
                 strayed = self._last_known.strayed(axis, position, self._setups[axis].units(_UNSEEN_DEG))
                 if strayed:
                     self._note_strayed(seen[axis], axis, strayed)
@@ -264,9 +264,9 @@ class PositionerWatch:
 
     def _note_strayed(self, look: AxisObservation, axis: AxisName, text: str) -> None:
         if f"{axis} before" in self.reference.kinds:
-            # It says so already, of where the axis would stand if its end switch has lied.
+            # That doubt stands already, with the place of the axis if its end switch has lied.
             return
-        # On a closed switch a reference run has no way that could tell who is right.
+        # On a closed switch a reference run does not travel, and cannot tell whether count or switch is right.
         stands = self._last_known.at_worst(axis) if f"{axis}_low" in look.status.end_switches else None
         self.reference.note(f"{axis} strayed {look.time_s}", text, axis, stands=stands)
 
@@ -278,7 +278,7 @@ def position_of(axis: AxisName, seen: Telemetry) -> float:
 
 @lru_cache(maxsize=64)
 def _own_moves(texts: tuple[bytes | None, ...]) -> tuple[str, ...]:
-    """Name the settings that are on, by what came of the fields `OWN_MOVES`; they are the same at every look."""
+    """Name the settings that are on, from the texts of the fields `OWN_MOVES`, which are the same at every look."""
     shown = zip(OWN_MOVES, texts, strict=True)
     return own_moves({code: text.decode("latin-1").strip() for code, text in shown if text is not None})
 
@@ -297,7 +297,7 @@ def _details(mode: Value, status: StatusWord, a_left: float, b_left: float) -> d
 
 
 class _Standing:
-    """A unit at rest says the same every time."""
+    """The last look at a unit at rest, which says the same every time."""
 
     def __init__(self, state: LinkState, telemetry: Telemetry) -> None:
         self._state = state

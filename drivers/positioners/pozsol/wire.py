@@ -17,7 +17,7 @@ MAXIMUM_PACKET = 64
 MAXIMUM_VALUE = 255
 _LONGEST = 1 + MAXIMUM_VALUE
 COMMAND_SPACING_S = 0.06
-"""The unit looks at its input every 20 ms and a second packet in that time overwrites the first."""
+"""The unit reads its input every 20 ms, and a second packet in that time overwrites the first."""
 
 
 class Field(IntEnum):
@@ -122,7 +122,7 @@ def encode_command(field: int, value: float | str) -> bytes:
         for a destination, negative or not whole.
     """
     text = _letter(field, value) if field in _LETTERS else _number(field, value)
-    # The unit keeps the end of a longer earlier command behind a shorter one, so the value must be closed.
+    # The unit keeps the end of a longer earlier command behind a shorter one, so the value needs its terminator.
     packet = bytes((SEPARATOR, int(field))) + text.encode("ascii") + TERMINATOR
     require_allowed(packet)
     return packet
@@ -195,7 +195,7 @@ class TokenStream:
 
 
 def parse_number(field: int, value: bytes) -> float:
-    """Return the number of a field, printed in whatever width; `ValueError` if it is none or one that cannot be."""
+    """Return the number of a field, printed in whatever width; `ValueError` if it is none, or an impossible one."""
     found = _NUMBER.fullmatch(value)
     low, high = _RANGES[field]
     number = float(found[1]) if found else math.nan
@@ -219,8 +219,8 @@ class StatusWord:
     button_pressed
         A button on the box is being pressed.
     a_homing, b_homing
-        The axis is on a reference run. The unit tells of one some screens late, and no longer while no Hall pulses
-        come. `b_homing` is None where the place of B's bits is not known.
+        The axis is on a reference run. The unit reports that some screens late, and not while no Hall pulses come.
+        `b_homing` is None where the place of B's bits is not known.
     memory_fault
         The parameter memory could not be read or written.
     end_switches
@@ -327,7 +327,7 @@ _SETTINGS = {
     "a snow position": ((126, 127), _NO_POSITION),
 }
 OWN_MOVES = tuple(code for codes, _ in _SETTINGS.values() for code in codes)
-"""The fields that tell of them."""
+"""The fields of these settings."""
 
 
 def own_moves(fields: Mapping[int, str]) -> tuple[str, ...]:

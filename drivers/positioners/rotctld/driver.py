@@ -1,4 +1,4 @@
-"""Any rotator that Hamlib knows as a plug-in: the settings of its rotctld, and how it is built of them."""
+"""The plug-in for any rotator that Hamlib knows: the settings of its rotctld, and how it is built of them."""
 
 import math
 from collections.abc import Iterator
@@ -79,7 +79,7 @@ class RotctldSettings(PositionerSettings):
                 yield SettingsConflict(f"{axis}_min_deg", f"must be below {axis}_max_deg ({high:g} deg)")
 
     def unreachable(self, a_deg: float, b_deg: float, equator_azimuth_deg: float) -> str | None:
-        """Return why the range that is set here does not contain a position, or None; what is left out does."""
+        """Return why the range that is set here does not contain a position, or None; an end left out sets no limit."""
         mount = _mount(self, equator_azimuth_deg, ANYWHERE)
         try:
             mount.place(a_deg, b_deg)
@@ -118,7 +118,7 @@ def build(
 
 
 def _mount(settings: RotctldSettings, equator_azimuth_deg: float, state: RotatorState) -> Mount:
-    """Return the mount: what is set counts, for rotctld's own limits are wrong where it has offsets."""
+    """Return the mount: settings outrank rotctld's own limits, which are wrong where it has offsets."""
 
     def either(own: float | None, said: float) -> float:
         return said if own is None else own

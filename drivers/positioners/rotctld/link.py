@@ -28,7 +28,7 @@ class RotctldLine(Protocol):
     async def ask(self, command: bytes, within_s: float) -> RotctldReply:
         """Send one command at once, whatever is still unanswered, and return its reply; `DeadlineError` if it is late.
 
-        After a late one the line has to be closed: a reply would go to the wrong command.
+        After a late reply the line has to be closed: that reply would go to the wrong command.
         """
 
 
@@ -87,7 +87,7 @@ class TcpLine:
 
 
 class _Peer(asyncio.Protocol):
-    """The connection's end: replies go to those who asked, in their order."""
+    """The connection's end: replies go to the callers in the order of their commands."""
 
     def __init__(self, place: str, tap: Tap) -> None:
         self._place = place

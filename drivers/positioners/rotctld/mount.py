@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 TURN_DEG = 360.0
 FLAT_WITHIN_DEG = 0.5
-"""So near to the zenith the azimuth means nothing: it is held."""
+"""So near to the zenith the azimuth means nothing, and the rotator keeps the one that it has."""
 BEYOND_DEG = 5.0
 """How far beyond its range a rotator may be seen, by its run-out and by the steps of its count."""
 
@@ -24,7 +24,7 @@ class RotatorPosition(NamedTuple):
 
 
 class UnreachableError(Exception):
-    """The rotator's range does not contain a position; a clause that says what it would take."""
+    """The rotator's range does not contain a position; the text is a clause that says where it lies."""
 
 
 def pointing(a_deg: float, b_deg: float, equator_azimuth_deg: float) -> RotatorPosition:
@@ -70,7 +70,7 @@ class Mount:
     def place(self, a_deg: float, b_deg: float, here: RotatorPosition | None = None) -> RotatorPosition:
         """Return where the rotator has to go for the angles A and B; `UnreachableError` if it cannot.
 
-        Of several turns that show the same direction it is always the same one, so that cables are wound no further
+        Of several turns that show the same direction it always takes the same one, so that cables are wound no further
         with time. At the zenith the azimuth of `here` is kept.
         """
         wanted = pointing(a_deg, b_deg, self.equator_azimuth_deg)
@@ -89,10 +89,10 @@ class Mount:
         return RotatorPosition(azimuth_deg, elevation_deg)
 
     def counted(self, azimuth_deg: float, before_deg: float | None = None) -> float:
-        """Return a reported azimuth in the turn that the range counts in, for those that report another one.
+        """Return a reported azimuth in the turn that the range counts in, for rotators that report another turn.
 
-        `before_deg` is what was returned for the look before: one that rests a little beyond the end of its range has
-        not gone to the other end.
+        `before_deg` is what was returned last: a rotator that rests a little beyond one end of its range has not gone
+        to the other end.
         """
         beyond_deg = 0.0 if before_deg is None else BEYOND_DEG
         low_deg, high_deg = self.azimuth_min_deg - beyond_deg, self.azimuth_max_deg + beyond_deg
@@ -102,7 +102,7 @@ class Mount:
         return min(turns_deg, key=lambda each_deg: abs(each_deg - before_deg))
 
     def nearest(self, here: RotatorPosition) -> RotatorPosition:
-        """Return the position in the range that is nearest to one that may lie beyond."""
+        """Return the position in the range that is nearest to `here`, which may lie outside."""
         return RotatorPosition(
             min(max(here.azimuth_deg, self.azimuth_min_deg), self.azimuth_max_deg),
             min(max(here.elevation_deg, self.elevation_min_deg), self.elevation_max_deg),
@@ -117,8 +117,8 @@ class Mount:
     def _turned(self, azimuth_deg: float) -> float | None:
         """Return the azimuth in the turn that holds the whole day, or else nearest to the middle of the range.
 
-        Where two hold it, that without negative azimuths: Yaesu's controllers, -180 to 450 to Hamlib, take -20 for 340
-        and say 340, where nobody sent them.
+        If two hold it, it is the one without negative azimuths: Yaesu's controllers, which Hamlib gives -180 to 450,
+        take -20 for 340 and then report 340, to which nobody sent them.
         """
         relative_deg = (azimuth_deg - self.equator_azimuth_deg + 180.0) % TURN_DEG - 180.0
         count_deg = self.equator_azimuth_deg + relative_deg

@@ -1,11 +1,12 @@
-"""A rotator behind rotctld, which is believed by its position alone.
+"""A rotator behind rotctld, of which only the position is believed.
 
-`RPRT 0` to a command proves nothing: rotctld gives it when the rotator is off. So a move has begun and ended, and a
-stop has worked, when positions that were read say so. rotctld answers the commands of one connection in turn; a stop is
-written at once all the same, behind what is on its way, and whoever has not sent yet sends no more.
+The answer `RPRT 0` proves nothing: rotctld gives it even when the rotator is off. So only the positions that are read
+tell whether a move has begun or ended, and whether a stop has worked. rotctld answers the commands of one connection in
+turn; a stop is written at once all the same, behind what is under way, and a move that has not sent its target sends
+none.
 
-A rotator goes on to its last target when its client has gone; it may have other clients, and the last order wins. What
-moves without an order of ours shows in the positions, and is the business of whoever polls them.
+A rotator goes on to its last target when its client has gone; it may have other clients, and the last order wins.
+Motion without an order of ours shows in the positions, and the caller that polls them has to judge it.
 """
 
 import asyncio
@@ -51,7 +52,7 @@ class RotctldPositioner:
     limits
         Of A and B, for targets: on its way the rotator is held to its own range.
     mount_of
-        Makes the mount of what rotctld says of its rotator.
+        Makes the mount from what rotctld says of its rotator.
     stow
         The angles A and B [deg] that it has to be able to reach.
     model
@@ -59,7 +60,7 @@ class RotctldPositioner:
     reply_within_s
         Longest wait for a reply.
     jitter_deg, still_for_s
-        How far a position may differ with the rotator standing, and for how long it may for it to stand.
+        The rotator stands once its position has changed by no more than this for so long.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class RotctldPositioner:
         self._still_for_s = still_for_s
         self._mount: Mount | None = None
         self._aim: RotatorPosition | None = None
-        # By the last look of this connection.
+        # From the last position read on this connection.
         self._azimuth_deg: float | None = None
         self._stops = 0
 
@@ -178,25 +179,25 @@ class RotctldPositioner:
             )
 
     async def stop(self) -> None:
-        """Send stop now; whoever is about to send a target sends none."""
+        """Send stop now; a move that has not sent its target sends none."""
         self._stops += 1
         self._aim = None
         reply = await self._ask(protocol.STOP)
         if reply.error in _WITHOUT_STOP:
-            # Such a rotator is sent to where it is, which ends its way as well.
+            # A rotator without a stop is sent to where it is, which ends its move as well.
             here = await self._position()
             reply = await self._ask(protocol.SET_POSITION, *here)
             inside = self._known_mount().nearest(here)
             if reply.error in protocol.REFUSALS and _is_near(here, inside):
                 reply = await self._ask(protocol.SET_POSITION, *inside)
             if reply.error in protocol.REFUSALS:
-                # It has been heard and goes on, which `halt` sees; far outside of its range no stop may turn it.
+                # rotctld refuses, and if the rotator goes on `halt` sees it. Far outside its range no stop may turn it.
                 return
         if reply.error:
             raise self._unreached(reply.command, reply.error)
 
     async def halt(self) -> None:
-        """Send stop every 0.5 s until positions show that the rotator stands, within 12 s and a while."""
+        """Send stop every 0.5 s until positions show that the rotator stands, within 12 s plus `still_for_s`."""
         begin_s = self._now()
         await self.stop()
         stopped_s, (still_s, anchor) = self._now(), (self._now(), await self._position())
@@ -261,7 +262,7 @@ class RotctldPositioner:
         try:
             reply = await self._line.ask(protocol.command(name, *arguments), self._reply_within_s)
         except DeadlineError as error:
-            # Its answer may still come, and would be taken for that of another command.
+            # The answer may still come, and would be taken for that of another command.
             await self._part()
             raise LinkLostError(_DEVICE, f"{error.message}: is it rotctld, and does its rotator answer?") from None
         if reply.command != name:
@@ -270,7 +271,7 @@ class RotctldPositioner:
         return reply
 
     async def _part(self) -> None:
-        """Close the line, after a target behind a stop: it also ends one that waits for rotctld to read it."""
+        """Close the line, after a stop if a target was sent: that also ends a target which rotctld has yet to read."""
         if self._aim is not None:
             with contextlib.suppress(DeviceError):
                 await self._line.ask(protocol.command(protocol.STOP), _PART_WITHIN_S)
@@ -293,7 +294,7 @@ class RotctldPositioner:
 
 
 def _is_near(here: RotatorPosition, inside: RotatorPosition) -> bool:
-    """Tell whether a position lies outside of the range by no more than a rotator runs out."""
+    """Tell whether a position lies outside of the range by no more than a rotator's run-out."""
     return here != inside and all(abs(one - other) <= BEYOND_DEG for one, other in zip(here, inside, strict=True))
 
 

@@ -1,8 +1,8 @@
 """rotctld's protocol with extended responses, without a line: commands to bytes, and bytes to replies.
 
 A command is a `+`, a long name and its arguments; its reply repeats the name, has a line for each value and ends with
-`RPRT` and an error number: so every command is answered, and every answer says to what. Measured with rotctld of Hamlib
-4.5.4; `rotctl(1)` describes it.
+`RPRT` and an error number: so every command is answered, and every answer names its command. Measured with rotctld of
+Hamlib 4.5.4; `rotctl(1)` describes it.
 """
 
 import math
@@ -17,7 +17,7 @@ AZIMUTH, ELEVATION, INFO = "Azimuth", "Elevation", "Info"
 
 NOT_IMPLEMENTED, NOT_AVAILABLE = 4, 11
 REFUSALS = (1, 9, 21)
-"""The errors of a command that has come as far as it should and is not carried out."""
+"""The errors of a command that has reached its receiver and is not carried out."""
 _ERRORS = {
     1: "invalid parameter",
     NOT_IMPLEMENTED: "not implemented",
@@ -30,7 +30,7 @@ _ERRORS = {
 }
 _END = re.compile(r"RPRT -?(\d+)")
 _HEAD = re.compile(r"([a-z_]+):(?: .*)?")
-# Of a line without the blanks at its ends. Nothing in it can be read in two ways: a line of blanks took hours.
+# For a line without blanks at its ends. No text matches it in two ways: when one did, a line of blanks took hours.
 _VALUE = re.compile(r"([A-Za-z_ ]+)[:=](.*)")
 _MOST_BYTES = 16384
 
@@ -76,7 +76,7 @@ class RotatorState(NamedTuple):
     azimuth_deg, elevation_deg
         Lowest and highest. With rotctld's offsets (-o, -O) these are not what it accepts.
     kind
-        Such as ``AzEl``; empty where an older one does not say.
+        Such as ``AzEl``; empty where an older rotctld does not say.
     """
 
     model: int
@@ -87,7 +87,7 @@ class RotatorState(NamedTuple):
 
 def command(name: str, *arguments: float) -> bytes:
     """Return the bytes of one command, complete; `ValueError` for an argument that is not a finite number."""
-    # rotctld takes "nan", and reads what is missing from the next command.
+    # rotctld accepts "nan", and takes a missing argument from the next command.
     if not all(math.isfinite(argument) for argument in arguments):
         raise ValueError(f"{name} takes finite numbers, not {arguments}")
     return " ".join((f"+\\{name}", *(f"{argument:.2f}" for argument in arguments))).encode("ascii") + b"\n"
