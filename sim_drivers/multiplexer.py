@@ -144,7 +144,7 @@ class MultiplexerCore:
         return address
 
     def _floating(self) -> float:
-        # The inputs are asked what they had when they were left, newest first: nothing is asked of them before.
+        # Inputs are asked only now for the voltage that they had when they were left, the newest first.
         while self._left:
             voltage_v = self._inputs(*self._left.popitem())
             if voltage_v is not None:

@@ -22,7 +22,7 @@ class Network(NamedTuple):
     """A format: what reads a plain file of it, what stands between its cells, and how many lines a record has.
 
     `read` returns a frame with a UTC or local index and columns of ghi, dni, dhi, wind_speed and temp_air, and the site
-    if the file tells; it raises whatever a damaged file makes it trip over. `separator` None is a blank or more.
+    if the file tells; a damaged file may make it raise anything. With `separator` None blanks separate the cells.
     """
 
     read: Callable[[Path], _Found]
@@ -65,7 +65,7 @@ def _tmy3(path: Path, year: int) -> _Found:
     frame, meta = iotools.read_tmy3(path, coerce_year=year)
     times = list(frame.index)
     if len(times) > 1 and times[-1] - times[-2] > pd.Timedelta(days=1):
-        # pvlib takes the last hour for the one that ends at New Year, which a file that ends early has not.
+        # pvlib moves the last hour to the next year, which is right only for a file that ends at New Year.
         times[-1] = times[-1].replace(year=times[-1].year - 1)
     frame.index = pd.DatetimeIndex(times) - pd.Timedelta(minutes=30)
     return frame, Site(meta["latitude"], meta["longitude"], meta["altitude"])

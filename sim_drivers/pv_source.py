@@ -11,7 +11,7 @@ from solar.pv_module import MaximumPower, PvModule, SingleDiode, cell_temperatur
 _CALM_M_S = 1.0
 _MILD_C = 15.0
 _STEADY_S = 0.2
-"""For so long the light counts as the same: at full speed the axes turn by a tenth of a degree in that time."""
+"""How long the light counts as the same: at full speed the axes turn by a tenth of a degree in that time."""
 
 
 class SourceLight(NamedTuple):
@@ -64,13 +64,13 @@ class PvSource:
     def current(self, light: SourceLight, voltage_v: float) -> float:
         """Return the current [A] at a voltage."""
         diode = self._in(light)
-        # A load that holds a voltage asks again for whatever else it is asked then.
+        # While a load holds a voltage, each question to it asks for the current at that voltage again.
         if voltage_v != self._asked_v:
             self._asked_v, self._given_a = voltage_v, diode.current(voltage_v)
         return self._given_a
 
     def voltage(self, light: SourceLight, current_a: float) -> float:
-        """Return the voltage [V] at a current; that of the open circuit for none."""
+        """Return the voltage [V] at a current; at 0 A that of the open circuit."""
         diode = self._in(light)
         return self._open_v if current_a == 0.0 else diode.voltage(current_a)
 
@@ -79,7 +79,7 @@ class PvSource:
         return self._in(light).maximum()
 
     def light_now(self, now: float) -> SourceLight:
-        """Return the light at a time [s] as it is worked out anew."""
+        """Work out the light at a time [s] anew."""
         utc_s, pose = self._utc_s(now), self._pose(now)
         irradiance = self._scene.plane_of_array(pose.a_deg, pose.b_deg, utc_s)
         air, wind = self._scene.air_temperature(utc_s), self._scene.wind_speed(utc_s)

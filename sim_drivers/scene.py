@@ -223,7 +223,7 @@ class Scene:
         self._broken_v[face] = None
 
     def _locate(self, utc_s: float) -> tuple[_Chunk, int, float]:
-        """Find the chunk of an instant, the whole second before it there, and the share of the next that has gone."""
+        """Find the chunk of an instant, the whole second before it there, and how much of the next has passed."""
         # Nearly every question is about the chunk of the one before.
         offset = utc_s - self._latest_utc_s
         if 0.0 <= offset < CHUNK_S:

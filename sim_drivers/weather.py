@@ -22,15 +22,15 @@ WeatherKind = Literal["clear", "overcast", "variable", "broken"]
 YEAR_S = 365.2425 * DAY_S
 SPELL_S = 1500.0
 BLEND_S = 240.0
-# With these periods the cloud field changes by up to 0.01 a second: an edge takes 3 s or more over the sun.
+# With these periods the cloud field changes by up to 0.01 a second: an edge takes 3 s or more to pass the sun.
 EDGE = 0.03
 CLOUD_PERIODS_S = (600.0, 210.0, 60.0)
 CLOUD_WEIGHTS = (0.5, 0.35, 0.15)
-# Chosen for nothing but the statistics of 149 days of a measured year (Lyngby, 2016, one-minute values; those on which
-# the beam exceeded 120 W/m2 for 15 to 75 % of the time). Measured, then here: changes past 120 W/m2 an hour 5.5, 6.5;
-# minutes from one to the next, median 2.9, 2.4; length of the stretch that a minute lies in, mean 54, 49; time with
-# less than 2, 30 and 70 % of the clear beam 47, 62 and 72 %, 47, 59 and 70 %; mean diffuse light in these four classes
-# as a share of the clear GHI 0.36 0.52 0.48 0.32, 0.37 0.53 0.47 0.34.
+# Chosen only to match the statistics of 149 days of a measured year (Lyngby, 2016, one-minute values; those on which
+# the beam exceeded 120 W/m2 for 15 to 75 % of the time). The measured values, then these: changes past 120 W/m2 an hour
+# 5.5, 6.5; minutes from one to the next, median 2.9, 2.4; length of the stretch that a minute lies in, mean 54, 49;
+# time with less than 2, 30 and 70 % of the clear beam 47, 62 and 72 %, 47, 59 and 70 %; mean diffuse light in these
+# four classes as a share of the clear GHI 0.36 0.52 0.48 0.32, 0.37 0.53 0.47 0.34.
 BROKEN_PERIODS_S = (7200.0, 1200.0, 240.0, 60.0)
 BROKEN_WEIGHTS = (0.4, 0.3, 0.2, 0.1)
 BROKEN_COVER = 0.56

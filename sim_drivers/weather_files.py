@@ -1,11 +1,11 @@
 """Measured weather from files: our own CSV, and the formats of BSRN, SURFRAD, MIDC and TMY3.
 
-Our CSV has a header ``time,ghi,dni,dhi`` and optionally ``wind_speed,temp_air`` in any order, plain or gzipped,
-with tabs, or with semicolons and then decimal commas, in place of commas if need be. ``time`` is ISO 8601; without an
-offset it is UTC. Irradiance is in W/m2, wind in m/s, temperature in deg C; an empty cell, ``NaN``, ``NA``, ``N/A`` and
-``null`` are a missing value, and so is a number out of the quantity's range. A last line that breaks off is left out.
-Negative irradiance at night (a pyranometer's thermal offset) becomes zero. A column ``simulated`` with ``true`` in any
-row says that nobody has measured it.
+Our CSV has a header ``time,ghi,dni,dhi`` and optionally ``wind_speed,temp_air`` in any order, plain or gzipped; tabs,
+or semicolons with decimal commas, may stand in place of commas. ``time`` is ISO 8601; without an offset it is UTC.
+Irradiance is in W/m2, wind in m/s, temperature in deg C; an empty cell, ``NaN``, ``NA``, ``N/A`` and ``null`` are a
+missing value, and so is a number out of the quantity's range. A last line that breaks off is left out. Negative
+irradiance at night (a pyranometer's thermal offset) becomes zero. A column ``simulated`` with ``true`` in any row says
+that nobody has measured it.
 
 A value is taken to hold at the instant it is stamped with, and to change linearly until the next. The hours of TMY3
 are stamped at their end; they are moved back to their middle, and the typical year, whose months come from different
@@ -64,7 +64,7 @@ class MeasuredWeather:
     site
         Where it was measured, if the file tells.
     left_out
-        What of the file does not count, a sentence each.
+        Which parts of the file do not count, a sentence each.
     simulated
         Whether the file says of itself that a model made it.
 
@@ -96,7 +96,7 @@ class MeasuredWeather:
         self._others = {key: _present(utc_s, values[key]) for key in OPTIONAL}
 
     def note(self) -> str | None:
-        """Return what a person should know of what does not count, in a sentence, or None."""
+        """Return a sentence that tells people which parts of the file do not count, or None."""
         return "; ".join(self._left_out) or None
 
     @property
@@ -173,7 +173,7 @@ def load_weather(path: Path, *, typical_year: int | None = None) -> MeasuredWeat
         TypeError,
         ValueError,
     ) as error:
-        # The formats' readers raise whatever a damaged file makes them trip over.
+        # The formats' readers may raise anything for a damaged file.
         raise WeatherFileError(f"weather file {path} cannot be read: {why_unread(error)}") from error
 
 
@@ -182,7 +182,7 @@ def site_mismatch(weather: MeasuredWeather, site: Site) -> str | None:
 
     GHI - DHI must equal DNI sin(elevation), and there is no beam at night. At the right site the two agree to 1 or 2 %
     on most days; an hour of time or 10 deg of longitude too many shows as more than 8 %. Fewer than ten sunny records
-    tell nothing, but for a sky that is too dark under a high sun, as where the unit is another.
+    tell nothing, except that a sky too dark for a high sun shows a wrong unit.
     """
     elevation_deg = sun_position(weather.utc_s, *site).elevation_deg
     ghi, dni, dhi = (weather.irradiance_w_m2[key] for key in IRRADIANCES)
@@ -213,7 +213,7 @@ def _read(path: Path, typical_year: int | None) -> MeasuredWeather:
     if path.is_dir():
         raise WeatherFileError(f"{path} is a folder: name a file of measured weather in it")
     if path.exists() and not path.is_file():
-        # To open a pipe would wait for whoever writes into it.
+        # To open a pipe would wait for its writer.
         raise WeatherFileError(f"{path} is no ordinary file: write its records into one and name that")
     first, second, third = _head(path)
     if not (first + second + third).strip():
@@ -239,7 +239,7 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
         skip_blank_lines=False,
         encoding="utf-8-sig",
         skipinitialspace=True,
-        # Of what else is packed pandas would tell in many words.
+        # Not inferred: for a file packed otherwise pandas' error has many words.
         compression="gzip" if _is_gzipped(path) else None,
     )
     found = [str(column).strip().lower() for column in frame.columns]
@@ -248,7 +248,7 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
         if column not in found:
             raise WeatherFileError(f"weather file {path} has no column {column}; found: {', '.join(found)}")
     for column in ("time", *IRRADIANCES, *OPTIONAL, "simulated"):
-        # pandas gives the second of two that are called alike a number.
+        # pandas adds a number to the second of two columns with one name.
         if found.count(column) > 1 or f"{column}.1" in found:
             raise WeatherFileError(f"weather file {path} has two columns {column}: leave in the one that counts")
     if not isinstance(frame.index, pd.RangeIndex):
@@ -256,7 +256,7 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
     broken = broken_line(path, separator)
     cells = frame[: -1 if broken else None].fillna("").apply(lambda column: column.str.strip())
     if separator == ";":
-        # So does a spreadsheet write where numbers have a decimal comma.
+        # A spreadsheet writes semicolons where numbers have a decimal comma.
         cells = cells.replace(",", ".", regex=True)
     # A file may end in blank lines; the index keeps the line numbers of the others.
     cells = cells[(cells != "").any(axis=1)]

@@ -53,7 +53,7 @@ class Bench:
     switch, meter
         The cores of multiplexer and voltmeter.
     unit
-        The core of the positioner, or a rotator behind its rotctld; None: the tracker is no business of the bench.
+        The core of the positioner, or a rotator behind its rotctld; None for a bench without a tracker.
     load, source
         The core of the electronic load, and the module that feeds it.
     clock
@@ -61,12 +61,12 @@ class Bench:
     baud_rate
         Of the voltmeter.
     sensors
-        What is the cube, at the port ``cube``: devices on Modbus or a scanning meter. Empty: meter and switch are.
+        The cube at the port ``cube``: devices on Modbus or a scanning meter. Empty if meter and switch are the cube.
 
     Attributes
     ----------
     cube
-        That on its line; None without it.
+        That cube on its line; None without it.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class Bench:
                 for host in hosts:
                     host.cancel()
         except ExceptionGroup as group:
-            # The others have been cancelled for the first that failed.
+            # The first that failed has caused the others to be cancelled.
             raise group.exceptions[0] from group
         finally:
             for port in ports:
@@ -192,7 +192,7 @@ class Bench:
             return {"sky": None, "faces": None, "plane_of_array_w_m2": None, "light_missing": str(error)}
 
     def _pose(self, now: float) -> Angles | None:
-        """Return where the module points, None where that is not the bench's."""
+        """Return where the module points; None where the tracker is not the bench's."""
         host = self.positioner
         if host is None:
             return None

@@ -31,7 +31,7 @@ _REENUMERATION_S = 1.0
 _LONGEST_REQUEST = 65536
 _WHOLE = re.compile(r"-?[0-9]{1,9}")
 _MOST = 1_000_000
-# As far as an address and a register go.
+# The ranges of an address and of a register.
 _OF_A_SENSOR = {"address": (1, 247), "status": (0, 65535), "mode": (0, 65535)}
 
 
@@ -116,11 +116,11 @@ class BenchControl:
             return {"ok": False, "error": str(error)}
 
     def state(self) -> dict[str, Any]:
-        """Tell the truth."""
+        """Return the true state of everything."""
         return self._bench.state()
 
     async def unplug(self, device: str, seconds: str = "") -> None:
-        """Pull a plug, for some seconds or until `replug`; what was said of it before counts no more."""
+        """Pull a plug, for some seconds or until `replug`; this replaces an earlier order for the same plug."""
         name = _one_of(device, DEVICES)
         length_s = _number(seconds, 0, 86400) if seconds else None
         self._forget(name)
@@ -312,7 +312,7 @@ class BenchControl:
         return host
 
     def _talker(self, device: str) -> Any:
-        """Return what loses and garbles a device's words: its host, or the core of one that answers questions."""
+        """Return the object that loses and garbles a device's words: its host, or the core if it answers questions."""
         host = (
             self._unit() if device == "positioner" else self._host(_one_of(device, ("positioner", "voltmeter", "load")))
         )
@@ -370,7 +370,7 @@ def _count(text: str) -> int:
 
 
 def _whole(text: str, low: int, high: int) -> int:
-    # Python turns no text of thousands of digits into a number.
+    # Python refuses to make a number of thousands of digits.
     if not (_WHOLE.fullmatch(text) and low <= int(text) <= high):
         raise ValueError(f"'{text}' is not a whole number from {low} to {high}")
     return int(text)

@@ -75,7 +75,7 @@ class LineHost(Generic[Core]):
                 await self._wait(min(due) - self._now())
 
     def fail(self, failure: Exception) -> None:
-        """End `run` with what the instrument raised for somebody who does not ask over this line."""
+        """End `run` with an error that the instrument raised for a user who is not on this line."""
         self._failure = failure
         self._wake.set()
 

@@ -108,7 +108,7 @@ class ModbusHost:
         loop = asyncio.get_running_loop()
         try:
             while data := await reader.read(4096):
-                # One that is due sends at once: there is nothing left to call off.
+                # The timer of a reply that is due sends it at once: it need not be cancelled any more.
                 replies = {timer for timer in replies if timer.when() > loop.time()}
                 for due_s, frame in [] if self._frozen else core.feed(data, self._now()):
                     replies.add(loop.call_later(max(due_s - self._now(), 0.0), self._send, writer, frame))

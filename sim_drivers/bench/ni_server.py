@@ -101,7 +101,7 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
 
         Raises `OSError` for a port that another program has.
         """
-        # As the library binds it, which leaves descriptors open and gives no reason where the port is taken.
+        # Bind the port first as the library will: on a taken port that leaves descriptors open and gives no reason.
         socket.create_server((_LOOPBACK, port), reuse_port=True).close()
         server = grpc.aio.server()
         stubs.add_NiDAQmxServicer_to_server(self, server)
@@ -155,7 +155,7 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
     async def CreateTask(self, request: Any, _context: Any) -> Any:
         await self._running.wait()
         name = request.session_name or f"_unnamedTask<{next(self._names)}>"
-        # Asked for a session that it has, the server hands that one out.
+        # The server hands out the session that it already has under this name.
         is_new = name not in self._tasks
         if is_new:
             self._tasks[name] = _Task(name)

@@ -22,12 +22,12 @@ class PositionerHost:
     """The unit behind its port.
 
     The first screen after the port has been opened is an old one, held since the last user left. It comes a period
-    later, and not before the user has switched the echo off, so that a user whom a busy machine keeps waiting does no
-    harm; a user who leaves it on gets it after a quarter of a second. Whatever is echoed then is taken for a command.
+    later, and not before the user has switched echo off, so that a user whom a busy machine keeps waiting does no harm.
+    A user who leaves echo on gets it after a quarter of a second; what is echoed then is taken for a command.
 
-    Of two commands within 20 ms a unit hears one. A busy machine lets a pseudo-terminal wait, and what was sent in good
-    time is read at once or in quick succession: here commands are handed over one by one, at the distance that the unit
-    asks for. More than three that wait are an echo, and come as they are.
+    Of two commands within 20 ms a unit hears one. A busy machine may read commands that were sent in good time all at
+    once from a pseudo-terminal. So they are handed over one by one, at the distance that the unit asks for. More than
+    three that wait are an echo, and are handed over as they are.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class PositionerHost:
     ----------
     boots_at_open_s
         How long the unit restarts whenever its port is opened; None if it does not. A pseudo-terminal has no modem
-        lines, so a user cannot keep it from that.
+        lines, so a user cannot prevent that.
     received
         How often each command code has come in, whoever sent it.
     lost_screens

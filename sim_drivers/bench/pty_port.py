@@ -67,7 +67,7 @@ class PtyPort:
         return self._master is not None and bool(termios.tcgetattr(self._master)[_LOCAL_MODES] & termios.ECHO)
 
     def check_place(self) -> None:
-        """Raise `BenchError` where something else has the name: a link alone is taken for what a bench has left."""
+        """Raise `BenchError` where something else has the name: only a link is taken for what a bench has left."""
         if os.path.lexists(self.link) and not self.link.is_symlink():
             raise BenchError(f"{self.link} is there and is no port of a bench: move it, or take another folder")
 
@@ -82,7 +82,7 @@ class PtyPort:
         beside.unlink(missing_ok=True)
         beside.symlink_to(os.ttyname(slave))
         os.close(slave)
-        # Nobody ever meets a link that leads nowhere.
+        # In one step, so that nobody ever meets a link that leads nowhere.
         beside.replace(self.link)
         self._master = master
         self._wait_for_user()

@@ -7,7 +7,7 @@ from sim_drivers.pozsol.core import FAULTS
 from sim_drivers.rotctld.core import ROTATOR_FAULTS
 
 DEVICES = ("positioner", "voltmeter", "multiplexer", "server", "load", "cube")
-"""What has a plug; the server is the NI gRPC server and not the device behind it."""
+"""Everything that has a plug; the server is the NI gRPC server, not the device behind it."""
 PYRANOMETER_CAN = ("silent", "speaks", "delay S", "corrupt COUNT", "status BITS", "mode N", "address N")
 """What one sensor of a cube on Modbus can be made to do."""
 

@@ -18,7 +18,7 @@ _CHROMA_MODULE = "CHROMA,63640-80-80,636400004321,1.05"
 
 
 def compile_line(line: str, make: DialectName) -> Program:
-    """Return what a line does; from the first command on that is not understood it raises `ScpiError`."""
+    """Return the steps of a line; the step of a command that is not understood raises `ScpiError`."""
     found, code = messages(line)
     steps: list[Step] = []
     for message in found:
@@ -173,7 +173,7 @@ _AGILENT = _spelt(
         "MODE:VOLTage[:DC]": _act(lambda load, now: load.set_mode("VOLT", now)),
         "MODE?": _ask(lambda load, _now: load.mode),
         "VOLTage[:LEVel][:IMMediate]": _level,
-        # What was set, and not what is there.
+        # This answers what was set, not what is measured.
         "VOLTage[:LEVel][:IMMediate]?": _ask(lambda load, _now: _written(load, load.level_v)),
         "CURRent:RANGe": _set(number(0.0, 10.0, 10.0), lambda _load, _range_a, _now: None),
         "TRANsient[:STATe]": _set(boolean, lambda _load, _on, _now: None),

@@ -1,6 +1,6 @@
 """The simulated electronic load: bytes in, replies with their due times out, time as an argument.
 
-Left out is the pace of the line, which is the host's matter.
+The pace of the line is left out: the host sees to it.
 """
 
 import numpy as np
@@ -96,7 +96,7 @@ class LoadCore(LoadInstrument):
             if len(self._programs) >= _CACHED_LINES:
                 self._programs.clear()
             program = compile_line(line.decode("latin-1"), self.make)
-            # Found again at once when the same line comes as one piece.
+            # Also with its end, so that `feed` finds a line that comes as one piece at once.
             self._programs[line] = self._programs[line + b"\n"] = program
         return self._execute(program, now)
 

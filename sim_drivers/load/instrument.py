@@ -77,7 +77,7 @@ class LoadInstrument:
     selected: int
     latched: set[Trip]
     scpi: ScpiStatus
-    # What the terminals come from, None for the open circuit.
+    # The voltage from which the terminals settle; None for that of the open circuit.
     _before_v: float | None
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Several simulated devices on one line: who is addressed answers, two of one address spoil each other's words."""
+"""Several simulated devices on one line: the one addressed answers; two of one address garble each other's replies."""
 
 from collections.abc import Sequence
 from typing import Any, Protocol
@@ -33,13 +33,13 @@ class DeviceLineCore:
     Parameters
     ----------
     sensors
-        On it; the same one may be named several times. The list may be changed at any time.
+        The devices on it; one may be named several times. The list may be changed at any time.
     framing
         RTU unless given.
     """
 
     aborts = 0
-    """Never does anybody here drop what it had to say."""
+    """Always 0: no device here drops a reply."""
 
     def __init__(self, sensors: Sequence[SimulatedDevice], framing: ServerFraming | None = None) -> None:
         self.sensors = list(dict.fromkeys(sensors))
@@ -67,7 +67,7 @@ class DeviceLineCore:
         first.address, second.address = second.address, first.address
 
     def _hears(self, sensor: SimulatedDevice, now: float) -> bool:
-        """Tell whether a question reaches a sensor: on one pair none does that comes soon after a reply."""
+        """Tell whether a question reaches a sensor: on one pair, one that comes soon after a reply does not."""
         if not (self._is_one_pair and sensor.deaf_s):
             return True
         self._replied_s = [at_s for at_s in self._replied_s if now < at_s + sensor.deaf_s]

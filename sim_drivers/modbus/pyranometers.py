@@ -232,7 +232,7 @@ class SimulatedDeltaOhm(SimulatedPyranometer):
         return {0: 0, 1: 250, 2: words_for(w_m2, "int16")[0], 3: self.status}
 
     def blind_registers(self) -> dict[int, int]:
-        """Return the registers with the bit of the measurement."""
+        """Return the registers with the bit that says that there is no measurement."""
         return self.registers(0.0) | {3: self.status | _DELTA_OHM_NO_MEASUREMENT}
 
 
@@ -259,7 +259,7 @@ class SimulatedMapped(SimulatedPyranometer):
         return known
 
     def blind_registers(self) -> dict[int, int]:
-        """Return the same: each map has a sensor of its own."""
+        """Return what `registers` does: each map has a sensor of its own, which gives NaN while it cannot measure."""
         return self.registers(math.nan)
 
     def _mapped(self, used: RegisterMapSettings, w_m2: float) -> dict[int, int]:

@@ -143,7 +143,7 @@ class PositionerCore:
         return self._unit.readout(now, self._links)
 
     def changes(self, now: float) -> int:
-        """Return how often anything has changed so far but by going on as it did."""
+        """Return how often anything has changed so far; motion that goes on as it was is no change."""
         self.advance(now)
         return self._unit.changes
 
@@ -189,7 +189,7 @@ class PositionerCore:
         text = bytes(self._buffer).split(b"\0", 1)[0]
         # Only the first byte is cleared: the rest of a command stays behind a shorter one that follows.
         self._buffer[0] = 0
-        # A `$` anywhere else than at the very beginning is none to the unit.
+        # Only at the very beginning does the unit take a `$` for the start of a command.
         if not self._deaf and text.startswith(b"$") and len(text) > 1:
             self._execute(text[1], text[2:], now)
 

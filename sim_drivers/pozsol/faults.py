@@ -7,7 +7,7 @@ from sim_drivers.pozsol.supply import LOW_V, NOMINAL_V
 from sim_drivers.pozsol.unit import Button, PositionerUnit
 
 SLIP_COUNTS = 375
-"""Hall impulses that one slip takes from the count, 5 mm of an actuator: the axis is further out than counted."""
+"""Hall impulses that one slip takes from the count, 5 mm of an actuator: the axis is then further out than counted."""
 
 _AXIS_EVENTS = ("overcurrent", "pulse_loss", "destination", "slip")
 _AXIS_CONDITIONS = ("hall_loss", "cable", "switch_closed", "switch_open", "ignores_targets")

@@ -45,7 +45,7 @@ class OwnModes:
 
     @property
     def owns_targets(self) -> bool:
-        """Whether targets of the host are ignored: led by a master, the unit takes them all the same."""
+        """Whether targets of the host are ignored; a unit that a master leads takes them all the same."""
         return self.tracking and not self.slave
 
     def switch(self, on: bool, now: float) -> None:

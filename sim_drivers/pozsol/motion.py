@@ -1,7 +1,7 @@
 """One motor axis of the simulated positioner: its motor, its mechanics, its Hall sensors and its end switches.
 
 Positions are in mm of actuator travel. The true position counts from the low end switch; the unit's own count differs
-from it once its reference is lost. What the axis is told to do is the unit's business.
+from it once its reference is lost. The unit (:mod:`.unit`) decides what the axis is told to do.
 """
 
 import math
@@ -15,7 +15,7 @@ HARD_STOP_MM = 1.0
 PULSE_TIMEOUT_S = 2.0
 HOMING_TIMEOUT_S = 600.0
 EDGE_MEMORY_S = 0.4
-"""For so long after an impulse an axis counts as moving."""
+"""How long after an impulse an axis counts as moving."""
 HOMING_AHEAD_MM = 10.0
 """During homing the destination is this far inwards of the position, wherever that is."""
 ERRORS = frozenset(("overcurrent", "cable", "homing_too_long"))
@@ -73,7 +73,7 @@ class Axis:
 
     @property
     def blocked(self) -> bool:
-        """Whether the unit drives it at all."""
+        """Whether a fault keeps the unit from driving it at all."""
         return not self.enabled or bool(self.faults & ERRORS)
 
     def true_mm(self, now_s: float) -> float:
@@ -100,7 +100,7 @@ class Axis:
         return at[1]
 
     def _angle_at(self, before: tuple[float, float], position_mm: float) -> tuple[float, float]:
-        # One axis of two rests at any time, and is asked for its angle all the same.
+        # At any time one of the two axes rests, but its angle is asked for all the same: do not compute it anew.
         return before if before[0] == position_mm else (position_mm, self.actuator.angle_deg(position_mm))
 
     def position_of(self, angle_deg: float) -> int:
@@ -147,7 +147,7 @@ class Axis:
 
     @property
     def rests_s(self) -> float:
-        """When its motion ends, if it moves."""
+        """When its motion ends; -inf if it does not move."""
         return self._profile.end_s if self._profile else -math.inf
 
     @property
@@ -165,7 +165,7 @@ class Axis:
         brakes = brakes and not self._hall_lost and math.isfinite(target_mm)
         plan = (target_mm, brakes)
         if not starts and plan == self._planned:
-            # Against a hard stop it stays switched on, and at rest.
+            # The same order again changes nothing: against a hard stop an axis stays switched on, and at rest.
             return
         if not self.active:
             self._last_edge_s = now_s - self._blind_s
@@ -180,7 +180,7 @@ class Axis:
             self._passes_s = profile.reaches(goal + side / self.drive.counts_per_mm, side)
 
     def run_out(self, now_s: float) -> None:
-        """Go on without a motor."""
+        """Run out without a motor."""
         if self._profile:
             self._planned = None
             self._replace(coast(now_s, self.true_mm(now_s), self.velocity_mm_s(now_s), self.drive), now_s)
@@ -208,7 +208,7 @@ class Axis:
             self._last_edge_s, self._planned, self._blind_s = now_s, None, 0.0
 
     def count(self, counting: bool, now_s: float) -> None:
-        """Begin or end to count impulses: the unit counts those of one axis at a time."""
+        """Begin or stop to count impulses: the unit counts those of one axis at a time."""
         if counting is not self._counting:
             self._stop_looking(now_s)
             self._counting = counting
@@ -219,7 +219,7 @@ class Axis:
         self._origin_mm -= way_mm
 
     def forget_faults(self) -> None:
-        """Forget all faults but a broken cable; what one has disabled stays so."""
+        """Forget all faults but a broken cable; an axis that a fault has disabled stays so."""
         self.faults = {"cable"} if self.cable_broken else set()
 
     def forget_position(self, now_s: float) -> None:

@@ -18,7 +18,7 @@ _BRAKED_EDGE_S = 0.245
 _FULL_OVERSHOOT = 0.69
 """From this share of full speed on an axis overshoots in full."""
 _SAG_S = 0.1
-"""How long a running axis loses speed when its motor starts anew, from no drive at all; it keeps half of it."""
+"""How long a running axis that is not driven loses speed when its motor starts anew; it keeps half of its speed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +163,7 @@ def _drive(
 
 
 def _top_speed(distance: float, speed: float, drive: AxisDrive) -> tuple[float, float]:
-    """Return the highest speed on the way, and how far before the target that has to be given up."""
+    """Return the highest speed on the way, and how far before the target it has to brake."""
     brake = 0.0
     top = speed
     for _ in range(3):

@@ -81,7 +81,7 @@ _PRINTED: dict[int, str] = {
     225: "65538",
     226: "116",
 }
-"""What is printed of everything that a simulated unit has no use for."""
+"""What is printed for all fields that a simulated unit has no use for."""
 _SUN_SENSOR = b"$\x800000$\x810000"
 
 
@@ -163,7 +163,7 @@ def fast_screen(slot: int, now: Readout) -> bytes:
     if slot == 1:
         clock = {Field.CLOCK_HOUR: hour, Field.CLOCK_MINUTE: minute, Field.CLOCK_SECOND: second}
     elif slot == 4:
-        # The unit's calendar is nothing that anybody reads here: months of 30 days do.
+        # Nobody reads the unit's calendar here, so that months of 30 days are good enough.
         clock = {
             Field.GMT_SECOND: second,
             Field.GMT_MINUTE: minute,

@@ -196,11 +196,11 @@ class Setup:
     own_target
         Where the unit's own sun tracking would point, of time [s].
     own_interval_s
-        How often it does.
+        Time from one such target to the next.
     wind_stow, snow_stow
         Where it goes in wind and under snow; None as the unit's "off".
     wind_hold_s, snow_hold_s
-        For how long after the wind, the snow, has ended.
+        How long it stays there after the wind or the snow has ended.
     """
 
     a_actuator: Mechanics = A_ACTUATOR

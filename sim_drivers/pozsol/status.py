@@ -14,7 +14,7 @@ _FAULT_BITS = {**wire.FAULT_BITS, **DESTINATION_BITS}
 
 
 def mode_text(modes: OwnModes) -> str:
-    """Return the unit's own words for its mode; that tracking is off it does not say."""
+    """Return the unit's own words for its mode; they do not say that tracking is off."""
     if modes.slave:
         return "sigma tracking" if modes.tracking else "sigma standby"
     if not modes.tracking:
@@ -36,7 +36,7 @@ def status_word(
     a, b = axes["a"], axes["b"]
     a_way, b_way = _way(a, destinations_mm["a"], now), _way(b, destinations_mm["b"], now)
     if b_way:
-        # Motion of one axis wipes out the other's bits, B's last.
+        # Motion of one axis wipes out the other's bits; if both move, only B's remain.
         a_way = 0
     marks = (
         (was_reset, wire.RESET_BIT),

@@ -5,11 +5,11 @@ import math
 NOMINAL_V, LOW_V = 24.0, 15.0
 MOVE_V, CUT_OFF_V = 20.0, 17.0
 RECOVERY_S = 5.0
-"""For so long after an undervoltage targets are refused."""
+"""How long after an undervoltage targets are refused."""
 
 
 class MotorSupply:
-    """What the motors get, and what the unit refuses for it.
+    """What the motors get, and what the unit refuses because of it.
 
     Attributes
     ----------

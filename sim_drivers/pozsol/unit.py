@@ -18,12 +18,12 @@ from solar.frames import Angles
 
 POLL_S = 0.02
 MANUAL_POLLS = 14
-"""So many looks at the input after an action (code 57) the unit takes its axes for driven by hand."""
+"""After an action (code 57) and so many looks at its input the unit takes its axes to be driven by hand."""
 SELF_CLEAR_S = 900.0
 BRAKING_S = 0.34
-"""From its target until the unit has braked an axis; what it is told in that time is lost."""
+"""Time from an axis' target until the unit has braked it; commands in that time are lost."""
 IDLE_S = 1.0
-"""For so long an axis without a reason to be driven stays switched on."""
+"""How long an axis stays switched on without a reason to be driven."""
 BUTTON_S, BUTTON_AGAIN_S = 0.32, 0.301
 """How long a button has to be held before it does something, and until it does so again."""
 Button = Literal["out", "in", "both"]
@@ -133,7 +133,7 @@ class PositionerUnit:
     def power_cycle(self, now: float, *, keep_position: bool = True) -> None:
         """Restart: faults are gone, the reset mark is set, the count is kept or starts at 0.
 
-        An axis that a fault has disabled stays so until the status is cleared, by us or by the unit itself.
+        An axis that a fault has disabled stays so until the status is cleared, by the host or by the unit itself.
         """
         for axis in self.axes.values():
             axis.freeze(now)
@@ -166,7 +166,7 @@ class PositionerUnit:
         return Angles(a.true_deg(now), b.true_deg(now))
 
     def destination(self, name: AxisName, now: float) -> float:
-        """Return the destination [mm] that the unit shows; where it only follows the position, that moves with it."""
+        """Return the destination [mm] that the unit shows; where it follows the position, it moves with that."""
         axis = self.axes[name]
         if name == self._chosen:
             if axis.blocked or axis.control == "stop" or self._runs_out:
@@ -325,7 +325,7 @@ class PositionerUnit:
         self._choose(name, now)
         axis = self.axes[name]
         if not (axis.blocked or self.supply.refuses(now)):
-            # An axis at rest without a target of its own may lose its turn at once to one that has one.
+            # An axis at rest without a target of its own may lose its turn at once to an axis that has one.
             self._take_turns(now)
             axis.control, axis.homing_since_s = "home", now
 

@@ -1,6 +1,6 @@
 """A rotator as rotctld shows it: two axes that turn at one speed, and commands as Hamlib 4.5.4's own server takes them.
 
-A test asks this one and the real rotctld the same and compares the bytes.
+A test asks this simulation and the real rotctld the same questions and compares the bytes.
 """
 
 import math
@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 ROTATOR_FAULTS = ("gone", "deaf", "stopless")
-"""Unplugged from its rotctld, which answers with an error; switched off, which rotctld does not notice; no stop."""
+"""Unplugged from rotctld, which answers with an error; switched off, which rotctld does not notice; without a stop."""
 
 _NO_LIMIT, _NO_CONNECTION, _NOT_AVAILABLE = -1, -6, -11
 _PREFIX = "+"
@@ -72,7 +72,7 @@ class RotatorCore:
         return self._to
 
     def turn(self, azimuth_deg: float, elevation_deg: float, now_s: float) -> None:
-        """Go there, whoever has said so: a hand at the controller has no limits but the rotator's."""
+        """Go there, whoever orders it: a hand at the controller has no limits but the rotator's."""
         self._from, self._to, self._began_s = self.position(now_s), (azimuth_deg, elevation_deg), now_s
 
     def restart(self, now_s: float) -> None:
@@ -115,7 +115,7 @@ class RotctldSession:
         self.closed = False
 
     def feed(self, data: bytes, now_s: float) -> bytes:
-        """Take in bytes and return what is answered; what a command lacks is taken from the next line."""
+        """Take in bytes and return the answers; an argument that a command lacks is taken from the next line."""
         self._rest += data.decode("latin-1")
         answers = []
         while not self.closed and (words := self._next_command()):
@@ -147,7 +147,7 @@ class RotctldSession:
         core.received[name] = core.received.get(name, 0) + 1
         lines: _Lines
         if "gone" in core.faults and name not in ("get_info", "dump_state"):
-            # What is told to a rotator that does not answer reaches nothing.
+            # A command to a rotator that is unplugged does nothing.
             lines, error = [], _NO_CONNECTION
         else:
             lines, error = _ANSWERS[name](core, arguments, now_s)
@@ -192,7 +192,7 @@ def _set_position(core: RotatorCore, arguments: list[str], now_s: float) -> tupl
     except ValueError:
         return [], _NO_LIMIT
     if not (math.isfinite(azimuth_deg) and math.isfinite(elevation_deg)):
-        # It takes them, and nobody knows where the rotator goes.
+        # rotctld accepts such numbers; where a real rotator goes then is not known.
         return [], 0
     return [], core.order(azimuth_deg, elevation_deg, now_s)
 

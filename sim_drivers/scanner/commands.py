@@ -31,7 +31,7 @@ def _plain(step: ScannerStep) -> Build:
 
 
 def _with(count: int, step: Callable[..., str | None]) -> Build:
-    """Return what takes a number of parameters, whatever they are."""
+    """Return the builder of a command that takes `count` parameters, whatever they are."""
 
     def build(parameters: tuple[str, ...]) -> Step:
         if len(parameters) != count:
@@ -80,7 +80,7 @@ def _keithley2000() -> CommandTable:
 
 
 def _channels(act: Callable[[ScannerInstrument, str], None]) -> Build:
-    """Return what takes a channel list, whose commas are no separators."""
+    """Return the builder of a command that takes a channel list, whose commas are no separators."""
 
     def build(parameters: tuple[str, ...]) -> Step:
         if not parameters:

@@ -31,7 +31,7 @@ NO_CARD: dict[str, str] = {"agilent34970a": "HEWLETT-PACKARD,0,0,0"}
 _LONGEST_NUMBER = 9
 _HARDWARE_MISSING = -241
 _RELAY_S = 0.005
-# How an open channel leaves the voltage of the one before it (assumed: 50 pA into 1 nF of cable).
+# How fast an open channel drifts from the voltage of the one before it (assumed: 50 pA into 1 nF of cable).
 _DRIFT_V_PER_S = 0.05
 
 
@@ -41,7 +41,7 @@ class ScannerInstrument(VoltmeterCore):
     Parameters
     ----------
     make
-        Which.
+        Whose commands it speaks.
     sensor_v
         What is at a channel [V] at a time [s]; None where nothing is connected: such a channel of a Keithley 2000
         floats away from the voltage of the one before it.
@@ -55,7 +55,7 @@ class ScannerInstrument(VoltmeterCore):
     Attributes
     ----------
     card
-        What the card in its slot says that it is; empty: there is none.
+        What the card in its slot says that it is; empty where there is no card.
     scan_list
         The channels that a scan takes.
     scanning
@@ -89,7 +89,7 @@ class ScannerInstrument(VoltmeterCore):
         )
 
     def channels(self, text: str) -> tuple[int, ...]:
-        """Read a channel list; `ScpiError` for one that is none or that the card has not."""
+        """Read a channel list; `ScpiError` for text that is none, and for a channel that the card does not have."""
         if not (text.startswith("(@") and text.endswith(")")):
             raise ScpiError(-224)
         counts_slots = self.make in ("daq6510", "agilent34970a")
@@ -117,7 +117,7 @@ class ScannerInstrument(VoltmeterCore):
         return self._buffer_of_scan
 
     def begin_scan(self, cursor_s: float) -> None:
-        """Scan while the commands behind this one go on."""
+        """Scan while the commands after this one are carried out."""
         if cursor_s < self._scanned_s:
             raise ScpiError(-213)
         self.scan(cursor_s)
@@ -150,7 +150,7 @@ class ScannerInstrument(VoltmeterCore):
         for channel in channels:
             self._channel = channel
             text, cursor_s = self._converter.convert(cursor_s + _RELAY_S)
-            # The converter adds its own channel where it is asked for one.
+            # The converter adds its own channel where one is asked for: keep the reading alone.
             readings.append((text.partition(",")[0], channel))
         self._channel, self._cursor_s = None, cursor_s
         return tuple(readings)

@@ -1,6 +1,6 @@
 """Lines in memory: what the drivers of real instruments are given in place of a port to reach simulated ones.
 
-Nothing goes through a thread and nothing waits but by the event loop's time, whatever that is.
+Nothing goes through a thread, and everything waits by the event loop's time, which may be virtual.
 """
 
 from sim_drivers.transports.digital_port import InMemoryPort

@@ -19,7 +19,7 @@ class Cabled:
 
     @property
     def link_up(self) -> bool:
-        """Whether the cable is plugged in. A session that it was pulled from stays dead until `open`."""
+        """Whether the cable is plugged in. A session whose cable was pulled stays dead until `open`."""
         return self._is_up
 
     @link_up.setter
@@ -37,7 +37,7 @@ class Cabled:
         if not self._is_up:
             raise ConnectError(self._device, "is not plugged in")
         if self._is_open:
-            # As a real port has it: whoever opens anew closes first.
+            # As with a real port: a caller that opens it anew has to close it first.
             raise ConnectError(self._device, "is in use already")
         self._is_open = True
 

@@ -106,7 +106,7 @@ class InMemoryLine(Cabled):
         self._arriving.extend(self._core.feed(text.encode("ascii") + b"\n", self._now()))
 
     def _require_open(self) -> None:
-        """Forget, too, what the instrument has dropped since."""
+        """Raise where the line is not open; forget what the instrument has dropped since the last call."""
         super()._require_open()
         if self._core.aborts != self._aborts:
             self._aborts = self._core.aborts

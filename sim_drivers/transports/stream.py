@@ -11,7 +11,7 @@ from sim_drivers.transports.cable import Cabled
 
 
 class InMemoryStream(Cabled):
-    """A `drivers.positioners.pozsol.link.PositionerLine`: what moves is read when it is asked for, as if just come.
+    """A `drivers.positioners.pozsol.link.PositionerLine`: what changes is read when it is asked for, as if just come.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ class InMemoryStream(Cabled):
     silent
         Nothing comes from the unit any more, although the cable is in and the unit obeys.
     write_s
-        How long it takes to write a packet, of which half is over when the unit has it [s].
+        How long it takes to write a packet [s]; the unit has it after half of that time.
     """
 
     simulated = True
@@ -72,14 +72,14 @@ class InMemoryStream(Cabled):
         """Return what the unit would have said by now."""
         self._require_open()
         if self.silent:
-            # Other values for the driver, and as old as they are.
+            # In a new mapping, so that the driver does not take it for a repetition; the times stay as old as they are.
             return self._state._replace(values=dict(self._state.values))
         now_s = self._now()
         screens = self._core.live_screens(now_s)
         if screens != self._screens:
             self._screens = screens
             self._take(screens, now_s)
-        # As `_replace` does, at a third of its cost: a day has 170,000 looks.
+        # As `_replace` does, at a third of its cost: a simulated day has 170,000 looks.
         self._state = LinkState(self._state.values, now_s, self._state.jumped_s, self._state.restarted_s)
         return self._state
 

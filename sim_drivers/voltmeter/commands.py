@@ -31,7 +31,7 @@ Build = Callable[[tuple[str, ...]], Step]
 
 
 class MeterCommand(NamedTuple):
-    """What a header does as a command and as a question; None where it is neither."""
+    """What a header does as a command and as a question; None where it is not one."""
 
     act: Build | None = None
     ask: Build | None = None
@@ -39,7 +39,7 @@ class MeterCommand(NamedTuple):
 
 CommandTable = dict[str, MeterCommand]
 TABLE: CommandTable = {}
-"""The Keithley 2000's, by every spelling of a header."""
+"""The Keithley 2000's commands, by every spelling of a header."""
 
 
 def compile_line(line: str, table: CommandTable = TABLE) -> tuple[Step, ...]:

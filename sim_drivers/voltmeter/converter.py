@@ -11,7 +11,7 @@ from sim_drivers.voltmeter.settings import RANGES_V, MeterSettings
 OVERFLOW = "9.9E37"
 OVERRANGE, DOWNRANGE = 1.2, 0.1
 HIGHEST_V = 1010.0
-# How many times its integration a conversion takes with and without autozero: this fits the data sheet's 30 readings/s
+# How many integration times a conversion takes with and without autozero: these fit the data sheet's 30 readings/s
 # at 1 PLC with autozero, 50/s without, 5/s at 10 PLC.
 _WITH_AUTOZERO, _WITHOUT_AUTOZERO, _FASTEST_S = 2.0, 1.2, 0.0005
 _RANGE_CHANGE_S = 0.03

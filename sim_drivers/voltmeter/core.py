@@ -1,6 +1,6 @@
 """The simulated Keithley 2000 voltmeter: bytes in, replies with their due times out, time as an argument.
 
-Left out is the pace of the serial line, which is the host's matter.
+The pace of the serial line is left out: the host sees to it.
 """
 
 from collections.abc import Callable
@@ -39,7 +39,7 @@ class VoltmeterCore(VoltmeterInstrument):
     Attributes
     ----------
     aborts
-        Grows when the meter drops output that was not yet due (control-C, power-cycle): so must its host.
+        Grows when the meter drops output that was not yet due (control-C, power-cycle): its host must drop it too.
     table
         The commands that it knows.
     mute

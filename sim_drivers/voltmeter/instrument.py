@@ -15,7 +15,7 @@ from sim_drivers.voltmeter.converter import Converter
 from sim_drivers.voltmeter.settings import PRESET, RANGES_V, MeterSettings
 
 MAXIMUM_READINGS = 1024
-"""As many as one answer can have."""
+"""The most readings that one answer can have."""
 
 
 class VoltmeterInstrument:
