@@ -34,7 +34,7 @@ while [ $# -gt 0 ]; do
     -h | --help) usage; exit 0 ;;
     --remove) remove=yes; shift; continue ;;
     --notify) notify=yes; shift; continue ;;
-    # An empty one is a variable that nobody has set, and an empty --root would be this machine.
+    # An empty value comes from a variable that is not set, and an empty --root would mean this machine.
     --role | --from | --python | --root) [ -n "${2-}" ] || fail "$1 needs a value; see --help" ;;
     *) fail "'$1' is no option; see --help" ;;
   esac
@@ -64,14 +64,14 @@ here=$(cd "$(dirname "$0")" && pwd)
 # shellcheck source=deploy/steps.sh
 . "$here/steps.sh"
 [ ! -e "$etc/notify.people" ] || notify=yes
-# An upgrade leaves a machine what it is.
+# An upgrade keeps the machine's roles.
 [ -n "$role" ] || for each in archive cube tracker; do
   [ ! -e "$root/etc/systemd/system/heliocube-$each.service" ] || roles="$roles $each"
 done
 [ -n "$roles" ] || roles='cube tracker'
 [ ! -e "$etc/archive.toml" ] || archive=yes
 case " $roles " in *' archive '*) archive=yes ;; esac
-# The locks name the same release of what more than one of them names.
+# A package that several locks name has the same release in all of them.
 locks='runtime'
 [ $notify = no ] || locks="$locks notify"
 [ $archive = no ] || locks="$locks archive"
@@ -130,11 +130,11 @@ fingerprint() {
 
 id=$(fingerprint)
 release=$opt/releases/$id
-# An empty file, as a cut of the power may leave it, is a program that ends well and says nothing.
+# An empty file, which a power cut may leave, is a program that succeeds and says nothing.
 answers() { [ -n "$("$release/bin/heliocube" --version)" ]; }
 if [ ! -e "$release/.complete" ] || ! answers 2>/dev/null; then
   say "building the environment in $release"
-  # What is half done is of no use to anybody, and a full disk needs the room. One that did not answer comes back: a
+  # A half-built release is of no use, and a full disk needs the room. A release that did not answer is put back: a
   # service may run from it, and what keeps it from answering may pass.
   take_back() {
     rm -rf "$release" "$release.build"
@@ -144,7 +144,7 @@ if [ ! -e "$release/.complete" ] || ! answers 2>/dev/null; then
   trap 'exit 129' HUP
   trap 'exit 130' INT
   trap 'exit 143' TERM
-  # Where there is one aside already, a cut of the power has ended the building, and this is what it has left.
+  # If a release lies aside already, a power cut has ended a build, and what is here is what that build has left.
   [ -e "$release.old" ] || [ ! -e "$release/.complete" ] || mv -T "$release" "$release.old"
   rm -rf "$release" "$release.build"
   mkdir -p "$opt/releases"
@@ -155,7 +155,7 @@ if [ ! -e "$release/.complete" ] || ! answers 2>/dev/null; then
     fail "pip could not install what heliocube needs, see above; nothing has been changed"
   wheel=$from
   if [ -d "$from" ]; then
-    # A checkout is built by what the lock names, which does not stay, and without the network.
+    # A checkout is built without the network, by the packages that the lock names, which do not stay.
     pip install --only-binary :all: --require-hashes --target "$release.build/site" -r "$here/lock/build.txt" ||
       fail "pip could not install what builds heliocube, see above; nothing has been changed"
     PYTHONPATH=$release.build/site "$release/bin/python" -m pip --disable-pip-version-check --quiet \
@@ -167,9 +167,9 @@ if [ ! -e "$release/.complete" ] || ! answers 2>/dev/null; then
     fail "pip could not install heliocube itself, see above; nothing has been changed"
   rm -rf "$release.build"
   answers || fail "the new environment does not run; nothing has been changed"
-  # Before the mark: two that bear it would both pass for the release before.
+  # Before the mark is made: two releases that have it would both pass for the release before.
   rm -rf "$release.old"
-  # The mark may not come to the disk before what it is for.
+  # The mark must not reach the disk before the release that it marks.
   sync -f "$release"
   touch "$release/.complete"
   trap - EXIT HUP INT TERM
@@ -193,7 +193,7 @@ case " $roles " in
     for unit in parquet.service parquet.timer; do put heliocube-$unit /etc/systemd/system/heliocube-$unit; done
     ;;
 esac
-# These two are for whoever wants them, on a machine of either role.
+# These two are there to be enabled, on a machine of either role.
 put heliocube-dashboard.service /etc/systemd/system/heliocube-dashboard.service
 put heliocube-notify.service /etc/systemd/system/heliocube-notify.service
 # So is the report of every day.
@@ -212,7 +212,7 @@ systemd-sysusers ${root:+--root="$root"} heliocube.conf
 
 configure "$here/examples" "$roles"
 systemd-tmpfiles ${root:+--root="$root"} --create heliocube.conf
-# What is said to be installed is there after a cut of the power, too.
+# What is reported as installed has to be there after a power cut, too.
 sync
 reload
 

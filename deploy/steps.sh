@@ -1,5 +1,6 @@
 # shellcheck shell=sh
-# What install.sh and the Debian package do alike; both source it. It works on the tree `$root`, empty for this machine.
+# The steps that install.sh and the Debian package share; both source this file. `$root` is the tree that they work on,
+# empty for this machine.
 
 opt=${root:=}/opt/heliocube
 etc=$root/etc/heliocube
@@ -31,8 +32,8 @@ link() { # TARGET LINK: replaces a link in one step
   mv -fT "$2.new" "$2"
 }
 
-# A release of its own by hard links: what runs keeps its files, whatever dpkg replaces, and the release before stays. One
-# of the same name may be the one that runs: it stays until the new one is whole.
+# Makes a release of its own from hard links: a running program keeps its files, whatever dpkg replaces, and the release
+# before stays. A release of the same name may be running: it stays until the new one is whole.
 lay_down() { # VERSION
   release=$opt/releases/$1
   rm -rf "$release.new" "$release.old"
@@ -44,11 +45,11 @@ lay_down() { # VERSION
   rm -rf "$release.old"
 }
 
-# The release that was current until now may still be running, and is the way back; those before it go.
+# The release that was current until now may still be running, and is the way back; older ones are removed.
 use_release() { # ID
   before=''
   if [ -L "$opt/current" ]; then before=$(basename "$(readlink "$opt/current")"); fi
-  # The same one again: what is beside it is the way back.
+  # The same release again: the other one is still the way back.
   [ "$1" != "$before" ] || return 0
   sync -f "$opt"
   link "releases/$1" "$opt/current"
@@ -56,20 +57,20 @@ use_release() { # ID
     case $(basename "$old") in
       "$1" | "$before") ;;
       *)
-        # A page for browsers that nobody has restarted runs on from there. It is none to go back to.
+        # A dashboard that nobody has restarted may run from there: the files stay, but not as a release to go back to.
         if grep -qsF "$old/bin/" /proc/[0-9]*/cmdline; then rm -f "$old/.complete"; else rm -rf "$old"; fi
         ;;
     esac
   done
 }
 
-# Only what is missing; a machine of the cube makes the key that the trackers' machines get from it.
+# Makes only what is missing; the cube's machine makes the key that the trackers' machines get from it.
 configure() { # EXAMPLES ROLES
   (
     umask 027
     mkdir -p "$etc"
     for role in $2 dashboard notify; do
-      # An empty one is what a cut of the power has left of it.
+      # An empty file is what a power cut has left of it.
       [ -s "$etc/$role.toml" ] || install -m 0640 "$1/$role.toml" "$etc/$role.toml"
     done
     # The service reads older files as they are; this is for the people who read them.
@@ -90,7 +91,7 @@ from daemon.bridge.signing import generate_key, write_key
 
 token, *keys = (Path(argument) for argument in sys.argv[1:])
 for path in (token, *keys):
-    # An empty one is what a cut of the power has left of it, and a secret is written over nothing that is there.
+    # An empty file is what a power cut has left of it; a secret that is there is never overwritten.
     if path.exists() and not path.stat().st_size:
         path.unlink()
     if not path.exists():

@@ -24,7 +24,7 @@ FETCH = "import sys, urllib.request; print(urllib.request.urlopen(sys.argv[1], t
 
 
 class Companions:
-    """Units of their own users, that systemd gives what they may read.
+    """Units with users of their own, to which systemd hands what they may read.
 
     Parameters
     ----------
@@ -51,14 +51,14 @@ class Companions:
         return f"both active by notify after {took_s:.1f} s, each as a user of its own"
 
     def show_page(self) -> str:
-        """See that the dashboard gives its page and the tracker's state to who asks on loopback."""
+        """See that the dashboard gives its page to a client on loopback."""
         page = self._machine.run("python3", "-c", FETCH, "http://127.0.0.1:20574/")
         if "<title" not in page:
             raise NotSeen(f"no page: {page[:200]!r}")
         return page.partition("<title>")[2].partition("</title>")[0].strip()
 
     def tell_people(self) -> str:
-        """See that somebody far away hears of a service that has fallen silent, which a frozen one is."""
+        """See that people are told of a service that has fallen silent, as a frozen one has."""
         return f'"{self._letter("127.0.0.1:20572")}"'
 
     def _letter(self, word: str) -> str:

@@ -1,4 +1,4 @@
-"""A machine of qemu's with a kernel of its own, for lines of a unit that are enforced in no container here."""
+"""A qemu machine with a kernel of its own, for lines of a unit that no container here enforces."""
 
 import contextlib
 import json
@@ -12,21 +12,20 @@ from pathlib import Path
 from boot import probes
 from boot.host import ROOT, LeftOut, NotSeen, run
 
-# Most of it is the guest's own start, without any help of the processor.
 TOOLS = {"qemu-system-x86_64": "qemu-system-x86", "cpio": "cpio", "apt-get": "apt", "dpkg-deb": "dpkg"}
 KERNEL = "linux-image-cloud-amd64"
-"""Of Debian, for machines that are emulated; what it depends on is the kernel itself."""
+"""Debian's package for emulated machines; the package that it depends on is the kernel itself."""
 
 _REFUSED = "Operation not permitted"
-# What no probe reads, and what would only take memory.
+# Folders that no probe reads, and that would only take memory.
 _UNREAD = ("usr/share/doc", "usr/share/locale", "usr/share/man", "usr/share/python-wheels", "var/cache", "var/lib/apt")
 
 Answers = dict[str, dict[str, dict[str, object]]]
-"""By unit, and by the beginning of the lines that it was without."""
+"""By unit, and by the beginning of the lines that the unit was without."""
 
 
 class Emulated:
-    """A Debian of the cache, started once under qemu with a copy of each unit; its program only tries what is refused.
+    """A Debian of the cache, started once under qemu with copies of the units; their program tries what is refused.
 
     Parameters
     ----------
@@ -43,7 +42,7 @@ class Emulated:
         self._failed: LeftOut | NotSeen | None = None
 
     def prepare(self) -> str:
-        """Fetch and pack what the machine is started from, unless it is kept; whether it is needed is seen later."""
+        """Fetch and pack what the machine is started from, unless it is kept; whether it is needed shows later."""
         _need_tools()
         with self._folder() as work:
             return f"{self._kernel(work).name} and {self._archive(work).name}"
@@ -81,7 +80,7 @@ class Emulated:
         return f"opening {probes.DEVICE}: {_REFUSED}; without DevicePolicy it is allowed; {_names(units)}"
 
     def _look(self, units: Mapping[str, str]) -> Answers:
-        """Start the machine the first time, and return what it has said then, or has failed with."""
+        """Start the machine the first time; return its answers of then, or raise its error of then."""
         if self._failed is None and not self._answers:
             try:
                 self._answers = self._start(units)
@@ -158,7 +157,7 @@ def _pack(folder: Path, archive: Path, unread: tuple[str, ...] = ()) -> None:
 
 
 def _guest(folder: Path, units: Mapping[str, str]) -> Path:
-    """Write what the Debian has not, and return the folder."""
+    """Write the files that the Debian lacks, and return the folder."""
     names = {unit: {without: _name(unit, without) for without in probes.WITHOUT} for unit in units}
     files = {
         "etc/machine-id": "0123456789abcdef0123456789abcdef\n",

@@ -11,7 +11,7 @@ from typing import TypeVar
 ROOT = Path(__file__).resolve().parents[2]
 Found = TypeVar("Found")
 PATIENCE_S = 300.0
-"""For what only a broken program does not do at all; a slow machine takes a minute for what others do at once."""
+"""How long to wait before a program counts as broken; a slow machine takes a minute for what others do at once."""
 
 TOOLS = {
     "mmdebstrap": "mmdebstrap",

@@ -13,7 +13,7 @@ from typing import Any
 from boot.host import PATIENCE_S, LeftOut, NotSeen, own_cgroups, run, wait
 
 FOREIGN = "203.0.113.5"
-"""An address that the machine has and that is not its own network's: of RFC 5737, for documentation."""
+"""An address that the machine has and that is not of its own network: one that RFC 5737 has for documentation."""
 
 
 class Machine:
@@ -43,7 +43,7 @@ class Machine:
         own_unit = ["--keep-unit"] if not Path("/run/systemd/system").is_dir() else []
         began_s = time.monotonic()
         self._cgroups = _make_cgroups(self._name) if own_unit else []
-        # A place of its own: systemd inside takes over the one that it is started in.
+        # In cgroups of its own: systemd inside takes over those that it is started in.
         enter = 'while [ "$1" != -- ]; do echo $$ >"$1/cgroup.procs"; shift; done; shift; exec "$@"'
         with self._console.open("wb") as console:
             self._nspawn = subprocess.Popen(  # noqa: S603
@@ -83,7 +83,7 @@ class Machine:
     def try_to(self, *command: str, text: str | None = None) -> "subprocess.CompletedProcess[str]":
         """Run a command inside, whatever comes of it."""
         inside = ["nsenter", "-t", str(self._leader), "-m", "-u", "-i", "-n", "-p", "-C"]
-        # What the host's shell has set is none of the machine's.
+        # The machine must not see what the host's shell has set.
         path = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
         env = {"PATH": path, "LANG": "C.UTF-8", "COLUMNS": "200"}
         return subprocess.run(  # noqa: S603

@@ -51,7 +51,7 @@ class Packages:
 
     def _build(self, sources: Path, version: str) -> str:
         said = self._tree.run(
-            # A disk, on which the package's files can be links to those that are kept.
+            # On the disk, where the package's files can be links to those that are kept.
             *("env", f"TMPDIR={PACKAGES}", "sh", f"{CHECKOUT}/deploy/deb/build", "--fast", "--out", PACKAGES),
             *("--keep", f"{PACKAGES}/{ENVIRONMENTS}", "--version", version),
             sources=sources,
@@ -69,7 +69,7 @@ class Packages:
         return folder
 
     def install(self) -> str:
-        """Install that of the commit before into the tree."""
+        """Install the package of the commit before into the tree."""
         self._before = _files(self._tree.root)
         self._tree.run("dpkg", "--force-unsafe-io", "--install", f"{PACKAGES}/{self._old}")
         wants = self._tree.root / "etc/systemd/system/multi-user.target.wants"
@@ -95,7 +95,7 @@ class Packages:
         return f"{self._old} is installed, {self._new} lies beside it"
 
     def upgrade(self, machine: Machine, rig: Rig, records: Records, restarts: Restarts) -> str:
-        """Put this commit's over it at work: nothing moves, both roles come back by themselves, and no scan is lost."""
+        """Put this commit's package over it at work: nothing moves, both roles come back, and no scan is lost."""
         before = {role: records.scans(role) for role in ROLES}
         pose, began_s = rig.rest(), time.monotonic()
         machine.run("dpkg", "--force-unsafe-io", "--install", f"{PACKAGES}/{self._new}")
@@ -106,7 +106,7 @@ class Packages:
         return f"{took_s:.0f} s; {held}; {records.lose_no_scan(before)}"
 
     def go_back(self, machine: Machine, rig: Rig, restarts: Restarts) -> str:
-        """Go back to the commit before in one command, see that nothing moves, and put this commit's over it again."""
+        """Go back to the commit before in one command, see that nothing moves, and put this commit's package back."""
         pose = rig.rest()
         said = machine.run("heliocube", "rollback").strip().splitlines()
         self._see_running(machine, self._old)

@@ -12,7 +12,7 @@ DEVICE = "/dev/ttyS1"
 MARK = "heliocube-probe: "
 ADDRESSES, DEVICES = "IPAddress", "Device"
 WITHOUT = ("", ADDRESSES, DEVICES)
-"""How the lines begin that a copy of a unit is without; the first is the unit as it is."""
+"""How the lines begin that each copy of a unit is without; the first copy is the unit as it is."""
 
 _PORT = 20599
 
@@ -39,7 +39,7 @@ ExecStart=
 ExecStart=/usr/bin/python3 -I /opt/probe.py
 StandardError=truncate:/run/probe-%n
 """
-"""What is changed of a unit: its program and how that lives, and no line that refuses something."""
+"""What is changed in a unit: its program and how that lives, but no line that refuses something."""
 
 PROBE = f"""
 import json, os, socket, sys
@@ -72,12 +72,12 @@ print(json.dumps(answers), file=sys.stderr)
 
 
 def guest(units: Mapping[str, Mapping[str, str]]) -> str:
-    """Return the program of the machine's own: it gives it the foreign address, starts units and says what they saw.
+    """Return the program of the machine's own unit: it adds the foreign address, starts units and says what they saw.
 
     Parameters
     ----------
     units
-        Names of units to start, by unit and by what they are without.
+        Names of units to start, by unit and by the lines that they are without.
     """
     return f"""
 import fcntl, json, os, socket, struct, subprocess, threading, time

@@ -47,7 +47,7 @@ class Records:
     def lose_no_scan(self, before: dict[str, set[tuple[str, int]]]) -> str:
         """See that no number is missing in the cube's store, nor in the tracker's, nor what stood in either before."""
         heard = self.scans("tracker")
-        # Each role writes at its own times: what the tracker has just heard the cube may have yet to write.
+        # Each role writes at its own times: the cube may have yet to write what the tracker has just heard.
         made = wait(lambda: self._made(heard), "in the cube's store what the tracker has heard")
         for session in {session for session, _ in made}:
             numbers = sorted(number for one, number in made if one == session)
@@ -55,7 +55,7 @@ class Records:
                 raise NotSeen(f"the cube's store has {len(numbers)} scans up to number {numbers[-1]} of a session")
         if before["cube"] - made or before["tracker"] - heard:
             raise NotSeen("a store lacks what it had")
-        # What is newer than all that the tracker has heard may be on its way.
+        # Scans that are newer than all that the tracker has heard may be on their way.
         newest = {session: max(number for one, number in heard if one == session) for session, _ in heard}
         missed = {(one, number) for one, number in made - before["cube"] if number < newest.get(one, 0)} - heard
         if missed:
@@ -68,7 +68,7 @@ class Records:
         return made if heard <= made else set()
 
     def have_fields(self) -> str:
-        """See that the journal knows whose a line is and how urgent, and has the fields in it."""
+        """See that the journal knows the owner and the urgency of each line, and has its fields."""
         entries = self._machine.entries(f"_SYSTEMD_UNIT={TRACKER}")
         urgencies = {str(entry["PRIORITY"]) for entry in entries}
         owners = {str(entry.get("SYSLOG_IDENTIFIER")) for entry in entries}
@@ -81,7 +81,7 @@ class Records:
         return f'{len(entries)} lines of {owners.pop()}, urgencies {urgency}, "{with_fields[0][:90]}"'
 
     def stay_quiet(self) -> str:
-        """See that no line of ours was thrown away for there being too many."""
+        """See that no line of ours was thrown away because there were too many."""
         said = self._machine.entries("_COMM=systemd-journal")
         dropped = [str(entry["MESSAGE"]) for entry in said if "uppressed" in str(entry["MESSAGE"])]
         if dropped:

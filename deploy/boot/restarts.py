@@ -70,7 +70,7 @@ class Restarts:
         return f'held with "{reason}", tracks since a person said auto'
 
     def _holds_or_waits(self) -> bool:
-        # Whatever had been asked for before goes before the wait for the wind. One look: the next may see another mode.
+        # An earlier order outranks the wait for the wind. Mode and reason are of one look: another may see another one.
         mode, reason = self._rig.mode()
         return mode == "hold" or self._waits(mode, reason)
 
@@ -129,7 +129,7 @@ class Restarts:
         return int(self._machine.show(unit, "NRestarts")["NRestarts"])
 
     def stay_stowed(self) -> str:
-        """See that a storm outlives the process: it comes back stowing, stands still, and lets go only in calm."""
+        """See that a stow outlives the process: the next one stows too, stands still, and lets go only in calm."""
         self._rig.wind(STORM_M_S)
         self._rig.wait_mode("stow")
         wait(self._is_stowed, lambda: f"the stow position; it stands at {self._rig.pose()}")
@@ -142,18 +142,18 @@ class Restarts:
             raise NotSeen(f"with readings again the mode is {mode}")
         self._rig.must_not_move(before)
         wait(self._tracks_in_calm, lambda: f"mode tracking; it is {self._rig.mode()}")
-        # What looks next whether it rests would else find it at rest before this move has begun.
+        # Otherwise the next look whether it rests might come before this move has begun.
         wait(lambda: not self._is_stowed(), lambda: f"the way back; it stands at {self._rig.pose()}")
         return f'back after {took_s:.1f} s, stowed ("{reason}"), released once it was calm'
 
     def _tracks_in_calm(self) -> bool:
-        # A single word that it is calm only begins the time for which it has to be; a sensor goes on telling.
+        # One message of calm only begins the time for which it has to be calm; a sensor goes on sending.
         self._rig.wind(CALM_M_S)
         return self._rig.mode()[0] == "tracking"
 
     def _is_stowed(self) -> bool:
         a_deg, b_deg = self._rig.pose()
-        # B goes first, and at noon A has a degree to go then.
+        # B goes first; at noon A still has a degree to go after that.
         return max(abs(a_deg), abs(b_deg - 90.0)) < STOWED_DEG
 
     def freeze(self) -> str:

@@ -53,8 +53,8 @@ sensor_noise_mv = 0.005
 """
 """A scan a second and a decision every six; motors four times as fast as the unit's.
 
-The sun takes ten minutes to need a move: one between a look at the axes and the end of a process would pass for one
-that came after it.
+The sun takes ten minutes to need a move: a move between a look at the axes and the end of a process would pass for one
+that came after that end.
 """
 
 
@@ -112,7 +112,7 @@ class Rig:
         return pose["a_deg"], pose["b_deg"]
 
     def rest(self) -> tuple[float, float]:
-        """Wait until the axes stand still and return where; what ends a process does not end its move."""
+        """Wait until the axes stand still and return where; the end of a process does not end its move."""
         seen = [self.pose()]
 
         def stands() -> bool:

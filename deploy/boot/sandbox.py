@@ -12,10 +12,10 @@ from boot.machine import FOREIGN, Machine
 from boot.rig import TRACKER, UNITS
 
 MOST_EXPOSED = 1.5
-# Root's, and nobody's of the service: a disk, a console, a stranger's serial line.
+# A device that the service has no use for: it stands for a disk, a console, a stranger's serial line.
 DEVICE = "/dev/foreign"
 PORT = 20599
-# The last two are said by what lies behind a device that could be opened.
+# The last two errors come from what lies behind a device that could be opened.
 _OPEN = {"allowed", "No such device or address", "No such device"}
 
 _LIFE = ("Type", "NotifyAccess", "ExecStart", "Restart", "RestartSec", "WatchdogSec", "StandardOutput", "StandardError")
@@ -84,13 +84,13 @@ class Sandbox:
         return f"exposure {' and '.join(rated.values())} of 10, at most {MOST_EXPOSED}"
 
     def prepare(self) -> None:
-        """Make the device and the listener that the probes reach for, and two more units of their own."""
+        """Write the probe, and start the listener that it tries to reach."""
         self._machine.write("/opt/probe.py", PROBE)
         self._machine.write("/opt/server.py", SERVER)
         self._machine.run("systemd-run", "--quiet", "--unit=probe-server", "python3", "/opt/server.py")
 
     def refuse(self) -> str:
-        """See that nothing can be reached from inside the tracker's unit that is none of its business."""
+        """See that the tracker's unit cannot reach what it has no use for."""
         found = self._try("tracker", self._unit_text(TRACKER))
         if found["own"] != "allowed" or found["loopback"] != "allowed":
             raise NotSeen(f"the service could not work: {found}")
@@ -102,12 +102,12 @@ class Sandbox:
         return ", ".join(f"{name}: {found[name]}" for name in tried)
 
     def refuse_addresses(self) -> str:
-        """See that an address that is none of a private network's is refused by IPAddressDeny."""
+        """See that IPAddressDeny refuses an address outside private networks."""
         see = partial(self._refuse_by, "foreign", "IPAddressDeny=any", f"connecting to {FOREIGN}")
         return self._here_or_emulated(see, self._emulated.refuse_addresses)
 
     def refuse_devices(self) -> str:
-        """See that a device of no class that the unit names is refused by DevicePolicy, whatever its mode."""
+        """See that DevicePolicy refuses a device of a class that the unit does not name, whatever its mode."""
         return self._here_or_emulated(self._refuse_device, self._emulated.refuse_devices)
 
     def _here_or_emulated(self, here: Callable[[], str], emulated: Callable[[Mapping[str, str]], str]) -> str:
@@ -127,7 +127,7 @@ class Sandbox:
         return self._refuse_by("device", "DevicePolicy=closed", f"opening {DEVICE}")
 
     def _refuse_by(self, name: str, line: str, act: str) -> str:
-        """Try without any line, with the unit's, and where that is allowed with one line alone: is it enforced."""
+        """Try without any line, with the unit's lines and, if that is allowed, with one line alone: is it enforced."""
         bare = "[Service]\n"
         if (free := self._try("free", bare)[name]) not in _OPEN:
             raise LeftOut(f"nobody can do it in a container here, sandbox or not; {act}: {free}")
@@ -141,7 +141,7 @@ class Sandbox:
         return self._machine.run("cat", self._machine.show(unit, "FragmentPath")["FragmentPath"])
 
     def _try(self, name: str, unit: str) -> dict[str, str]:
-        """Run the probe with the lines of a unit but those about its life, and return what it was told."""
+        """Run the probe with a unit's lines, except those about its life, and return what it was told."""
         lines = [line for line in unit.splitlines() if line.partition("=")[0] not in _LIFE]
         at = lines.index("[Service]") + 1
         terminal = "/dev/pts/0"

@@ -17,7 +17,7 @@ from boot.tree import PACKAGES, Tree
 
 
 class Session:
-    """The points in their order: what takes long waits while others are looked at.
+    """The points in their order: slow ones wait while others are looked at.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class Session:
         point("systemd-analyze security", sandbox.rate)
         sandbox.prepare()
         point("the sandbox", sandbox.refuse)
-        # Another machine may have to be started for what is foreign, which no restart is to wait for.
+        # The foreign points may need another machine to be started, and no restart is to wait for that.
         with ThreadPoolExecutor(max_workers=1) as beside:
             foreign = beside.submit(self._look_foreign, sandbox)
             point("silence reaches people", companions.tell_people)
@@ -116,6 +116,6 @@ class Session:
 
 
 def _end_undisturbed() -> None:
-    """Who asks twice for an end gets it no sooner, and nothing is left behind."""
+    """Ignore a second order to end, so that nothing is left behind."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)

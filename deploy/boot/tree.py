@@ -12,7 +12,7 @@ from boot.host import ROOT, LeftOut, NotSeen, own_cgroups, run
 
 DEBIAN = ("systemd", "systemd-sysv", "dbus", "python3", "python3-venv", "mosquitto", "mosquitto-clients")
 CHECKOUT, WHEELS, PACKAGES = "/srv/checkout", "/srv/wheels", "/srv/packages"
-# In the folder of the packages, where links to its files can be made, and in the cache.
+# A folder among the packages, where links to its files can be made, and one in the cache.
 ENVIRONMENTS = "environments"
 # What the package is made of; either of the first two holds all that `runtime` does.
 LOCKS = ("notify", "archive", "build")
@@ -24,8 +24,8 @@ class Tree:
     Parameters
     ----------
     cache
-        Where what takes long is kept from run to run: the Debian without heliocube, the wheels of the locks, and what
-        they are unpacked and compiled to.
+        Where all that takes long to make is kept from run to run: the Debian without heliocube, the wheels of the
+        locks, and what they are unpacked and compiled to.
     suite
         Which Debian, such as ``trixie``; None for this machine's.
     python
@@ -90,7 +90,7 @@ class Tree:
         if base.exists():
             return base, f"{base.name} as kept"
         building = Path(tempfile.mkdtemp(prefix="building-", dir=self.cache))
-        # Without a mirror named it takes this machine's own.
+        # Without a named mirror mmdebstrap takes this machine's own.
         try:
             run("mmdebstrap", "--quiet", "--variant=minbase", f"--include={','.join(DEBIAN)}", suite, building)
         except NotSeen as error:
@@ -117,7 +117,7 @@ class Tree:
         return "wheels fetched"
 
     def _python_with_pip(self) -> Path:
-        """Make an environment with pip, first of Debian's Python, for which the wheels are to be."""
+        """Make an environment with pip, if possible of Debian's Python, for which the wheels are meant."""
         for python in self._pythons:
             with contextlib.suppress(NotSeen, OSError):
                 run(python, "-m", "venv", "--clear", self._work / "pip")
@@ -140,7 +140,7 @@ class Tree:
         for path in made:
             run("cp", "-al", path, kept)
         shutil.rmtree(before, ignore_errors=True)
-        # Another run may have been sooner.
+        # Another run may have kept its own first.
         with contextlib.suppress(OSError):
             kept.rename(before)
         shutil.rmtree(kept, ignore_errors=True)
@@ -165,7 +165,7 @@ class Tree:
         """Remove what this run has made, but for the cache; a tree that is to be kept stays."""
         if self._work.is_dir() and self._work != Path() and not keep:
             shutil.rmtree(self._work)
-        # What systemd-nspawn has made and does not remove; somebody else's at work cannot be.
+        # What systemd-nspawn has made and does not remove; that of another run at work cannot be removed.
         for group in own_cgroups():
             for name in ("payload", "supervisor"):
                 with contextlib.suppress(OSError):

@@ -20,7 +20,7 @@ _MARKS = re.compile(r"\[/?[a-z][a-z_ ]*\]")
 
 
 def main() -> None:
-    """Write the pages, compressed by whoever calls."""
+    """Write the pages; the caller compresses them."""
     version, made_s, folder = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3])
     folder.mkdir(parents=True, exist_ok=True)
     day = datetime.fromtimestamp(made_s, UTC).date().isoformat()
@@ -83,7 +83,7 @@ def _first_sentence(text: str) -> str:
 
 
 def _text(text: str) -> str:
-    """Return a text with what roff would take for itself made harmless, and nothing at a line's beginning."""
+    """Return a text in which roff finds nothing to obey, not even at the beginning of a line."""
     escaped = text.replace("\\", "\\e").replace("-", "\\-").replace("'", "\\(aq")
     return f"\\&{escaped}" if escaped.startswith(".") else escaped
 
