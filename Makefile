@@ -3,15 +3,15 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 ARGS   ?=
-# One for each of two cores for the tests that compute, in the background; those that pass real time mostly wait, and run
-# at the same time: tests/support/passes.py.
+# Workers for the tests that compute, in the background, one for each of two cores; and for those that pass real time,
+# which mostly wait and run at the same time: tests/support/passes.py.
 WORKERS ?= 2
 WAITING ?= 10
-# Of the choice of small wrong changes; a day's own unless one is named.
+# Seed of the choice of small wrong changes; another one each day unless one is named.
 SEED ?= $(shell date +%Y%m%d)
-# Kept bytecode, whatever the surroundings say: hundreds of processes would compile the same files again.
+# Bytecode is kept, whatever the environment says: else hundreds of processes would compile the same files again.
 test test-quick: export PYTHONDONTWRITEBYTECODE =
-# The arrays are small, and a thread for each core only waits for the next, in a loop that takes that core.
+# The arrays are small: a thread for each core would only wait for more work, in a loop that takes up the core.
 test test-quick: export OPENBLAS_NUM_THREADS = 1
 
 .PHONY: run test test-quick mutations lint docs deb format clean help
