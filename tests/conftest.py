@@ -1,4 +1,4 @@
-"""Fixtures for every tier; the one that no test may leak is in tests/support/leaks.py."""
+"""Fixtures for every tier; the check that no test leaks anything is in tests/support/leaks.py."""
 
 import gc
 import os
@@ -20,11 +20,11 @@ from tests.support.postgres import BINARIES, WITHOUT_POSTGRES
 from tests.support.rotctld import LEFT_OUT as WITHOUT_ROTCTLD
 from tests.support.rotctld import ROTCTLD
 
-# Looking for garbage in the middle of tests took a twentieth of their time; each ends with it (tests/support/leaks.py).
+# Garbage collection in the middle of tests took a twentieth of their time; each ends with it (tests/support/leaks.py).
 gc.set_threshold(100_000, 20, 20)
-# Whoever begins this in the background of a script gives it a Ctrl-C that is ignored, and so would its children.
+# Started in the background of a script, the tests would ignore Ctrl-C, and so would their children.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-# And under nohup the loss of a terminal, by which some tests end their children: those would go on.
+# Under nohup they would ignore SIGHUP, by which some tests end their children: those would go on.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # Machines are shared and slow now and then; CI draws the same examples every time.
 settings.register_profile("heliocube", deadline=None, derandomize="CI" in os.environ)
@@ -56,13 +56,13 @@ _TIER_OF_FIXTURE = {
     "voltmeter_host": "protocol",
     "play": "protocol",
     "start_rotctld": "protocol",
-    # A unit that runs at its own pace on a port, not the one in lock step.
+    # A unit on a port at its own pace, not the one in lock step.
     "start_firmware": "live",
 }
 _TIER_OF_FOLDER = {"campaign": "campaign", "system": "system"}
 _LIVE = {"broker", "protocol", "system"}
 _TAKES_LONG = {"rig", "campaign", "firmware", "shared_data"}
-# What a file has to name, or a folder on its way, for one of its tests to pass real time.
+# A file, or a folder above it, must contain one of these if one of its tests passes real time.
 _WAITS = [
     *(f"mark.{tier}" for tier in (*_LIVE, "live")),
     *(fixture for fixture, tier in _TIER_OF_FIXTURE.items() if tier in {*_LIVE, "live"}),
@@ -84,7 +84,7 @@ def pytest_addoption(parser):
 
 
 def pytest_ignore_collect(collection_path, config):
-    """Leave out, before it is imported, a file in which nothing waits where only that is asked for."""
+    """Skip importing a file in which nothing waits, if only tests that wait are asked for."""
     if config.getoption("--live") != "only" or not collection_path.match("test_*.py"):
         return None
     return None if _may_wait(collection_path) else True
@@ -96,7 +96,7 @@ def _may_wait(file):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
-    """Look for no garbage while tests are collected, nor ever among them: a fifth of that time, in each worker."""
+    """Collect no garbage while tests are collected, nor their objects later: it took a fifth of each worker's time."""
     gc.disable()
     try:
         return (yield)
@@ -106,16 +106,17 @@ def pytest_collection():
 
 
 def pytest_unconfigure():
-    """Leave to the end of the process what is left; pytest looks through it five times."""
+    """Leave the rest of the memory to the end of the process; pytest would search it for garbage five times."""
     gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Mark each test with its tier, by what it asks for and where it lies, and keep those that are asked for.
+    """Mark each test with its tier, by its fixtures and its folder, and keep those that are asked for.
 
-    Before all others: `-m` chooses among the tiers, and where no test by hypothesis is left it does not read all our
-    source for constants, a fifth of what a worker did before its first test. What is put in order after them stays so.
+    This hook runs before all others: `-m` chooses among the tiers. And without tests that use hypothesis, that plugin
+    does not read all our source for constants, which took a fifth of a worker's time before its first test. The order
+    made after the others is final.
     """
     _mark(items)
     left_out = [item for item in items if not _is_asked_for(config, item)]

@@ -1,7 +1,7 @@
-"""Numbers of ports for the servers of tests, which nobody else gets meanwhile: no other worker, run or client.
+"""Port numbers for the servers of tests, which no other worker, run or client gets meanwhile.
 
-A port that was free a moment ago may be somebody's own end of a connection a moment later, or what another test has
-found free too. So each process of tests has a block to itself, below those that the system gives to clients.
+A port that was free a moment ago may be the local end of some client's connection a moment later, or may be handed to
+another test as free. So each process of tests has a block to itself, below the range that the system gives to clients.
 """
 
 import atexit
@@ -16,7 +16,7 @@ _LOOPBACK = "127.0.0.1"
 
 
 class SocketWithoutIpv6(socket.socket):
-    """In place of `socket.socket`: that of a system without IPv6, as with the kernel's option ipv6.disable=1."""
+    """Stands in for `socket.socket` on a system without IPv6, as with the kernel's option ipv6.disable=1."""
 
     def __init__(self, family=-1, *others, **named):
         if family == socket.AF_INET6:
@@ -25,12 +25,12 @@ class SocketWithoutIpv6(socket.socket):
 
 
 class _Numbers:
-    """A block of numbers that is this process's as long as it lives."""
+    """A block of numbers that belongs to this process as long as it lives."""
 
     def __init__(self):
-        # A name that the system forgets with the process, whatever its end.
+        # The system frees this name when the process ends, however it ends.
         self._claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        # Else the interpreter may find it open when it ends, and say so.
+        # Otherwise the interpreter may find the socket open at its end, and warn.
         atexit.register(self._claim.close)
         blocks = (_LAST - _FIRST) // _BLOCK
         for turn in range(blocks):
@@ -58,7 +58,7 @@ _numbers: _Numbers | None = None
 
 
 def take_block():
-    """Take this process's block, as is best done before any test may be said to have left it open."""
+    """Take this process's block: before any test, or the leak check would find the socket that holds it."""
     global _numbers
     if _numbers is None:
         _numbers = _Numbers()
@@ -66,11 +66,11 @@ def take_block():
 
 
 def free_port(kind=socket.SOCK_STREAM):
-    """Return the number of a port on loopback that is free, and stays so for whoever binds it in this test.
+    """Return the number of a port on loopback that is free, and stays so until this test binds it.
 
     Parameters
     ----------
     kind
-        Of socket: a stream's or datagrams'.
+        Of socket: for streams or for datagrams.
     """
     return take_block().next(kind)

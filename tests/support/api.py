@@ -1,4 +1,4 @@
-"""Fixtures: the local interface on real sockets, beside the rig under virtual time, and one who speaks to it."""
+"""Fixtures: the local interface on real sockets, beside the rig under virtual time, and a client of it."""
 
 import asyncio
 import json

@@ -1,4 +1,4 @@
-"""A database for archives, and what a service has of one: a store, a link to the broker, and the feed between them."""
+"""A database for archives, and a service's side of one: a store, a link to the broker, and the feed between them."""
 
 import asyncio
 import contextlib
@@ -47,7 +47,7 @@ def database(postgres, request):
 
 @pytest.fixture
 def start_archive(tmp_path, database):
-    """Start `heliocube archive` as a process; returns it, and its log in the folder."""
+    """Start `heliocube archive` as a process, with its log in the folder; returns the process."""
     started = []
 
     def start(port, *arguments):
@@ -93,9 +93,9 @@ def scan(number, session="s", utc_s=None):
 
 
 class Sender:
-    """One service as the broker and the archive see it.
+    """One service, as the broker and the archive see it.
 
-    Its loop runs `speed` times as fast as the machine, and so do the waits of the feed; the broker keeps its own time.
+    Its loop and the waits of its feed run `speed` times as fast as the clock of the machine; the broker does not.
     """
 
     def __init__(self, folder, port, name="roof", prefix="lab", run=None, speed=1.0, every_s=0.1, clock=None):
@@ -116,7 +116,7 @@ class Sender:
             self.store.keep(record)
 
     def rows(self):
-        """All records of the store, as a set of run's identifier, kind and number."""
+        """All records of the store, as a set of the run's identifier, kind and number."""
         found = set()
         with closing(sqlite3.connect(self.folder / FILE_NAME)) as store:
             for kind in KINDS:
@@ -125,7 +125,7 @@ class Sender:
 
     @contextlib.asynccontextmanager
     async def sending(self):
-        """Link and feed at work."""
+        """Run link and feed."""
         tasks = [asyncio.create_task(self.link.run()), asyncio.create_task(self.feed.run())]
         try:
             yield self
@@ -136,7 +136,7 @@ class Sender:
 
 
 def archived(postgres, url, installation):
-    """All records of an installation in an archive, as `Sender.rows` has them; a list, so that one twice is seen."""
+    """All records of an installation in an archive, as `Sender.rows` has them, but a list: it shows duplicates."""
     of_kind = (
         f"SELECT id, '{kind}', number FROM heliocube.{kind} JOIN heliocube.runs USING (run)"
         f" WHERE installation = '{installation}'"
@@ -150,7 +150,7 @@ def event(number, text="a line"):
 
 
 def pose_row(number, utc_s=None):
-    """A pose as a page has it: its number, and the columns of its table."""
+    """A pose as a row of a page: its number, and the columns of its table."""
     at_s = T0 + number if utc_s is None else utc_s
     return number, at_s, float(number), 1.5, 60.0, False, "roof", None
 

@@ -1,10 +1,10 @@
-"""A bad link between two network interfaces: carries the frames over, and loses, doubles, delays and cuts.
+"""A bad link between two network interfaces: it carries frames over, and loses, doubles, delays and cuts.
 
 ``python tests/support/bad_link.py LEFT RIGHT SEED``, in a network namespace that has both ends. Each line of its input
-is a JSON object that says from then on: ``loss``, ``duplicate`` and ``reorder`` (shares of the frames), ``delay_s`` and
-``jitter_s`` (each frame by itself, so that jitter reorders too), ``cut`` (true: nothing passes). What is reordered is
-50 ms later. ARP is neither lost nor doubled: without it the link would be none. It does what the kernel's netem does,
-where that is not built, and by a seed.
+is a JSON object that changes the link from then on: ``loss``, ``duplicate`` and ``reorder`` (shares of the frames),
+``delay_s`` and ``jitter_s`` (drawn for each frame, so that jitter reorders too), ``cut`` (true: nothing passes). A
+reordered frame comes 50 ms later. ARP is neither lost nor doubled: without it there would be no link at all. It does
+what the kernel's netem does, on kernels built without netem, and repeatably by a seed.
 """
 
 import heapq
@@ -24,7 +24,7 @@ _HELD_S = 0.05
 
 
 class BadLink:
-    """Frames under way, each with the time at which it arrives."""
+    """Frames on their way, each with the time at which it arrives."""
 
     def __init__(self, seed: int) -> None:
         self.how = {"loss": 0.0, "duplicate": 0.0, "reorder": 0.0, "delay_s": 0.0, "jitter_s": 0.0, "cut": False}
@@ -33,7 +33,7 @@ class BadLink:
         self._numbers = itertools.count()
 
     def take(self, frame: bytes, towards: socket.socket, now_s: float) -> None:
-        """Decide what becomes of a frame."""
+        """Lose, double or delay a frame."""
         how, choice = self.how, self._choice
         if how["cut"] or (frame[_KIND] != _ARP and choice.random() < how["loss"]):
             return
@@ -44,7 +44,7 @@ class BadLink:
             heapq.heappush(self._under_way, (due_s, next(self._numbers), towards, frame))
 
     def deliver(self, now_s: float) -> float | None:
-        """Hand over what is due; return how long it is to the next, or None."""
+        """Hand over the frames that are due; return the time until the next [s], or None."""
         while self._under_way and self._under_way[0][0] <= now_s:
             _, _, towards, frame = heapq.heappop(self._under_way)
             try:
@@ -59,7 +59,7 @@ def main(left: str, right: str, seed: str) -> None:
     ends = []
     for name in (left, right):
         end = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ALL))
-        # With the header goes what the kernel left undone, the checksums: without it the far end refuses all.
+        # The kernel left the checksums to the device. The header says so; without it the far end refuses every frame.
         end.setsockopt(_SOL_PACKET, _PACKET_VNET_HDR, 1)
         end.bind((name, 0))
         end.setblocking(False)

@@ -1,4 +1,4 @@
-"""Cube and tracker as real processes in a network namespace each, with a bad link between them."""
+"""Cube and tracker as real processes, each in its network namespace, with a bad link between them."""
 
 import json
 import os
@@ -43,7 +43,7 @@ listen = "0.0.0.0:20572"
 [instruments.positioner]
 telemetry_stale_s = 60.0
 """
-# One answer, in a line, to each line.
+# Answers each line with one line.
 _ASK = """
 import sys
 from urllib.request import urlopen
@@ -72,7 +72,7 @@ print(still)
 
 
 def without_namespaces() -> str:
-    """Return why there can be no network namespaces here, or nothing."""
+    """Return why no network namespaces can be made here, or nothing."""
     if sys.platform != "linux" or not hasattr(os, "geteuid") or os.geteuid() != 0:
         return "the test of a bad network is left out: network namespaces are for root on Linux"
     if shutil.which("ip") is None:
@@ -86,14 +86,14 @@ def without_namespaces() -> str:
 
 
 class BadNetwork:
-    """Three namespaces, those of cube and tracker and the link's between them; a context manager.
+    """Three namespaces, for the cube, the tracker and the link between them; a context manager.
 
     Parameters
     ----------
     folder
         For configuration, key and logs.
     seed
-        Of what the link loses.
+        For what the link loses.
     """
 
     def __init__(self, folder: Path, seed: int) -> None:
@@ -141,7 +141,7 @@ class BadNetwork:
         self._stack.callback(self._end, process)
 
     def change(self, **how: object) -> None:
-        """Make the link as bad as that; what is not named stays as it was."""
+        """Change the link; properties that are not named stay as they were."""
         self._link.stdin.write(json.dumps(how) + "\n")
         self._link.stdin.flush()
         self._await_link()
@@ -159,7 +159,7 @@ class BadNetwork:
         return json.loads(answer)
 
     def connections_kept(self, asked: int) -> int:
-        """Return how many of so many connections from the cube to the tracker's API are not closed on it at once."""
+        """Return how many of so many connections from the cube to the tracker's API stay open."""
         command = self._within("cube", sys.executable, "-c", _MANY_CONNECTIONS, asked)
         return int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
@@ -194,7 +194,7 @@ class BadNetwork:
         assert self._link.stdout.readline() == "ready\n", "the link has ended"
 
     def _begin(self, end: str, *words: object) -> subprocess.Popen:
-        """Start a program of Python's that ends with its input."""
+        """Start a Python program that ends when its input does."""
         begun = subprocess.Popen(
             self._within(end, sys.executable, *words), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )

@@ -7,7 +7,7 @@ from solar.frames import Array
 
 
 class ClearSky:
-    """Cloudless weather with another haze every day, whose GHI, DNI and DHI close."""
+    """Cloudless weather with a haze that changes daily, whose GHI, DNI and DHI agree."""
 
     def __init__(self, site: Site, aod700: tuple[float, ...] = (0.03, 0.07, 0.05)) -> None:
         self._site = site

@@ -1,4 +1,4 @@
-"""The command line as a person calls it, in the test's own process."""
+"""The command line as a person uses it, in the test's own process."""
 
 import functools
 import signal
@@ -7,13 +7,13 @@ import sys
 import pytest
 import typer.main
 
-# The commands are built from their functions, each time alike, in a fiftieth of a second: longer than most tests last.
+# Typer builds the commands from their functions at every call, always alike, in 1/50 s: longer than most tests last.
 typer.main.get_command = functools.cache(typer.main.get_command)
 
 
 @pytest.fixture
 def heliocube(monkeypatch, capsys):
-    """Runs the command line; returns its exit code and what it wrote to either stream."""
+    """Runs the command line; returns its exit code and what it wrote to both streams."""
     # The commands import much, and most tests need none of them.
     from daemon.commands.main import main  # noqa: PLC0415
 
@@ -29,8 +29,8 @@ def heliocube(monkeypatch, capsys):
 
 @pytest.fixture
 def signal_at_once(monkeypatch):
-    """Sends a signal that it is given to the process where work shows its progress first, as on a terminal."""
-    # One that no command takes must not end the tests.
+    """Returns a function that takes a signal: this process gets it when work first shows progress on a terminal."""
+    # A signal that the command does not handle must not end the tests.
     safe = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: lambda *_: None}
     before = {number: signal.signal(number, handler) for number, handler in safe.items()}
     asked: list[signal.Signals] = []
@@ -42,7 +42,7 @@ def signal_at_once(monkeypatch):
 
 @pytest.fixture
 def few_curves(tmp_path):
-    """Names a configuration with a curve every 15 s of fourteen points: thirty every 5 s take most of the time."""
+    """Arguments for a configuration with a curve of 14 points every 15 s: 30 points every 5 s take most of the time."""
     path = tmp_path / "few_curves.toml"
     path.write_text("[load]\npoints = 14\nperiod_s = 15.0\n")
     return ("--config", path)

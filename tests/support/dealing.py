@@ -1,10 +1,10 @@
-"""Which of the tests that wait runs where: the longest first, and dear ones not everywhere."""
+"""Which of the tests that wait runs where: the longest first, and costly ones not everywhere."""
 
 import functools
 import re
 
 LONG_S, DEAR_S, SHORT_S = 40, 12, 2
-"""What a test is taken to last: by its mark `long`; with processes or firmware of its own; on a port or a broker."""
+"""How long a test is taken to last: marked `long`; with processes or firmware of its own; on a port or a broker."""
 
 _DEAR = {"system", "campaign", "firmware"}
 # Fixtures that take seconds of a processor, once for all tests of a worker.
@@ -12,27 +12,26 @@ _SHARED = ("postgres", "browser", "copied_on_windows")
 
 
 def lasts_s(item):
-    """Return what a test is taken to last [s]."""
+    """Return how long a test is taken to last [s]."""
     marks = {mark.name for mark in item.iter_markers()}
     return LONG_S if "long" in marks else DEAR_S if marks & _DEAR else SHORT_S
 
 
 def long_first(items):
-    """Return the items in their order, but for those marked `long`: what begins last is waited for by all workers."""
+    """Return the items with those marked `long` first: if one began last, all workers would wait for it."""
     return sorted(items, key=lambda item: item.get_closest_marker("long") is None)
 
 
 def together(item):
-    """Return what a test has in common with those that use the same dear thing: one worker is to make it for all."""
+    """Return the costly fixture that a test shares with others, for one worker to make for all, or its own name."""
     return next((name for name in _SHARED if name in item.fixturenames), item.nodeid)
 
 
 def dealt(items, workers, length_s=lasts_s, group=together):
-    """Return the items in the order in which `--dist worksteal` deals them well: to each worker as many, in one piece.
+    """Return the items in an order that suits `--dist worksteal`, which gives each worker one piece of equal size.
 
-    Each piece begins with its longest, so that what is taken from its end later is short; those of a group stay
-    together, as one that lasts as long as all of them; one worker in three gets dear ones only when there is nothing
-    else left.
+    Each piece begins with its longest, so that what others steal from its end is short. A group stays together, as one
+    test that lasts as long as all of them. One worker in three gets costly tests only when nothing else is left.
     """
     room = [len(items) // workers + (worker >= workers - len(items) % workers) for worker in range(workers)]
     pieces = [[] for _ in range(workers)]
@@ -41,7 +40,7 @@ def dealt(items, workers, length_s=lasts_s, group=together):
         free = [worker for worker in range(workers) if len(pieces[worker]) + len(members) <= room[worker]]
         if length >= DEAR_S:
             free = [worker for worker in free if worker % 3 != 2] or free
-        # A group for which there is no room in one piece goes on in the next.
+        # A group that fits into no piece as a whole goes on in the next.
         order = sorted(free or range(workers), key=spent_s.__getitem__)
         for member in members:
             worker = next(one for one in order if len(pieces[one]) < room[one])
@@ -51,7 +50,7 @@ def dealt(items, workers, length_s=lasts_s, group=together):
 
 
 def _groups(items, length_s, group):
-    """Return length and members of each group, the longest first."""
+    """Return the length and the members of each group, the longest first."""
     members = {}
     for item in items:
         members.setdefault(group(item), []).append(item)
@@ -65,5 +64,5 @@ def _whole_words(words):
 
 
 def names_any(file, words):
-    """Return whether a file has one of the words in it, as a word of its own."""
+    """Return whether a file contains one of the words, as a whole word."""
     return _whole_words(tuple(words)).search(file.read_text(encoding="utf-8")) is not None

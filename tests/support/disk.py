@@ -1,4 +1,4 @@
-"""What a test sees of the way to the disk."""
+"""What reaches the disk, as tests see it."""
 
 import os
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 
 @pytest.fixture
 def synced(monkeypatch):
-    """Return the names of the files that have been synced and had something in them, in their order."""
+    """Return the names of the files that were synced while not empty, in order."""
     names, fsync = [], os.fsync
 
     def noted(descriptor):

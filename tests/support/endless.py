@@ -1,4 +1,4 @@
-"""A service, or what stands in its place, whose answer has no end."""
+"""A service, or an impostor in its place, whose answer is far too long."""
 
 import asyncio
 
@@ -8,7 +8,10 @@ TAKEN = 64 << 20
 
 
 async def sent_to(ask, content_type="application/json"):
-    """Return what `ask` returns for an address that says much, if it is not about a token, and how much was taken."""
+    """Return what `ask` returns for an address that answers with `MUCH` bytes, and how many were sent.
+
+    Questions about a token get a short answer.
+    """
     sent, answering = 0, set()
 
     async def answer(reader, writer):

@@ -1,9 +1,8 @@
 """Processes of `heliocube` that begin as copies of one that has imported everything.
 
-To import it takes one or two seconds of a processor, and the tests start some two hundred. A copy is a process of its
-own in every other respect: its arguments, its surroundings, its files, its signals, its exit code. That the program
-also starts from nothing is shown where that is the point, with subprocess: in tests/system/test_run.py,
-test_deploy.py and others.
+Imports take one or two seconds of a processor, and the tests start some two hundred processes. A copy is a process of
+its own in every other respect: arguments, environment, files, signals, exit code. Tests whose point is that the program
+starts from nothing use subprocess: tests/system/test_run.py, test_deploy.py and others.
 """
 
 import atexit
@@ -39,17 +38,17 @@ IMPORTED = (
 )
 _MOST = 1 << 20
 _HEAR_EVERY_S = 0.02
-# What an interpreter or a library reads when it begins, and not again.
+# Variables that an interpreter or a library reads at its start only.
 _READ_ONCE = ("PYTHON", "LD_", "OPENBLAS", "OMP_")
 
 
 class _Origin:
-    """The process that is copied, seen from one process of tests; its copies end with that one.
+    """The process that is copied, as one process of tests sees it; the copies end with the process of tests.
 
     Parameters
     ----------
     given
-        What `told` of another process's has returned, to ask the same one; without it a process is started.
+        What `told` returned in another process of tests, to use the same original; without it one is started.
     """
 
     def __init__(self, given=None):
@@ -65,25 +64,25 @@ class _Origin:
 
     def _start(self):
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as door:
-            # The system finds a name, which is gone with the process.
+            # The system chooses a free name, which vanishes with the process.
             door.bind(b"")
             door.listen(64)
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "tests.support.forks", str(door.fileno())],
                 pass_fds=[door.fileno()],
                 cwd=Path(__file__).parents[2],
-                # A thread of a library would not be in the copy.
+                # A library's thread would not exist in the copy.
                 env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
             )
             return {"address": door.getsockname().hex(), "surroundings": _read_once(os.environ)}
 
     @property
     def pid(self):
-        """Of the process, where this one has started it."""
+        """The number of the process that is copied, if this process has started it."""
         return None if self._process is None else self._process.pid
 
     def told(self):
-        """Return what another process needs to ask the same one."""
+        """Return what another process of tests needs to use the same original."""
         return self._given
 
     def start(self, arguments, environment, cwd, files):
@@ -97,13 +96,13 @@ class _Origin:
                     return heard["started"]
 
     def ended(self, pid):
-        """Return how a copy ended, or None."""
+        """Return a copy's exit code, or None."""
         with self._lock:
             self._listen()
             return self._ended.get(pid)
 
     def running(self):
-        """Return the commands of the copies that this process has begun and that have not ended, by number."""
+        """Return the commands of the copies that this process has started and that have not ended, by process id."""
         with self._lock:
             self._listen()
             return {pid: words for pid, words in self._running.items() if pid not in self._ended}
@@ -135,9 +134,9 @@ _given: dict | None = None
 
 
 def kept():
-    """Return the process that is copied, if it is a child of this one, and the descriptor on which it is asked.
+    """Return the process that is copied, if it is a child of this one, and the descriptor of the connection to it.
 
-    In lists that may be empty.
+    Two lists, which may be empty.
     """
     if _origin is None:
         return [], []
@@ -145,12 +144,12 @@ def kept():
 
 
 def running():
-    """Return the commands of this process's copies that have not ended, by their numbers."""
+    """Return the commands of this process's copies that have not ended, by process id."""
     return {} if _origin is None else _origin.running()
 
 
 def begin():
-    """Start the process that is copied, or turn to that of the whole run, unless that is done."""
+    """Start the process that is copied, or connect to the run's, unless that is done."""
     global _origin
     if _origin is None:
         _origin = _Origin(_given)
@@ -158,18 +157,18 @@ def begin():
 
 
 def pytest_configure(config):
-    """Take from the process that deals out the tests, if there is one, what is copied for all."""
+    """Take the address of the process that is copied from pytest-xdist's controller, if there is one."""
     global _given
     _given = getattr(config, "workerinput", {}).get("origin")
 
 
 def pytest_configure_node(node):
-    """Let all workers have copies of one process: each would need seconds to load the same."""
+    """Let all workers copy one process: each would need seconds to import the same."""
     node.workerinput["origin"] = begin().told()
 
 
 def pytest_unconfigure():
-    """End it, and with it whatever is left of its copies."""
+    """End the process that is copied, and with it what is left of its copies."""
     global _origin
     if _origin is not None:
         _origin.close()
@@ -187,7 +186,7 @@ def _read_once(environment):
 
 
 class Fork:
-    """A process of `heliocube`, with what the tests use of subprocess.Popen."""
+    """A process of `heliocube`, with those methods of subprocess.Popen that the tests use."""
 
     def __init__(self, arguments, stdin, stdout, stderr, environment, cwd):
         self._origin = begin()
@@ -221,9 +220,9 @@ class Fork:
 
 
 def start(arguments, stdout=None, stderr=None, env=None, cwd=None, stdin=None):
-    """Start `heliocube` with arguments; streams are open files or descriptors, and by itself it has nothing to read.
+    """Start `heliocube` with arguments; streams are open files or descriptors, standard input is empty unless given.
 
-    A process whose surroundings differ in what is read at the start of an interpreter starts from nothing.
+    If the environment differs in a variable that is read at an interpreter's start, the process starts from nothing.
     """
     arguments = list(map(str, arguments))
     environment = dict(os.environ if env is None else env)
@@ -242,7 +241,7 @@ def _number(file):
 
 
 def run(*arguments, env=None, cwd=None):
-    """Run `heliocube` to its end, and return what subprocess.run with capture_output and text does."""
+    """Run `heliocube` to its end, and return what subprocess.run with capture_output and text returns."""
     with contextlib.ExitStack() as stack:
         out, err = (stack.enter_context(_memory(name)) for name in ("out", "err"))
         process = start(arguments, out, err, env, cwd)
@@ -264,13 +263,13 @@ def _text(file):
     return file.read().decode(errors="replace")
 
 
-# What follows runs in the process that is copied, and in the copies.
+# What follows runs in the process that is copied and in the copies.
 
 
 def _serve(door):
-    """Copy this process for every order, and tell of each end; return in a copy, with its order.
+    """Copy this process for every order, and report each end; return in a copy, with its order.
 
-    The first who comes has started this process, which ends when that one leaves; with each who leaves his copies end.
+    The first to connect has started this process, which ends when it disconnects. When any disconnects, its copies end.
     """
     first, copies, asking = None, {}, set()
     with selectors.DefaultSelector() as selector:
@@ -316,13 +315,13 @@ def _next_order(asker):
     try:
         return socket.recv_fds(asker, _MOST, 3)[:2]
     except ConnectionResetError:
-        # Who leaves may not have heard all that was said.
+        # A process that leaves may not have read all messages.
         return b"", []
 
 
 @functools.cache
 def _load():
-    """Import everything, when somebody wants it."""
+    """Import everything, at the first order."""
     for name in IMPORTED:
         importlib.import_module(name)
     gc.collect()
@@ -337,7 +336,7 @@ def _tell_end(pid, asker, watched):
 
 
 def _become(order, files):
-    """Turn a copy into what was ordered."""
+    """Give a copy the files, folder, environment and arguments of its order."""
     for number, file in enumerate(files):
         os.dup2(file, number)
     for file in files:
@@ -346,7 +345,7 @@ def _become(order, files):
     os.environ.clear()
     os.environ.update(order["environment"])
     time.tzset()
-    # A script has none, and messages begin with its name.
+    # A script has no package, and its messages begin with the program's name.
     sys.modules["__main__"].__package__ = None
     sys.argv = [str(Path(sys.executable).with_name("heliocube")), *order["arguments"]]
     sys.stdin, sys.stdout, sys.stderr = (
@@ -362,7 +361,7 @@ def _become(order, files):
 
 
 def _run_to_the_end(call):
-    """End as an interpreter does, but leave what is in memory to the system: freeing it takes most of a short copy."""
+    """End as an interpreter does, but leave the memory to the system: freeing it takes most of a short copy's time."""
     try:
         call()
     except SystemExit as end:
@@ -376,7 +375,7 @@ def _run_to_the_end(call):
 
 
 def _main():
-    # A person's Ctrl-C at the tests is theirs.
+    # Ctrl-C on the terminal is meant for the tests.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     order, files = _serve(socket.socket(fileno=int(sys.argv[1])))
     from daemon.entry import main  # noqa: PLC0415 - the copies' business

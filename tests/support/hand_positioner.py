@@ -1,4 +1,4 @@
-"""Motion alone, in virtual time, with a positioner that stands, turns and says what a test wants."""
+"""Motion alone, in virtual time, with a positioner whose place and telemetry a test sets by hand."""
 
 import asyncio
 import math
@@ -24,7 +24,7 @@ DEAF_S = 2.0
 
 
 class HandPositioner:
-    """A driver like any other, of a unit that is only numbers: both axes turn at once, and it counts in degrees."""
+    """A driver without a unit behind it: both axes turn at once, and it counts in degrees."""
 
     def __init__(self, clock):
         self._clock = clock
@@ -35,7 +35,7 @@ class HandPositioner:
         self.is_lost = self.is_deaf = False
         self.refuses = {}
         self.looks = 0
-        # How old what the status says is when it is read.
+        # How old the status is when it is read.
         self.status_age_s = 0.0
         self.homes_s = 20.0
         self._homed_s = -math.inf
@@ -50,7 +50,7 @@ class HandPositioner:
         return tuple(self._at)
 
     def drive(self, a_deg, b_deg):
-        """Move as if somebody else had ordered it."""
+        """Move as if another program had ordered it."""
         self.place()
         self._to = [a_deg, b_deg]
 
@@ -123,7 +123,7 @@ class HandPositioner:
 
 
 class RepeatingPositioner(HandPositioner):
-    """The same, which tells without a look that it still shows what it showed last, as long as it does."""
+    """The same, but `repeated_s` says that its telemetry has not changed, while `shows_the_same`."""
 
     shows_the_same = True
 
@@ -132,7 +132,7 @@ class RepeatingPositioner(HandPositioner):
 
 
 class MotionRig:
-    """Motion with all that it is given, and what it has published."""
+    """Motion with everything that it needs, and what it has published."""
 
     def __init__(self, loop, settings, expected, folder, polling, make):
         self.clock = LoopClock(loop.time, START_UTC_S)
@@ -187,12 +187,12 @@ class MotionRig:
 
 
 async def asleep(rig):
-    """Let everything that a standstill has to last for be over."""
+    """Let time pass until every rule that asks for a standstill is satisfied."""
     await asyncio.sleep(30.0)
 
 
 def run_motion(scenario, *, folder=None, expected=None, polling=OFTEN, connects=True, make=HandPositioner, **settings):
-    """Run an async function that is given the rig, beside motion, and return the rig."""
+    """Run an async function that is given the rig, with motion running, and return the rig."""
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         rig = MotionRig(runner.get_loop(), settings, expected or PositionerSettings(), folder, polling, make)
 
@@ -203,7 +203,7 @@ def run_motion(scenario, *, folder=None, expected=None, polling=OFTEN, connects=
             running.cancel()
             acting.cancel()
             for outcome in await asyncio.gather(running, acting, return_exceptions=True):
-                # What pytest raises for a test that has failed is no Exception.
+                # pytest's exceptions for a failed test derive from BaseException.
                 if isinstance(outcome, BaseException) and not isinstance(outcome, asyncio.CancelledError):
                     raise outcome
 

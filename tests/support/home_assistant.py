@@ -2,8 +2,8 @@
 
 The keys are those of https://www.home-assistant.io/integrations/mqtt/#device-discovery-payload and of the pages of the
 platforms, .../integrations/sensor.mqtt/, binary_sensor.mqtt/, select.mqtt/ and button.mqtt/. Device classes and their
-units are of .../integrations/sensor/#device-class, binary_sensor/#device-class and button/#device-class; of units only
-those that every version since 2024.11 knows.
+units are from .../integrations/sensor/#device-class, binary_sensor/#device-class and button/#device-class; of the units
+only those that every version since 2024.11 knows.
 """
 
 import re
@@ -90,7 +90,7 @@ PLATFORMS = {
     },
     "button": ENTITY | {"command_topic": TEXT, "command_template": TEXT, "payload_press": TEXT, "retain": TRUTH},
 }
-# A topic of the document's own serves those that have none.
+# The document's own state topic serves components without one.
 REQUIRED = {
     "sensor": {"unique_id", "state_topic"},
     "binary_sensor": {"unique_id", "state_topic"},
@@ -140,7 +140,7 @@ CLASSES = {
     "select": set(),
     "button": {"identify", "restart", "update"},
 }
-# What is only read cannot be a setting.
+# An entity that is only read cannot be a setting.
 CATEGORIES = {
     "sensor": {"diagnostic"},
     "binary_sensor": {"diagnostic"},
@@ -151,7 +151,7 @@ STATE_CLASSES = {"measurement", "measurement_angle", "total", "total_increasing"
 
 
 def faults(topic, document):
-    """Return what Home Assistant would not take, one line each."""
+    """Return what Home Assistant would refuse, one line each."""
     found = []
     if not re.fullmatch(r"[^+#]+/device/([A-Za-z0-9_-]+/)?[A-Za-z0-9_-]+/config", topic):
         found.append(f"{topic} is no discovery topic")

@@ -17,7 +17,7 @@ _ENDS_WITHIN_S = 5.0
 
 
 class _Tasks:
-    """Notes what is still pending where an event loop is closed, which cancels it without a word."""
+    """Notes which tasks are still pending when an event loop is closed, which cancels them without a word."""
 
     def __init__(self, patch):
         self.left = []
@@ -26,7 +26,7 @@ class _Tasks:
         def closing(runner):
             loop = runner._loop
             if loop is not None and not loop.is_closed():
-                # What has been told to end may take the loop's next turn to do it.
+                # A task that has been cancelled may need one more turn of the loop to end.
                 self.left += [repr(task) for task in asyncio.all_tasks(loop) if not task.cancelling()]
             close(runner)
 
@@ -36,7 +36,7 @@ class _Tasks:
 @pytest.fixture(autouse=True)
 def nothing_leaks():
     """Fail a test that leaves a task, a thread, a file descriptor or a process behind, whatever its tier."""
-    # What was there before, libraries above all, is no test's garbage: to look through it cost a tenth of a second.
+    # Objects from before, above all of libraries, are not this test's garbage: searching them cost a tenth of a second.
     gc.freeze()
     threads, descriptors, before = set(threading.enumerate()), _descriptors(), children()
     root = logging.getLogger()
@@ -44,7 +44,7 @@ def nothing_leaks():
     with pytest.MonkeyPatch.context() as patch:
         tasks = _Tasks(patch)
         yield
-    # Commands that run until they are ended direct the log to a stream that ends with their test.
+    # Commands that run until they are ended log to a stream that is closed with their test.
     for handler in [handler for handler in root.handlers if handler not in handlers]:
         root.removeHandler(handler)
     root.setLevel(level)
@@ -56,7 +56,7 @@ def nothing_leaks():
     opened = _opened_since(descriptors)
     deadline_s = time.monotonic() + _ENDS_WITHIN_S
     while opened and time.monotonic() < deadline_s:
-        # A library's thread may be about to close what it has read.
+        # A library's thread may be about to close a file that it has read.
         time.sleep(0.05)
         opened = _opened_since(descriptors)
     started = {number: command for number, command in children().items() if number not in before}
@@ -73,7 +73,7 @@ def _opened_since(before: dict[str, str]) -> dict[str, str]:
     return {number: target for number, target in _descriptors().items() if number not in before}
 
 
-# With the paths of pathlib both would take three times as long, and every test asks four times.
+# Plain os functions: pathlib would make both functions three times as slow, and every test calls them four times.
 def _descriptors() -> dict[str, str]:
     found = {}
     for number in os.listdir("/proc/self/fd"):  # noqa: PTH208
@@ -91,9 +91,9 @@ def _descriptors() -> dict[str, str]:
 
 
 def children() -> dict[int, str]:
-    """Return the processes that this one has started and not waited for, with what they run."""
+    """Return the child processes that nobody has waited for, with their commands."""
     found = forks.running()
-    # The kernel's own list: to ask every process of the machine for its parent took more time than most tests.
+    # The kernel's own list of children: asking every process of the machine for its parent took longer than most tests.
     origin, _ = forks.kept()
     tasks = os.listdir("/proc/self/task")  # noqa: PTH208
     for number in set(" ".join(_read(f"/proc/self/task/{task}/children") for task in tasks).split()):
@@ -103,7 +103,7 @@ def children() -> dict[int, str]:
 
 
 def _read(file: str) -> str:
-    # A process or a thread may end while it is looked at.
+    # A process or a thread may end while it is being read.
     try:
         with open(file, encoding="utf-8", errors="replace") as opened:  # noqa: PTH123
             return opened.read()

@@ -21,7 +21,7 @@ def drive_b(rig, angle_deg):
 
 
 def lose(rig, monkeypatch, *starts):
-    """Let packets that start so get lost on their way to the unit."""
+    """Lose packets that start so on their way to the unit."""
     feed = rig.unit.feed
 
     def lossy(data, now):
@@ -32,7 +32,7 @@ def lose(rig, monkeypatch, *starts):
 
 
 def show(rig, **fields):
-    """Let telemetry say something that the simulated unit does not say by itself."""
+    """Let telemetry say what the simulated unit would not say by itself."""
     read = type(rig.positioner).read_telemetry
 
     async def shown():
@@ -47,7 +47,7 @@ def alarms(rig):
 
 
 def speed(rig, seconds):
-    """Return how fast the faster axis really turns at present [deg/s], from the truth this long apart."""
+    """Return how fast the faster axis really turns now [deg/s], from two true poses so many seconds apart."""
     now = rig.clock.monotonic()
     before, after = rig.unit.truth(now), rig.unit.truth(now + seconds)
     return max(abs(after.a_deg - before.a_deg), abs(after.b_deg - before.b_deg)) / seconds
@@ -65,7 +65,7 @@ def targets(sent):
 
 
 async def moves_for(rig, within_s):
-    """Return how long something truly moves from now on, looked at ten times a second [s]."""
+    """Return for how long something truly moves from now on [s], looking ten times a second."""
     start, last, before = rig.clock.monotonic(), None, rig.truth()
     while rig.clock.monotonic() - start < within_s:
         await asyncio.sleep(0.1)

@@ -51,7 +51,7 @@ def make_broker(tmp_path):
 
 
 class Observer:
-    """Another client of the broker, who hears all and says some."""
+    """Another client of the broker, which hears everything and may publish."""
 
     def __init__(self, client):
         self.client = client
@@ -65,7 +65,7 @@ class Observer:
     async def say(self, topic, payload=b"", retain=False):
         if not isinstance(payload, bytes | str):
             payload = json.dumps(payload)
-        # Without a limit of its own the library swallows no cancellation, as `asyncio.wait_for` of Python 3.11 may.
+        # No limit of aiomqtt's own: that uses `asyncio.wait_for`, which may swallow a cancellation on Python 3.11.
         async with asyncio.timeout(10 * SPEED):
             await self.client.publish(topic, payload, qos=1, retain=retain, timeout=math.inf)
 
@@ -73,7 +73,7 @@ class Observer:
         return [message for message in self.heard if message.topic.value == topic]
 
     async def until(self, topic, holds=lambda _: True, after=0):
-        """Return the first payload on a topic, as JSON if it is any, for which `holds`."""
+        """Return the first payload on a topic for which `holds`; JSON is decoded."""
 
         def found():
             for message in self.on(topic)[after:]:
@@ -92,7 +92,7 @@ def _read(payload):
 
 
 async def until(condition, what, within_s=PATIENCE_S):
-    """Wait for a condition, in the machine's time, and return what it found."""
+    """Wait, in real time, until a condition returns something true, and return that."""
     loop = asyncio.get_running_loop()
     deadline = loop.time() + within_s * getattr(loop, "speed", 1.0)
     while not (found := condition()):
@@ -102,7 +102,7 @@ async def until(condition, what, within_s=PATIENCE_S):
 
 
 async def calm(rig, lab, messages):
-    """Say what is safe again and again, by topic, until every safety input has heard it: nothing is tracked before."""
+    """Say by topic that all is safe, until every safety input has heard it: the tracker tracks only then."""
     for _ in range(100):
         for topic, payload in messages.items():
             await lab.say(topic, payload)
@@ -165,7 +165,7 @@ class BrokerRig(ServiceRig):
 
 
 def settings_for(port, **sections):
-    """Return settings with a broker; keys of [mqtt] may be given beside it."""
+    """Return settings with a broker; `mqtt` and `bridge` add keys to their sections."""
     mqtt = {"enabled": True, "port": port, "keepalive_s": 2} | sections.pop("mqtt", {})
     bridge = {"listen": "127.0.0.1:0", "send_to": ()} | sections.pop("bridge", {})
     return Settings.model_validate({"mqtt": mqtt, "bridge": bridge, **sections})
@@ -185,7 +185,7 @@ async def serving(*rigs):
 
 @pytest.fixture
 def scaled():
-    """Run a scenario on a loop that is `SPEED` times as fast as the machine."""
+    """Run a scenario on a loop that is `SPEED` times as fast as the machine's clock."""
 
     def run(scenario):
         with asyncio.Runner(loop_factory=lambda: ScaledTimeLoop(SPEED)) as runner:
@@ -196,6 +196,6 @@ def scaled():
 
 @pytest.fixture
 def log_lines(caplog):
-    """The lines of the log that an operator sees, of INFO and above."""
+    """The lines of the log that an operator sees: INFO and above."""
     caplog.set_level(logging.INFO, "heliocube")
     return lambda: [record for record in caplog.records if record.name.startswith("heliocube")]

@@ -1,4 +1,4 @@
-"""A network of a test's own, in this process: addresses that come and go, which those of loopback cannot."""
+"""A network of a test's own, in this process: its addresses can come and go, and those of loopback cannot."""
 
 import ctypes
 import os
@@ -17,7 +17,7 @@ def in_own_network(work: Callable[[], None]) -> None:
     """
 
     def within() -> None:
-        # Of this thread alone, and forgotten with it.
+        # For this thread only; the network vanishes with it.
         if ctypes.CDLL(None, use_errno=True).unshare(_CLONE_NEWNET):
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
         _ip("link", "set", "lo", "up")

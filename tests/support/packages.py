@@ -1,12 +1,12 @@
-"""Somebody else's package, as an installer leaves it in a folder on the path."""
+"""A third party's package, as an installer leaves it in a folder on the path."""
 
 import sys
 
 
 def install(monkeypatch, folder, points, sources, name="acme"):
-    """Put the sources of modules, by name, and what the package offers, as entry_points.txt says it, into a folder.
+    """Write a package into a folder: the sources of its modules, by name, and its entry points, as entry_points.txt.
 
-    The folder is on the path, and what the modules put into memory is forgotten, when the test has ended.
+    When the test ends, the folder leaves the path, and the modules are unloaded.
     """
     about = folder / f"{name}-1.0.dist-info"
     about.mkdir(parents=True)

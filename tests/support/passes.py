@@ -1,4 +1,4 @@
-"""Both parts of the suite at once: what computes fills the time in which what passes real time waits."""
+"""Both parts of the suite at once: the tests that compute fill the time in which the tests on real time wait."""
 
 import contextlib
 import os
@@ -11,9 +11,9 @@ from pathlib import Path
 
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _RESULTS = re.compile(r"=+ (FAILURES|ERRORS|warnings summary|short test summary info|no tests ran|\d+ )")
-# As pytest has them.
+# pytest's own codes.
 _INTERRUPTED, _NOTHING_COLLECTED = 2, 5
-# Of the session as a whole, against all others and against the threads of the kernel.
+# The share of the whole session, against all other sessions and the threads of the kernel.
 _SHARE = Path("/proc/self/autogroup")
 _NICE = re.compile(r"nice (-?\d+)")
 SMALL_SHARE = 6
@@ -24,7 +24,7 @@ _FIRST_WRONG, _FIRST_RIGHT = (6, 12), (6, 18, 45)
 
 
 class Pass:
-    """One run of pytest, whose lines are told by its name as they come, and its results in one piece.
+    """One run of pytest: prints its lines as they come, each behind its name, and its results in one piece.
 
     Parameters
     ----------
@@ -46,13 +46,13 @@ class Pass:
         self._teller.start()
 
     def wait(self):
-        """Return its exit code when it has ended and told all."""
+        """Return its exit code when it has ended and all is printed."""
         while True:
             try:
                 self._teller.join()
                 return self._process.wait()
             except KeyboardInterrupt:
-                # The terminal has told pytest too, which ends in good order.
+                # The terminal sends Ctrl-C to pytest too, which ends in good order.
                 continue
 
     def _tell(self):
@@ -68,7 +68,7 @@ class Pass:
 
 
 def exit_code(codes):
-    """Return the one code for all: an interruption first, then a failure; to find no test is one if none finds any."""
+    """Return one code for all: an interruption first, then a failure. No test found counts only if no run found any."""
     if _INTERRUPTED in codes:
         return _INTERRUPTED
     return next((code for code in codes if code not in (0, _NOTHING_COLLECTED)), min(codes))
@@ -83,14 +83,14 @@ def run(waiting, computing, *, at_once, say):
 
 
 def misplaces_sessions(release):
-    """Return whether a Linux of this release lets the kernel's own threads wait for a session that often waits."""
+    """Return whether this release of Linux lets the kernel's own threads wait for a session that often waits."""
     numbers = re.match(r"(\d+)\.(\d+)(?:\.(\d+))?", release)
     return numbers is not None and _FIRST_WRONG <= tuple(int(number or 0) for number in numbers.groups()) < _FIRST_RIGHT
 
 
 @contextlib.contextmanager
 def session_share(nice, share=_SHARE):
-    """Give this session another share of the processors, as `nice`, until the end, where Linux has such."""
+    """Set this session's share of the processors, as `nice`, until the end, where Linux has such shares."""
     try:
         before = _NICE.search(share.read_text(encoding="ascii"))
     except OSError:
@@ -102,7 +102,7 @@ def session_share(nice, share=_SHARE):
     try:
         yield
     finally:
-        # Back to what only an administrator may give, that is not possible.
+        # Only an administrator may raise the share again.
         with contextlib.suppress(OSError):
             share.write_text(before[1], encoding="ascii")
 
@@ -125,7 +125,7 @@ def main(workers, waiting, *arguments):
     live = (*pytest, "--live", "only", "-n", waiting, "-o", "cache_dir=.pytest_cache/live", *given)
     computing = (*pytest, "--live", "without", "-n", workers, *given)
     at_once = len(os.sched_getaffinity(0)) > 1
-    # A small share for what has no deadline: instruments and services beside it have some.
+    # Computing has no deadline and gets a small share: instruments and services beside it have deadlines.
     polite = ("nice", "-n", POLITE) if at_once else ()
     with behind_the_kernel():
         return run(live, (*polite, *computing), at_once=at_once, say=_say)

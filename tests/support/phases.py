@@ -1,4 +1,4 @@
-"""The phases of a tracker's day that tests wait for, the time in them, and what was told."""
+"""The phases of a tracker's day that tests wait for, how long they last, and what was told."""
 
 import asyncio
 
@@ -34,7 +34,7 @@ async def at_rest(rig):
 
 
 async def quiet(rig):
-    """Wait for the tracker to stand in TRACKING with its last move long over."""
+    """Wait until the tracker is in TRACKING and stands, with its last move long over."""
     await tracking(rig)
     await at_rest(rig)
     await asyncio.sleep(20)

@@ -26,12 +26,12 @@ TRANSCRIPTS = ROOT / "tests" / "drivers" / "transcripts"
 
 @pytest.fixture
 def transcript():
-    """Read one of the transcripts beside the tests: the pieces in order."""
+    """Returns the pieces of one of the transcripts beside the tests, in order."""
     return lambda name: parse((TRANSCRIPTS / f"{name}.transcript").read_text(encoding="utf-8").splitlines())
 
 
 class Player(threading.Thread):
-    """Plays the instrument's part of a transcript on a port, and notes what it was sent instead of what it expects."""
+    """Plays the instrument's part of a transcript on a port, and notes what it receives, up to the first difference."""
 
     def __init__(self, pieces, link):
         super().__init__(daemon=True)
@@ -62,12 +62,12 @@ class Player(threading.Thread):
 
 @pytest.fixture
 def play():
-    """Return how to play the instrument's part of a transcript."""
+    """Return the class that plays the instrument's part of a transcript."""
     return Player
 
 
 class Module:
-    """A module in light that a test sets."""
+    """A module in a light that a test sets."""
 
     def __init__(self):
         self.now = SourceLight(800.0, 40.0)
@@ -99,7 +99,7 @@ def load_host(tmp_path):
 
 @pytest.fixture
 def patience(monkeypatch):
-    """Give the unit 10 s to show a target: a machine that does much else hands out late what came in time."""
+    """Give the unit 10 s to show a target: on a busy machine, data that came in time is read late."""
     monkeypatch.setattr("drivers.positioners.pozsol.positioner._TARGET_SHOWS_S", 10.0)
 
 
@@ -150,7 +150,7 @@ async def _running(host):
 
 @pytest.fixture
 def start_rotctld():
-    """Start a rotctld with options of its own; it is gone when the test has ended."""
+    """Start a rotctld with options of its own; it ends with the test."""
     if ROTCTLD is None:
         pytest.skip(LEFT_OUT)
     started = []

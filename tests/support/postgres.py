@@ -19,12 +19,12 @@ _FOUND += sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"), reverse=True)
 BINARIES = _FOUND[0].resolve().parent if _FOUND else None
 WITHOUT_POSTGRES = "PostgreSQL is not here (Debian: postgresql): the tests of the archive are left out"
 OWNER = "archive"
-# The server refuses to be root's.
+# PostgreSQL refuses to run as root.
 _USER = "nobody" if os.geteuid() == 0 else None
 
 
 class Postgres:
-    """One server on a loopback port of its own, whose folder is as short-lived as the tests; `more` are settings."""
+    """One server on a loopback port of its own, whose folder is deleted with it; `more` are settings."""
 
     def __init__(self, durable=False, **more):
         self.folder = Path(tempfile.mkdtemp(prefix="heliocube-pg-"))
@@ -34,11 +34,11 @@ class Postgres:
         self.port = free_port()
         self._data = self.folder / "data"
         self._run("initdb", "-D", self._data, "-U", OWNER, "-A", "trust", "-N", "-E", "UTF8", "--locale", "C")
-        # Who starts the server again after each death is one process for all tests, of which none is left with a child.
+        # A shell restarts the server after each death: it was started once for all tests, so no test has a new child.
         options = {"listen_addresses": "127.0.0.1", "port": self.port, "unix_socket_directories": self.folder}
         options |= {"max_connections": 20}
         if not durable:
-            # A test's database outlives its own death, and need not outlive the machine's.
+            # A test's database survives the server's death; it need not survive the machine's.
             options |= {"fsync": "off", "shared_buffers": "16MB", "autovacuum": "off"}
         options |= more
         words = [str(BINARIES / "postgres"), "-D", str(self._data)]
@@ -69,7 +69,7 @@ class Postgres:
         return f"postgresql://{user}@127.0.0.1:{self.port}/{database}"
 
     def sql(self, statement, database="postgres", user=OWNER):
-        """Run a statement as psql would; return its rows."""
+        """Run a statement as psql would; return the rows."""
         import psycopg  # noqa: PLC0415 - in an extra
 
         with psycopg.connect(self.url(database, user), autocommit=True, connect_timeout=5) as connection:
@@ -83,13 +83,13 @@ class Postgres:
         return file
 
     def restore(self, database, file):
-        """Put what a dump has in the place of a database."""
+        """Replace a database by a dump."""
         self.sql(f"DROP DATABASE {database} WITH (FORCE)")
         self.sql(f"CREATE DATABASE {database}")
         self._run("pg_restore", "-d", self.url(database), file)
 
     def _signal(self, number):
-        """To the server and to all that it has started, which are groups of their own."""
+        """Send a signal to the server and to its children, each of which is a process group of its own."""
         pid = int((self._data / "postmaster.pid").read_text().split()[0])
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
         for each in (pid, *map(int, children)):
@@ -97,7 +97,7 @@ class Postgres:
                 os.kill(each, number)
 
     def kill(self):
-        """End it without a word; it is away until `start`."""
+        """Kill the server at once; it stays away until `start`."""
         (self.folder / "down").touch()
         self._signal(signal.SIGKILL)
 

@@ -12,9 +12,9 @@ from tests.support import PATIENCE_S
 
 
 class Prologix(threading.Thread):
-    """A GPIB-USB adapter with a simulated meter at address 16: a controller that talks when it is told to.
+    """A GPIB-USB adapter with a simulated meter at address 16: a controller that lets the meter talk when told to.
 
-    It leaves the factory as ``++auto 1``, which reads after every line and so leaves a meter with nothing to say stuck.
+    The factory setting is ``++auto 1``: it reads after every line, which hangs a meter that has nothing to say.
     """
 
     def __init__(self, core, link):

@@ -1,4 +1,4 @@
-"""Fixtures: the whole service on the in-process rig under virtual time, with every simulated instrument in hand."""
+"""Fixtures: the whole service on the in-process rig under virtual time, with access to every simulated instrument."""
 
 import asyncio
 from datetime import UTC, datetime
@@ -29,14 +29,14 @@ class ServiceRig(HandledRig):
         return self.kept_in(directory)
 
     def see(self, recent=None, store=None, links=None):
-        """Take a snapshot; `recent` knows what came over the bus, as far as a test wants to see of it."""
+        """Take a snapshot; `recent` holds the records from the bus, if the test needs them."""
         return snapshot(self.service, Recent() if recent is None else recent, 1.0, store, links or {})
 
     def of(self, kind):
         return [record for record in self.records if isinstance(record, kind)]
 
     async def until(self, condition, within_s, what, every_s=None):
-        """Let time pass until the condition holds; it is looked at `every_s`, or two thousand times at most."""
+        """Let time pass until the condition holds, checking it `every_s`, or 2000 times in `within_s`."""
         begun_s, holds = self.clock.monotonic(), False
 
         def looked():
@@ -45,7 +45,7 @@ class ServiceRig(HandledRig):
             return holds or self.clock.monotonic() >= begun_s + within_s
 
         if not looked():
-            # Half of what these tests computed was a task of its own that slept between two looks.
+            # A task that sleeps between two checks was half of what these tests computed.
             await call_until(max(0.02, within_s / 2000.0) if every_s is None else every_s, looked)
         assert holds, f"{what} did not happen within {within_s} s; mode {self.mode}"
 
@@ -55,9 +55,9 @@ class ServiceRig(HandledRig):
 
 @pytest.fixture
 def run_rig():
-    """Run a scenario, an async function that is given the rig, beside the service.
+    """Run a scenario, an async function that is given the rig, with the service running.
 
-    Where hours pass and nothing hangs on it, a positioner at rest may be looked at less often than the service does.
+    Where hours pass, `rest_look_s` lets a positioner at rest be read less often, if the test does not depend on it.
     """
 
     def run(

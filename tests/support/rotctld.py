@@ -41,15 +41,15 @@ class Rotctld:
                 return
 
     def connect(self):
-        """Return a connection of another client: rotctld now and then resets one that begins while another ends."""
+        """Return a second client's connection: rotctld now and then resets one that begins while another ends."""
         return socket.create_connection(("127.0.0.1", self.port), timeout=PATIENCE_S)
 
     def ask(self, text, until=None):
-        """Send text as another client, and return what comes up to a mark, or until it has answered all."""
+        """Send text as another client, and return the answer up to a mark, or all of it."""
         with self.connect() as peer:
             peer.sendall(text.encode())
             if until is None:
-                # Who says no more is left when all is answered.
+                # rotctld closes the connection when it has answered everything from a client that sends no more.
                 peer.shutdown(socket.SHUT_WR)
             heard = b""
             while until is None or until not in heard:
@@ -63,7 +63,7 @@ class Rotctld:
         return heard
 
     def azimuth_deg(self):
-        """Return where it points, as another client is told."""
+        """Return the azimuth that another client is told [deg]."""
         return float(self.ask("p\n", b".").split(b"\n")[0])
 
     def kill(self):
@@ -88,5 +88,5 @@ def _state(stat):
     try:
         return stat.read_text().rpartition(")")[2].split()[0]
     except (FileNotFoundError, ProcessLookupError):
-        # A thread that has ended meanwhile has stopped too.
+        # A thread that has ended cannot answer either.
         return "T"

@@ -1,4 +1,4 @@
-"""A store with days of records that are known: a uniform sky, a tracker that lies flat till noon and then tilts."""
+"""A store with days of known records: a uniform sky, a tracker that lies flat till noon and then tilts."""
 
 import math
 
@@ -41,7 +41,7 @@ def instants(days):
 
 
 def faces_of(utc_s):
-    """What the faces read [W/m2], shape (n, 4): a uniform sky while the sun is up, nothing at night."""
+    """Return what the faces read [W/m2], shape (n, 4): a uniform sky while the sun is up, nothing at night."""
     weather = lay_out(utc_s, np.full(utc_s.size, DNI), np.full(utc_s.size, DHI), SITE, EVERY_S)
     found = np.zeros((utc_s.size, 4))
     found[np.isin(utc_s, weather.utc_s)] = faces_under(build_sky(weather, "isotropic"), 0.2)
@@ -66,7 +66,7 @@ def scans(days, simulated):
 
 
 def of_tracker(days, tracker):
-    """Its poses, one move at noon of each day, its modes and decisions."""
+    """Yield a tracker's poses, one move at noon of each day, its modes and decisions."""
     yield ModeChange(T0 + 1.0, 0.0, Mode.STARTING, Mode.NIGHT, "the sun is down", tracker)
     for day in range(days):
         start = T0 + day * DAY_S

@@ -4,7 +4,7 @@ from tests.support.dealing import DEAR_S, LONG_S, SHORT_S, dealt, long_first, na
 
 
 def pieces_of(order, workers):
-    # As xdist's worksteal cuts them.
+    # As pytest-xdist's worksteal divides them.
     left = list(order)
     for worker in range(workers):
         size = len(left) // (workers - worker)

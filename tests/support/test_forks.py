@@ -1,4 +1,4 @@
-"""A copy is a process like one from nothing: arguments, surroundings, streams, signals and exit code."""
+"""A copy is like a process started from nothing: arguments, environment, streams, signals and exit code."""
 
 import os
 import select
@@ -58,7 +58,7 @@ def test_another_process_of_tests_has_copies_of_the_same_one_which_end_with_it(t
         its = other.start(["run"], dict(os.environ), str(tmp_path), [said.fileno()] * 3)
         assert parent(its) == parent(own.pid)
         assert (list(forks.running()), list(other.running())) == ([own.pid], [its])
-        # It leaves without having heard of an end.
+        # It disconnects without having read of an end.
         other.start(["--version"], dict(os.environ), str(tmp_path), [said.fileno()] * 3)
     assert select.select([other], [], [], PATIENCE_S)[0]
     watched = os.pidfd_open(its)

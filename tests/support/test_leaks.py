@@ -71,9 +71,9 @@ CLEAN = """
 
 @pytest.fixture(scope="module")
 def outcomes(tmp_path_factory):
-    """Run all these test files in one process of its own under the checks that every test here is under.
+    """Run all these test files in one process, under the checks that every test here is under.
 
-    What it says in the end of each, by the file's name: a process for each would spend four fifths on its start.
+    Returns the final report of each file, by its name. With a process each, four fifths of the time would be startup.
     """
     folder = tmp_path_factory.mktemp("leaks")
     for name, text in {**LEAKS, "nothing": CLEAN}.items():

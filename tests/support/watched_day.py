@@ -1,4 +1,4 @@
-"""A cube's faces through a day of passing clouds, before the watch that judges them."""
+"""A cube's faces through a day of passing clouds, and the watch that judges them."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from solar.skies.sky import sky
 
 
 class Hand:
-    """A clock that stands where it is put."""
+    """A clock that a test sets."""
 
     def __init__(self, utc_s, off_s=0.0):
         self.utc_s = utc_s
@@ -31,7 +31,7 @@ class Hand:
 
 
 class WatchedDay:
-    """Faces of a day with a cloud every twenty minutes, scan by scan, before a watch."""
+    """Faces of a day with a cloud every 20 minutes, given to a watch scan by scan."""
 
     def __init__(self, start_utc_s, off_s=0.0, directory=None, **faces):
         self.clock = Hand(start_utc_s, off_s)
@@ -48,7 +48,7 @@ class WatchedDay:
         self.in_cloud_w_m2 = 150.0
 
     def minutes(self, count, frozen=None, at_w_m2=0.0, every_s=15.0, late_s=0.0, exactly=False):
-        """Let scans come, up to so much late; returns after how many minutes each face was found, None for never."""
+        """Let scans come, up to `late_s` late; returns after how many minutes each face was found, or None."""
         found = [None] * 4
         numbers = np.arange(1, int(60.0 * count / every_s) + 1)
         utc_s = self.clock.utc_s + every_s * numbers + late_s * np.random.default_rng(2).random(numbers.size)
