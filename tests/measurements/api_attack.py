@@ -3,10 +3,10 @@
 Usage: python tests/measurements/api_attack.py [--clients N] [--idle N] [--stops N] [--processes N] [--only KIND ...]
        [--fill SECONDS] [--seed N]
 
-Starts `heliocube run` on the simulated rig, lets it fill its memory with scans, and attacks it from a process of its
-own, over loopback alone: one kind of attack after the other, each beside N clients that ask for every page as fast as
-they are answered, and beside N connections that say nothing or half of a request. Meanwhile stops are given, as POSTs
-and as `heliocube stop` from a shell, each answered when telemetry has shown the axes standing.
+Starts `heliocube run` on the simulated rig, lets it fill its memory with scans, and attacks it from other processes
+over loopback: one kind of attack after the other, each beside N clients that ask for all pages, each page as soon as
+the last has come, and beside N connections that send nothing or half of a request. Meanwhile stops are given, as POSTs
+and as `heliocube stop` from a shell. A stop is answered when telemetry has shown the axes standing.
 """
 
 import argparse
@@ -51,7 +51,7 @@ def get(path, *, keep=False, host=HOST, more=""):
 
 
 class Attack:
-    """Clients of one port; each kind is what one client does with one connection."""
+    """Clients of one port; each kind of attack is a method that uses one connection."""
 
     def __init__(self, port, seed):
         self._port = port
@@ -60,7 +60,7 @@ class Attack:
         self._held = collections.deque()
 
     def _own_address(self, once):
-        """Return where to call from: any of the sixteen million of this machine, where the kind says so."""
+        """Return the address to call from: one of this machine's sixteen million, if the kind of attack says so."""
         if once.__name__ not in FROM_EVERYWHERE:
             return None
         return f"127.{self._random.randrange(256)}.{self._random.randrange(256)}.{self._random.randrange(1, 255)}", 0
@@ -90,7 +90,7 @@ class Attack:
             pass
 
     async def kept(self, reader, writer):
-        """Pages over one connection, as a browser asks for them."""
+        """Ask for pages over one connection, as a browser does."""
         while True:
             writer.write(get(self._random.choice(PAGES), keep=True))
             head = await reader.readuntil(b"\r\n\r\n")
@@ -157,13 +157,13 @@ class Attack:
         await asyncio.sleep(30)
 
     async def knock(self, reader, writer):
-        """Connect and go away."""
+        """Connect and close."""
 
     async def knock_spread(self, reader, writer):
-        """Do so from another address each time."""
+        """Connect and close, from another address each time."""
 
     async def halves_spread(self, reader, writer):
-        """Send half of a head, from another address each time, and go on to the next while it is held."""
+        """Send half of a head, from another address each time, and keep the connection while opening the next."""
         writer.write(b"POST /api/stop HTTP/1.1\r\nHost: loc")
         self._held.append(writer.transport.get_extra_info("socket").dup())
         if len(self._held) > HELD:
@@ -189,11 +189,11 @@ class Attack:
 
 
 def knock_hard(port, seconds):
-    """Connect and go away as fast as one process can."""
+    """Connect and close as fast as one process can."""
     ends_s = time.monotonic() + seconds
     while time.monotonic() < ends_s:
         with socket.socket() as knocking:
-            # From another address each time: one has no more than some 28,000 ports.
+            # From another address each time: one address has only some 28,000 ports.
             knocking.bind((f"127.{random.randrange(256)}.{random.randrange(256)}.1", 0))
             knocking.setblocking(False)
             knocking.connect_ex(("127.0.0.1", port))
@@ -309,7 +309,7 @@ def measure(service, kinds, chosen):
         for attack in attacks:
             attack.terminate()
             attack.wait()
-        # Those who were let in are served before it.
+        # Requests that were accepted before are served first.
         time.sleep(0.5)
         late_s = service.metric("loop_late_worst_seconds")
         took_s = time.monotonic() - begun_s

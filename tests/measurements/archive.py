@@ -4,13 +4,13 @@
     python -m tests.measurements.archive kill --trackers 50 --minutes 10
     python -m tests.measurements.archive hour --trackers 50
 
-`rate` writes pages of 1,000 installations, as they come over a broker, into a PostgreSQL of its own as fast as it takes
-them, and then a day of it to Parquet; from bytes a row and rows a day of one tracker it computes the sizes of plants.
-`kill` runs a broker, a PostgreSQL, two `heliocube archive` and as many stores with their feeds as trackers are asked
-for, at a fixed pace (a scan each 5 s, a pose each 10 s, a decision each 5 min, one event a minute), kills
-broker and database with SIGKILL twice each and one of the archive's processes once, and then counts. `hour` does with
-the same processes what an hour without a database is: the stores take in as many records as in an hour, within half a
-minute, while it is away.
+`rate` writes pages of 1,000 installations, as they come from a broker, into a PostgreSQL of its own at full speed, and
+then one day of it to Parquet. From the bytes of a row and one tracker's rows a day it computes the sizes of plants.
+`kill` runs a broker, a PostgreSQL, two `heliocube archive`, and a store with its feed for each of the trackers, at a
+fixed pace (a scan each 5 s, a pose each 10 s, a decision each 5 min, one event a minute). It kills broker and database
+with SIGKILL twice each and one of the archive's processes once, and then counts the records. `hour` runs the same
+processes and imitates an hour without a database: while it is away, the stores take in an hour's records within half a
+minute.
 """
 
 import argparse
@@ -37,7 +37,7 @@ from tests.support.archive import T0, Sender, archived, batch_of, event, origin,
 from tests.support.broker import Broker
 from tests.support.postgres import Postgres
 
-# Of one tracker with a cube of its own: a scan each 5 s, a pose each 5 s at rest and 0.5 s under way, a decision each
+# Of one tracker with its own cube: a scan each 5 s, a pose each 5 s at rest and each 0.5 s under way, a decision each
 # 5 min by day; counted by `heliocube simulate --start 2022-10-14 --weather variable`.
 ROWS_A_DAY = {"scans": 17_280, "poses": 21_285, "decisions": 128, "moves": 82, "modes": 3, "events": 2}
 PLANTS = (10, 1_000, 100_000)
@@ -109,11 +109,11 @@ def rate(rounds):
 
 
 def server_cpu_s(server):
-    """CPU of the database's processes, which serve one writer alone."""
+    """Return the CPU time of the database's processes, which serve this one writer only."""
     ticks = 0
     for path in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
-            # Each of them works in the folder of its data.
+            # All of the database's processes run in its data folder.
             if (path.parent / "cwd").readlink() == server.folder / "data":
                 ticks += sum(map(int, path.read_text().rpartition(")")[2].split()[11:13]))
     return ticks / os.sysconf("SC_CLK_TCK")
@@ -129,12 +129,12 @@ def sizes(server):
 
 
 def plants(hot, cold, sustained):
-    """Computed: a day of plants, from the rows of one tracker."""
+    """Print what a day of plants would take, computed from the rows of one tracker."""
     print("computed, one cube and store for each tracker:")
     print("| trackers | rows/s | share of the measured rate | PostgreSQL GB/day | Parquet GB/day |")
     for count in PLANTS:
         a_second = count * sum(ROWS_A_DAY.values()) / DAY_S
-        # What is not scans is as large as a pose, or rare.
+        # The other records are as large as a pose, or rare.
         large = [
             count * sum(rows * size["scans" if kind == "scans" else "poses"] for kind, rows in ROWS_A_DAY.items()) / 1e9
             for size in (hot, cold)
@@ -160,7 +160,7 @@ def decision(at_s):
 
 
 def keep_one(sender, count, utc_s):
-    """Keep the records of one scan's time, a pose with every second one."""
+    """Keep a scan, a pose with every second scan, and the rarer records when due."""
     sender.keep(scan(count, session=sender.origin.id, utc_s=utc_s))
     if count % 2 == 0:
         sender.keep(pose(count, utc_s))
@@ -171,7 +171,7 @@ def keep_one(sender, count, utc_s):
 
 
 async def pace(sender, place, end_s):
-    """Keep records at the pace of a scan, the phase spread by tracker."""
+    """Keep records at the pace of the scans; trackers start spread over one interval."""
     await asyncio.sleep(5.0 * (place % 50) / 50)
     count = 0
     while time.monotonic() < end_s:

@@ -43,7 +43,7 @@ listen = "127.0.0.1:{api}"
 
 
 def scan(session: str, number: int, utc_s: float, steady_s: float) -> Scan:
-    """Return what a cube finishes at a time."""
+    """Return the scan that a cube finishes at this time."""
     faces = [FaceReading(100.0 + face, Quality.OK, utc_s, steady_s) for face in range(4)]
     return Scan("cube", session, number, utc_s, steady_s, *faces)
 
@@ -89,7 +89,7 @@ class Tracker:
 
 
 def hostile(kind: str, key: bytes) -> list[bytes]:
-    """Return datagrams that shall steer nothing, from a past of which the receiver knows a part."""
+    """Return datagrams that must steer nothing: forged, replayed, noise."""
     utc_s, choice = time.time(), random.Random(1)
     old = [pack(scan(f"old-{n % 5}", n, utc_s - 25.0 + 0.01 * n, n), key) for n in range(500)]
     return {
@@ -101,7 +101,7 @@ def hostile(kind: str, key: bytes) -> list[bytes]:
 
 
 class Cube:
-    """One that sends true scans, from one socket for as long as it lives."""
+    """A cube that sends true scans, always from one socket."""
 
     def __init__(self, key: bytes, place: tuple[str, int]) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -118,7 +118,7 @@ class Cube:
 
 
 def flood(tracker: Tracker, cube: Cube, recorded: list[bytes], rate: int, seconds: float, *, same_port: bool) -> dict:
-    """Send true scans among hostile datagrams, and return what became of both."""
+    """Send true scans among hostile datagrams, and return the counts of both."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
         attacker = cube.socket if same_port else own
         cube.send()

@@ -2,10 +2,10 @@
 
 Usage: python -m tests.measurements.browser_storm [--minutes N] [--browsers N] [--seed N]
 
-`heliocube bench` and the service that drives it are processes of their own, in real time. The voltmeter hangs from the
-second minute on. Each browser keeps six connections, as browsers do: one for the events, which it reads and now and
-then leaves, and five for the pages, one after the other as fast as they come, with pauses. The lateness is the
-service's own measurement, ten times a second; it is read every minute.
+`heliocube bench` and the service that drives it are separate processes, in real time. The voltmeter hangs from the
+second minute on. Each browser keeps six connections, as browsers do: one reads the events, and now and then closes;
+five fetch pages one after the other, each as soon as the last has come, with pauses. The lateness is the service's own
+measurement, ten times a second; it is read every minute.
 """
 
 import argparse
@@ -30,7 +30,7 @@ WORST_S = 0.25
 
 class Browsers(Attack):
     async def page(self):
-        """One of five connections for pages, kept for some of them."""
+        """One of five connections that fetch pages: each connection is kept for some pages."""
         while True:
             with contextlib.suppress(OSError, asyncio.IncompleteReadError):
                 reader, writer = await asyncio.open_connection("127.0.0.1", self._port)
@@ -93,7 +93,7 @@ class OnBench(Service):
 
 
 def lateness(service):
-    """Return how many measurements there were, how many of them within the bound, and the worst of the last minutes."""
+    """Return how many measurements were within each bound, by bound, and the worst of the last minutes [s]."""
     text = service.ask("GET", "/metrics")[1]
     counts = dict(re.findall(r'^heliocube_loop_late_seconds_bucket{le="(\S+)"} (\S+)$', text, re.MULTILINE))
     worst = re.search(r"^heliocube_loop_late_worst_seconds (\S+)$", text, re.MULTILINE)

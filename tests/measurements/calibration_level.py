@@ -1,11 +1,11 @@
-"""What calibration in place finds of the level of the gains in thirty days: docs/calibration.md, A tie for the level.
+"""How well calibration in place finds the level of the gains in 30 days: docs/calibration.md, A tie for the level.
 
     python -m tests.measurements.calibration_level FOLDER [PROCESSES]
 
 FOLDER holds the measured weather of a year (2016-03.csv.gz to 2016-09.csv.gz, or another year's). A cube of known flaws
-reads what a sky makes of it, which is the one that is assumed (perez1990) or a foreign one: the radiance of the
-all-weather model (perez1993), or CIE skies with drifting clouds (cie). Each reference is off by half of its own
-uncertainty, upwards and downwards in turn. A quarter of an hour on two cores; the same numbers every time.
+stands under a sky: the one that calibration assumes (perez1990), or a foreign one, which is the radiance of the
+all-weather model (perez1993) or CIE skies with drifting clouds (cie). Each reference is off by half of its own
+uncertainty, upwards and downwards in turn. Takes a quarter of an hour on two cores; gives the same numbers every time.
 """
 
 import multiprocessing
@@ -35,7 +35,7 @@ FOREIGN_TIES = ("nothing", "GHI")
 
 
 def readings(file: Path, kind: str) -> tuple[Array, Array, Array]:
-    """Return instants, what falls on the four sensors as they sense it (n, 4), and GHI [W/m2]."""
+    """Return instants, the irradiance on the four sensors as they sense it (n, 4), and GHI [W/m2]."""
     weather = load_weather(file)
     first_s = np.datetime64(f"{file.name[:7]}-01").astype("datetime64[s]").astype(np.float64)
     utc_s = first_s + np.arange(0.0, DAYS * DAY_S, 60.0)
@@ -58,7 +58,7 @@ def readings(file: Path, kind: str) -> tuple[Array, Array, Array]:
 
 
 def level_of(tied_to: str, truth: Array, ghi: Array, off: float) -> Level:
-    """Return what is known: references whose values are `off` times what is true."""
+    """Return the known level: references whose values are `off` times the truth."""
     error = UNCERTAINTY_PERCENT / 200.0
     if tied_to == "GHI":
         return Level(ghi_w_m2=ghi * off, ghi_error=error)
@@ -71,7 +71,7 @@ def level_of(tied_to: str, truth: Array, ghi: Array, off: float) -> Level:
 
 
 def answer(case: tuple[Path, str, str, int]) -> tuple[str, str, Array | None, Array | None]:
-    """Return the errors of the four gains and their expanded uncertainties [%]; None where it is refused."""
+    """Return the errors of the four gains and their expanded uncertainties [%]; None where calibration refuses."""
     file, kind, tied_to, turn = case
     truth = (ERRORS, *OTHER_ERRORS)[turn % 4]
     utc_s, sensed, ghi = readings(file, kind)

@@ -1,8 +1,8 @@
-"""The numbers of docs/calibration.md: what calibration in place finds on simulated cubes, and does for pointing.
+"""The numbers of docs/calibration.md: what calibration in place finds on simulated cubes, and how pointing gains by it.
 
     python tests/measurements/calibration_pointing.py FOLDER
 
-FOLDER holds the measured weather (2016-MM.csv.gz). Some minutes; the same numbers every time.
+FOLDER holds the measured weather (2016-MM.csv.gz). Takes some minutes; gives the same numbers every time.
 """
 
 import sys
@@ -21,7 +21,7 @@ from solar.skies.sky import SKY_MODELS, SkyModel
 
 SITE = Site(55.79064, 12.52505, 50.0)
 ERRORS = np.array([1.03, 0.97, 1.02, 0.98])
-# The same shape at another level, and against the zenith face: what the clear-sky model has to tell.
+# The same shape at another level, and against the zenith face: only the clear-sky model can tell these.
 OTHER_ERRORS = (np.full(4, 1.03), np.full(4, 0.97), np.array([0.97, 0.97, 0.97, 1.03]))
 STANDING = attitude(2.0, 1.0, 140.0, SITE.latitude_deg)
 ALBEDO = 0.35
@@ -47,7 +47,7 @@ def begin(month: int, day: int) -> float:
 
 
 def pointing_error(utc_s: Array, faces: Array, albedo: float, standing: Attitude) -> Array:
-    """Return the angle [deg] between the sun and the cube's sun vector, turned by what is known of its standing."""
+    """Return the angle [deg] between the sun and the cube's sun vector, corrected by the known attitude of the cube."""
     sun = sun_direction(utc_s, *SITE)
     in_cube = sun @ rotation(standing, SITE.latitude_deg)
     seen = complete_poleward(sun_vector(faces, albedo=albedo), in_cube)

@@ -2,12 +2,16 @@
 
     python -m tests.measurements.ceilings LAT,LON,ALT WEATHER... [--sky SKY] [--prices 1,2,4] [--without-trees]
 
-Prints the share of what the bound gains over ideal chronometric and the travel of: the light of the same minute as the
-faces show it, with moves at once and at the drive's speed, and with a lateral term of the diffuse light that uses the
-fourth face; the light of the minute before; boosted trees on the history of the faces, which are fitted on every second
-day and judged on the others, which expect the next minute or the mean of five, with moves at once and with the prices
-of `optimal`, beside `optimal` on the same days; and somebody who knows the day beforehand and pays for each degree.
-Trees need scikit-learn, which the project does without: `pip install scikit-learn`, or leave them out.
+Prints the share of the gain of the bound over ideal chronometric, and the travel, for:
+
+- the light of the same minute as the faces show it, with moves at once and at the drive's speed, and with a lateral
+  term of the diffuse light that uses the fourth face;
+- the light of the minute before;
+- boosted trees on the history of the faces, fitted on every second day and judged on the others, which expect the next
+  minute or the mean of five, with moves at once and with the prices of `optimal`, beside `optimal` on the same days;
+- a plan that knows the day beforehand and pays for each degree.
+
+The trees need scikit-learn, which the project does without: `pip install scikit-learn`, or leave them out.
 """
 
 import argparse
@@ -32,7 +36,7 @@ TERMS = Terms(ALBEDO, LIMITS, Drive())
 GRID_DEG = 2.5
 LATERAL_PRIOR = 1.0
 LATERAL_ON_TILTS = 1.5
-"""What a lateral gradient gives a plane of moderate tilt, which sees more of the vault than a wall, in its sine."""
+"""What a plane of moderate tilt gets of a lateral gradient, per sine of its tilt: it sees more sky than a wall does."""
 HALF_LIVES_MIN = (1.0, 2.0, 5.0, 10.0, 20.0, 60.0)
 
 
@@ -49,7 +53,7 @@ def share_pct(days, energy, chosen):
 
 
 def say(name, days, done, chosen=None):
-    """Print one line, of the days with light unless others are chosen."""
+    """Print one line, for the days with light unless others are chosen."""
     lit = days.weather.day_types() >= 0
     chosen = lit if chosen is None else lit & chosen
     share, travel = share_pct(days, done.energy_kwh_m2, chosen), done.travel_deg[chosen].mean()
@@ -57,7 +61,7 @@ def say(name, days, done, chosen=None):
 
 
 def with_lateral(days):
-    """Return the direction of the best pose where the light has a lateral gradient too: four unknowns, four faces."""
+    """Return the direction of the best pose if the light has a lateral gradient too: four unknowns, four faces."""
     sun, faces = days.weather.sun, days.faces
     across = np.maximum(np.hypot(sun[:, 0], sun[:, 1]), 1e-4)
     aside = np.stack([-sun[:, 1] / across, sun[:, 0] / across, np.zeros(len(sun))], axis=-1)
@@ -85,7 +89,7 @@ def remembered(values, half_life_min):
 
 
 def mean_ahead(values, minutes):
-    """Return the mean of (steps, days) over so many steps from each on, of those that are known."""
+    """Return the mean of (steps, days) over so many steps from each on, without the unknown ones."""
     total, known = np.zeros_like(values), np.zeros_like(values)
     for later in range(minutes):
         there = np.full_like(values, np.nan)
@@ -95,7 +99,7 @@ def mean_ahead(values, minutes):
 
 
 def by_trees(days, minutes=1):
-    """Return the light that trees expect from each minute on, in the mean of some, and which days are new to them."""
+    """Return the light that trees expect from each minute on, averaged over some, and which days are new to them."""
     from sklearn.ensemble import HistGradientBoostingRegressor  # noqa: PLC0415 - only where it is asked for
 
     weather = days.weather
@@ -120,10 +124,10 @@ def by_trees(days, minutes=1):
 
 
 class Foretold(OptimalLaw):
-    """`optimal` with its prices and its budget, which is told what to expect instead of remembering it."""
+    """`optimal` with its prices and its budget, but the light that it expects is given, not remembered."""
 
     def expect(self, thrift=1.0):
-        """Return what was told of the sky."""
+        """Return the light that was given."""
         return self.told
 
 
@@ -205,7 +209,7 @@ def main():
                 say(f"{name}, optimal's prices, thrift {thrift:g}, 0.9 deg/s", days, done, unseen)
         steer = steer_of("optimal", days.weather, days.faces, TERMS)
         say("optimal on the same days, 0.9 deg/s", days, days.run(steer, Drive()), unseen)
-    # A plan needs all poses of all minutes: file by file, a month of them takes 200 MB.
+    # A plan needs all poses of all minutes, 200 MB for a month: so file by file.
     months = [days_of([path], site, arguments.sky) for path in arguments.weather]
     for price in map(float, arguments.prices.split(",")):
         done = [each.run(foreseen(each, price), Drive()) for each in months]

@@ -2,8 +2,8 @@
 
 Usage: python tests/measurements/compare_measured.py LAT,LON,ALT FILE...
 
-Takes every afternoon (from noon on, for 4.3 h) of the files on which the beam exceeds 120 W/m2 for 10 to 90 % of the
-time and passes that mark ten times or more, and prints what T-Cube gains over T-Chrono in irradiation.
+Takes the afternoons of the files (from noon on, for 4.3 h) in which the beam exceeds 120 W/m2 for 10 to 90 % of the
+time and crosses that mark ten times or more, and prints how much more irradiation T-Cube gets than T-Chrono.
 """
 
 import sys

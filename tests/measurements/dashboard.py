@@ -4,9 +4,8 @@
 
 A store gets a day of 17,280 scans, poses and decisions, eight series in all; chromium opens it twenty times. Then
 stops are given over the interface: without a page, while twenty clients listen as pages do, and while chromium has
-twenty pages open, each in a profile of its own, so that each has its own stream. Chromium draws them in software on
-the very cores that are measured, with what the others leave (nice 19); what that alone costs, twenty pages of another
-service show.
+twenty pages open, each in a profile of its own, so that each has its own stream. Chromium draws them in software on the
+same cores that are measured, at nice 19. What the drawing alone costs is measured with twenty pages of another service.
 """
 
 import math
@@ -77,7 +76,7 @@ def memory_mb(process):
 
 @contextmanager
 def listening(url):
-    """Have twenty clients listen."""
+    """Keep twenty clients listening."""
     ends, heard = threading.Event(), []
     threads = [threading.Thread(target=listen, args=(url, ends, heard)) for _ in range(PAGES)]
     for thread in threads:
@@ -90,7 +89,7 @@ def listening(url):
 
 @contextmanager
 def browsing(browser, url):
-    """Have twenty pages open, and say at the end what they complained of and whether they were live."""
+    """Keep twenty pages open, and print at the end their complaints and whether they were live."""
     with ExitStack() as stack:
         contexts = [stack.enter_context(browser.new_context(viewport=browsers.PHONE)) for _ in range(PAGES)]
         pages = [browsers.Page(context, url) for context in contexts]
@@ -112,7 +111,7 @@ def listen(url, ends, heard):
 
 
 def stops(site):
-    """Return how long stops took to be answered [ms]."""
+    """Return how long the answers to stops took [ms]."""
     found = []
     for _ in range(STOPS):
         begun_s = time.perf_counter()
@@ -124,7 +123,7 @@ def stops(site):
 
 
 def load(site, seconds):
-    """Return the share of a core that dashboard and service take together [%]."""
+    """Return the CPU load of dashboard and service together [% of a core]."""
     both = (site.service, site.dashboard)
     begun_s, used_s = time.monotonic(), sum(process.cpu_s() for process in both)
     time.sleep(seconds)
@@ -168,13 +167,13 @@ def drawn(browser, site):
 
 
 def main():
-    """Measure all, and print it."""
+    """Measure everything, and print it."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        # A copy of the tests' own process would have the memory of all that they load: others start from nothing.
+        # With another PYTHONHASHSEED `heliocube` starts from nothing: a copy would hold all that the tests load.
         forks.begin()
         os.environ["PYTHONHASHSEED"] = "0"
-        # First the service: records that it has not begun itself are those of an earlier release, and hold the tracker.
+        # The service starts first: records that it finds are an earlier release's for it, and hold the tracker.
         site = stack.enter_context(browsers.simulated_site(folder))
         fill(folder / "records")
         with browsers.chromium() as browser:

@@ -1,11 +1,11 @@
-"""Measures whether a page of the dashboard survives a day: its memory, its nodes and its listeners stay what they were.
+"""Measures whether a page of the dashboard survives a day: its memory, nodes and listeners should not grow.
 
     python -m tests.measurements.dashboard_day [MESSAGES]
 
-The page is the real one in chromium, and so is the service that its first state comes from. Then its stream is a made
-one: a state for every second of a day, 86,400 of them, as fast as the page takes them, with readings, poses and news
-that change all the time, and alarms, stops and losses of the service that come and go. At last the views are changed
-200 times.
+The page is the real one in chromium, and its first state comes from a real service. After that its stream is
+artificial: a state for every second of a day, 86,400 of them, as fast as the page takes them, with readings, poses and
+news that change all the time, and alarms, stops and losses of the service that come and go. At the end the views are
+changed 200 times.
 """
 
 import sys
@@ -23,7 +23,7 @@ SCRIPT = Path(__file__).with_suffix(".js").read_text(encoding="utf-8")
 
 
 def page_of(browser, url, view="now"):
-    """Open a page whose stream is a made one."""
+    """Open a page with an artificial stream."""
     context = browser.new_context(viewport=browsers.DESKTOP, bypass_csp=True)
     context.add_init_script(SCRIPT)
     return browsers.Page(context, url, view)
@@ -45,7 +45,7 @@ def size_of(page):
 
 
 def main():
-    """Measure it, and print what was found."""
+    """Measure, and print the sizes."""
     messages = int(sys.argv[1]) if len(sys.argv) > 1 else A_DAY
     with tempfile.TemporaryDirectory() as folder, browsers.simulated_site(Path(folder)) as site:
         state = site.state()

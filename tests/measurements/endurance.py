@@ -2,10 +2,10 @@
 
 Usage: python tests/measurements/endurance.py [--days N]
 
-One service in one process on simulated instruments under virtual time, with its store on disk, the local interface's
-pages asked for every ten minutes, a listener to its events, and an operator who gives each command once a day. Prints,
-for every midnight, the resident memory after a collection, and the store's size, and at the end how much memory has
-grown since the end of day 2.
+One service in one process on simulated instruments under virtual time, with its store on disk. Every ten minutes the
+pages of the local interface are fetched; a client listens to its events; an operator gives each command once a day.
+Prints for every midnight the resident memory after a collection and the store's size, and at the end how much memory
+has grown since the end of day 2.
 """
 
 import argparse
@@ -71,7 +71,7 @@ async def listener(feed):
 
 
 async def operator(rig):
-    """Give each command once a day, some of which are refused."""
+    """Give each command once a day; some are refused."""
     operators, turn = Operators(rig.service.trackers, 1.0), 0
     while True:
         await asyncio.sleep(DAY_S / len(COMMANDS))

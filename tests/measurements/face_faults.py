@@ -2,8 +2,8 @@
 
 Usage: python tests/measurements/face_faults.py FOLDER [DAY OF THE MONTH...]
 
-FOLDER holds the months of a year at Lyngby. Of January, April, July and October the days named are taken, 5, 12, 19 and
-26 without any; a fault is there from dawn. What is found is asked of the watch itself, minute by minute.
+FOLDER holds the months of a year at Lyngby. The days named are taken of January, April, July and October; by default 5,
+12, 19 and 26. A fault is there from dawn. The watch itself judges, minute by minute.
 """
 
 import logging
@@ -29,16 +29,16 @@ LYNGBY = Site(55.79064, 12.52505, 50.0)
 SEASONS = {1: "January", 4: "April", 7: "July", 10: "October"}
 DAYS = (5, 12, 19, 26)
 NOISE_MV, GAIN_ERROR = 0.006, 0.02
-"""Of a minute's mean, and of a sensor."""
+"""The noise of a minute's mean, and the gain error of a sensor."""
 DIRTY, GREY = 0.5, 0.8
 PAIRS = ((0, 1), (0, 2), (1, 2), (1, 3))
 
 Fault = Callable[[Array, Array], Array]
-"""From what faces read and what they read without beam [W/m2], both (n, 4), to what they read in the fault."""
+"""Turns the faces' readings, with and without beam [W/m2], both (n, 4), into the readings under the fault."""
 
 
 def faults() -> Iterator[tuple[str, tuple[int, ...], Fault]]:
-    """Yield kind, faces concerned, and fault; the first is none."""
+    """Yield kind, faces concerned, and fault; the first case has no fault."""
     yield "none", (), lambda faces, _: faces
     for face in range(4):
         yield "dead", (face,), lambda faces, _, f=face: changed(faces, f, 0.0 * faces[:, f])
@@ -64,7 +64,7 @@ def changed(faces: Array, face: int, values: Array) -> Array:
 
 
 class HandClock(Clock):
-    """Shows what it is set to."""
+    """A clock that stands where it is set."""
 
     def __init__(self) -> None:
         self.utc_s = 0.0
@@ -83,7 +83,7 @@ class HandClock(Clock):
 
 
 def found(utc_s: Array, faces: Array, concerned: tuple[int, ...]) -> tuple[float, bool]:
-    """Return after how many minutes the watch doubts a face, infinite for never, and whether only a wrong one."""
+    """Return after how many minutes the watch doubts a face, infinite for never, and whether only sound faces."""
     clock = HandClock()
     clock.utc_s = float(utc_s[0]) - 60.0
     site = SiteSettings(latitude_deg=LYNGBY.latitude_deg, longitude_deg=LYNGBY.longitude_deg, altitude_m=50.0)
@@ -111,7 +111,7 @@ def readings(utc_s: Array, dni: Array, dhi: Array, seed: int) -> Array:
 
 
 def days(folder: Path, numbers: tuple[int, ...]) -> Iterator[tuple[str, Array, Array, Array]]:
-    """Yield season, minutes with the sun above 5 deg, and readings with and without beam."""
+    """Yield season, minutes with the sun above 5 deg, and irradiance with and without beam."""
     utc_s, dni, dhi, *_ = measured_minutes(sorted(folder.glob("*.csv*")), LYNGBY)
     for month, season in SEASONS.items():
         for number in numbers:

@@ -50,14 +50,14 @@ def five_minutes(utc_s: Array, values: Array) -> Array:
 
 
 def alarms(utc_s: Array, doubtful: NDArray[np.bool_]) -> int:
-    """Return how many alarms the minutes in doubt make: so many together, ten sound ones between two alarms."""
+    """Return how many alarms the doubtful minutes make: `BAD_LOOKS` in a row, and 10 minutes between two alarms."""
     run = np.logical_and.reduce([np.roll(doubtful, shift) for shift in range(BAD_LOOKS)])
     run[: BAD_LOOKS - 1] = False
     return int(np.sum(np.diff(utc_s[run], prepend=-np.inf) > 600.0))
 
 
 def stays(utc_s: Array, faces: Array, sun: Array) -> int:
-    """Return in how many half hours, one every five minutes, a sound face is said to stay while the light changes."""
+    """Return in how many half hours, one every five minutes, a sound face is accused of not following the light."""
     named = 0
     for begin in range(0, utc_s.size - HALF_HOUR, 5):
         half_hour = slice(begin, begin + HALF_HOUR)
@@ -67,9 +67,10 @@ def stays(utc_s: Array, faces: Array, sun: Array) -> int:
 
 
 def contradictions(utc_s: Array, faces: Array, sun: Array) -> tuple[int, int, float, float]:
-    """Return of how many half hours, one an hour, sound faces contradict each other, and the greatest misfits.
+    """Return how many half hours, one an hour, hold sound faces that contradict each other, of how many, and misfits.
 
-    The one is of all four, the other of any three: beside a frozen face no other is accused below that.
+    First the greatest misfit of all four faces, then that of any three: below it, no face beside a frozen one is
+    accused.
     """
     looks = []
     for begin in range(0, utc_s.size - HALF_HOUR, 2 * HALF_HOUR):
@@ -82,10 +83,10 @@ def contradictions(utc_s: Array, faces: Array, sun: Array) -> tuple[int, int, fl
 
 
 def unchanging(utc_s: Array, faces: Array, sun: Array) -> tuple[int, int, int, float]:
-    """Return of how many half hours, one every five minutes, the changes of sound faces accuse one or two of them.
+    """Return in how many half hours, one every five minutes, the changes of sound faces accuse one or two of them.
 
-    Then in how many there were enough changes, in how many of these they contradict each other, and what is left over
-    there at the least by what may be wrong, as a share of what is left over without it: below 0.3 it is accused.
+    Then how many half hours had enough changes, in how many of these the faces contradict each other, and the least
+    remainder that assuming a fault leaves there, as a share of the remainder without one: below 0.3 a face is accused.
     """
     looks = []
     for begin in range(0, utc_s.size - HALF_HOUR, 5):
@@ -99,9 +100,9 @@ def unchanging(utc_s: Array, faces: Array, sun: Array) -> tuple[int, int, int, f
 
 
 def jumping(utc_s: Array, faces: Array, sun: Array) -> list[int]:
-    """Return in how many half hours, one every five minutes, a sound face is said to jump.
+    """Return in how many half hours, one every five minutes, a sound face is accused of jumping.
 
-    First of four sound faces, then beside each of them dead.
+    First with four sound faces, then with each of them dead in turn.
     """
     named = [0] * (1 + len(FACES))
     for begin in range(0, utc_s.size - HALF_HOUR, 5):
@@ -119,7 +120,7 @@ def main() -> None:
     files = sorted(path for folder in sys.argv[1:] for path in Path(folder).glob("*.csv.gz"))
     utc_s, dni, dhi, *_ = measured_minutes(files, LYNGBY)
     sun = sun_direction(utc_s, *LYNGBY)
-    # Zero irradiance in daylight is the station's outage and no weather.
+    # Zero irradiance in daylight is an outage of the station, not weather.
     day = (sun[:, 2] > np.sin(np.radians(5.0))) & (dni * sun[:, 2] + dhi > 0.1)
     utc_s, dni, dhi, sun = utc_s[day], dni[day], dhi[day], sun[day]
     normals = face_normals(Settings().cube, LYNGBY.latitude_deg)

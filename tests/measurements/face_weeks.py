@@ -1,19 +1,19 @@
-"""What a face that lies costs: weeks of measured weather with each fault, energy against chronometric and the bound.
+"""What a faulty face costs: weeks of measured weather with each fault, energy against chronometric and the bound.
 
 Usage: python tests/measurements/face_weeks.py FOLDER [--law LAW ...] [--month M ...] [--kind KIND ...] [--scan SECONDS]
 [--day DAY] [--still HOUR] [--soiled SHARE] [--sky SKY ...] [--site LAT,LON,ALT] [--quick]
 
 FOLDER holds the months of a year at Lyngby, or at --site; `clear`, `overcast`, `variable` and `broken` are the weather
-that the simulator makes of 2023. Of each month seven days, from the 8th on or from --day, are replayed through the
+that the simulator makes of 2023. Seven days of each month, from the 8th on or from --day, are replayed through the
 service's own code under Perez' sky, or those of --sky, with a real sensor's noise. A fault is there from the first
-midnight; what stands still does so from noon (UTC) of the first day on, or from the hour of --still. `held` stands
-still but for its noise, `stuck` does so at 300 W/m2; `shaded` has no beam while the sun is within 30 deg of where the
-face looks; `soiled` keeps 80 % of its light, or the share of --soiled; `loose` reads 0 or 1350 W/m2 for a minute in
-ten, at random, as a loose contact does. --kind without a kind is the healthy week alone.
+midnight, but `frozen` and `held` begin at noon (UTC) of the first day, or at the hour of --still. `held` stands still
+but for its noise, `stuck` does so at 300 W/m2; `shaded` has no beam while the sun is within 30 deg of the direction of
+the face; `soiled` keeps 80 % of its light, or the share of --soiled; `loose` reads 0 or 1350 W/m2 in a tenth of the
+minutes, at random, as a loose contact does. --kind without a kind is the healthy week alone.
 
---quick asks the watch alone and drives `optimal` as `heliocube energy` does: a third of the time, for shares within
-some three points. By default June and December of `optimal`; --month 4 6 10 12 --law optimal mu-prime is the whole, 20
-minutes.
+--quick runs the watch alone and drives `optimal` as `heliocube energy` does: it takes a third of the time, and its
+shares are within some three points. By default June and December of `optimal` are run; --month 4 6 10 12 --law optimal
+mu-prime runs everything, in 20 minutes.
 """
 
 import argparse
@@ -89,7 +89,7 @@ class Week:
         utc_s = utc_s[weather.covers(utc_s)]
         now = weather.at(utc_s)
         self.light = lay_out(utc_s, now.dni_w_m2, now.dhi_w_m2, site, scan_s)
-        # A cube reads through the night, if only to be told from one that sleeps.
+        # A cube reads through the night: otherwise it would look like one that sleeps.
         resting = ~np.isin(utc_s, self.light.utc_s) & (
             np.arange(len(utc_s)) % max(round(NIGHT_SCAN_S / scan_s), 1) == 0
         )
@@ -138,14 +138,14 @@ class Week:
             faces[:, face] = np.where(jumps[minute], reads[minute], faces[:, face])
         elif kind == "shaded":
             azimuth_deg = np.degrees(np.arctan2(self.sun[:, 1], -self.sun[:, 0])) % 360.0
-            # North is 0; the frame's first axis looks to the equator, its second to the east.
+            # Azimuths count from north; the frame's first axis points to the equator, its second to the east.
             towards = (90.0, 180.0, 270.0, 180.0)[face]
             behind = np.abs((azimuth_deg - towards + 180.0) % 360.0 - 180.0) < SHADE_DEG
             faces[behind, face] = self.dull[behind, face]
         return faces
 
     def driven(self, law, readings):
-        """Return, by the service itself, what `judged` does."""
+        """Return what `judged` returns, driven by the service itself."""
         rows = RecordedScans(self.utc_s, readings)
         site = dict(zip(("latitude_deg", "longitude_deg", "altitude_m"), self.site, strict=True))
         with tempfile.TemporaryDirectory() as folder:
@@ -161,7 +161,7 @@ class Week:
         return self.judged(energy, travel, tracking, done.qualities[day] != tuple(Quality).index(Quality.OK))
 
     def quickly_driven(self, readings):
-        """Return the same by the watch alone and `optimal` as the benchmark drives it."""
+        """Return what `judged` returns, driven by the watch alone and `optimal` as `heliocube energy` drives it."""
         now_s = [float(self.utc_s[0]) - 60.0]
         clock = LoopClock(lambda: now_s[0], now_s[0])
         site = SiteSettings(
@@ -187,9 +187,10 @@ class Week:
         return self.judged(done.energy_kwh_m2, done.travel_deg.sum() / DAYS, tracking, unused[day])
 
     def judged(self, energy, travel, tracking, unused):
-        """Return the share of the headroom [%], each day against chronometric [%], and how it came about.
+        """Return the share of the headroom [%], each day's gain over chronometric [%], and details.
 
-        That is travel [deg/day], the share of the daylight with enough faces [%] and how long each was not used [h].
+        The details are travel [deg/day], the share of the daylight with enough faces [%], and for how long each face
+        was not used [h].
         """
         gain = energy - self.chronometric
         share = 100.0 * gain.sum() / (self.bound - self.chronometric).sum()

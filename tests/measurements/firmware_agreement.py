@@ -2,7 +2,7 @@
 
     python -m tests.measurements.firmware_agreement [SEED [COUNT [odd]]]
 
-With `odd` the sequences are of bytes that nobody would send who knows the unit.
+With `odd`, the sequences are bytes that nobody who knows the unit would send.
 
 Needs qemu-arm and the firmware's build beside the repository. About half a second a sequence.
 """

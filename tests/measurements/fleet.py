@@ -2,14 +2,14 @@
 
 Usage: python tests/measurements/fleet.py [--seconds S] [--trackers N ...] [--law LAW ...] [--virtual] [--profile]
 
-Each line is a process of its own, on a morning of broken clouds, in real time: one simulated cube, N simulated
-positioners on in-memory lines, the bridge over UDP on loopback, every interval as it comes in the configuration, and a
-scrape of /metrics every 15 s as Prometheus does it. Figures are of the time after the start, which has its own column.
-A decision is late by the time from when it was due, or from when the scan came that it waited for, to when its order
-has been given. At the end all trackers are stowed and, on their way, stopped: by one command each. The time is from the
-command to the packet on the wire of the last tracker.
+Each line is measured in a process of its own, on a morning of broken clouds, in real time: one simulated cube, N
+simulated positioners on in-memory lines, the bridge over UDP on loopback, every interval as in the configuration, and a
+scrape of /metrics every 15 s as Prometheus does it. The figures are taken after the start, which has its own column. A
+decision's lateness runs from when it was due, or from the scan that it waited for, until its order has been given. At
+the end all trackers are stowed by one command and, under way, stopped by another. Their time runs from the command to
+the packet on the wire of the last tracker.
 
-In virtual time every figure is the CPU time that was computed meanwhile, that of the thread which writes /metrics too.
+In virtual time every figure is the CPU time computed meanwhile, including that of the thread that writes /metrics.
 """
 
 import argparse
@@ -76,7 +76,7 @@ watch = time.monotonic
 
 
 class Lateness:
-    """How late the decisions of all trackers were; put between control and its ticks."""
+    """How late the decisions of all trackers were: wraps the tick of `Control`."""
 
     def __init__(self):
         self.late_s, self.busy_s = [], []
@@ -92,7 +92,7 @@ class Lateness:
             self._due_s[control] = control.next_tick_s
             if control.state.decision is not before:
                 self.busy_s.append(ended_s - begun_s)
-                # What is begun before it is due has been waked, by the scan that it waited for.
+                # A decision that begins before it is due was woken by the scan that it waited for.
                 self.late_s.append(ended_s - (due_s if begun_s >= due_s else self._scan_s))
 
         def noted(control, scan, utc_s):
@@ -107,7 +107,7 @@ class Lateness:
 
 
 class Wires:
-    """When what was sent on the wire of each positioner."""
+    """The time of the first packet on the wire of each positioner."""
 
     def __init__(self):
         self.first_s = {}
@@ -215,7 +215,7 @@ async def work(service, seconds, api, meter, wires, decisions):
         sent_s = watch()
         task = asyncio.create_task(operators.carry_out(parse(name, b'{"why": "measured"}', "HTTP")))
         await wires.all_sent(len(service.trackers))
-        # Nothing goes out to trackers that lie flat for a stow already, and none of those is stopped on its way.
+        # A tracker that already lies flat gets no order to stow, and no stop either, since it is not under way.
         found[f"{name}_s"] = max(wires.first_s.values(), default=math.nan) - sent_s
         found[f"{name}_wires"] = len(wires.first_s)
         if wait_s:
@@ -228,9 +228,9 @@ async def work(service, seconds, api, meter, wires, decisions):
 
 def child(trackers, law, given):
     if given.virtual:
-        # What is late there is what is computed in one go.
+        # In virtual time, lateness is CPU time computed without a pause.
         globals()["watch"] = time.process_time
-    # Each of five hundred would tell that a stop holds it in the storm.
+    # Otherwise each of 500 trackers would log that a stop holds it in the storm.
     logging.disable()
     meter, wires = Lateness(), Wires()
     settings = settings_of(trackers, law)

@@ -28,12 +28,12 @@ from tests.support.broker import Broker
 VERSION = "2025.1.4"
 STARTS_WITHIN_S, SHOWN_WITHIN_S = 180.0, 60.0
 NAME = "tracker (SIMULATED)"
-# What has no value on a calm day before the first command; a button has had none before it is pressed.
+# These have no value on a calm day before the first command; nor has a button before it is pressed.
 UNKNOWN_AT_FIRST = {"Calm until release", "Last reply"}
 
 
 def install(folder, python, version, others):
-    """Install Home Assistant, and what its MQTT integration and its pages ask for by exact versions."""
+    """Install Home Assistant, and the exact versions that its MQTT integration and its pages ask for."""
     subprocess.run([python, "-m", "venv", folder / "venv"], check=True)
     pip = [folder / "venv" / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     subprocess.run([*pip, f"homeassistant=={version}", *others], check=True)
@@ -78,7 +78,7 @@ class HomeAssistant:
         return self._web.post(path, json=body).raise_for_status().json()
 
     def states(self):
-        """Return the state of each entity of the device, by the entity's own name, with its identifier."""
+        """Return identifier and state of each entity of the device, by the entity's own name."""
         found = {}
         for one in self._web.get("/api/states").raise_for_status().json():
             name = one["attributes"].get("friendly_name", "")
@@ -94,7 +94,7 @@ class HomeAssistant:
         self.post("/api/services/select/select_option", {"entity_id": where, "option": option})
 
     def shows(self, within_s=SHOWN_WITHIN_S, **wanted):
-        """Wait until entities show what is wanted, underscores for the blanks of their names; a text may go on."""
+        """Wait until entities show the wanted texts, or texts that begin so; `_` stands for a blank in their names."""
 
         def all_do():
             states = self.states()
@@ -116,7 +116,7 @@ def until(call, within_s, otherwise):
 
 
 def serve(folder, broker_port, *, dated):
-    """Start a service where it is noon: its clock is the true one, which dated commands are held against."""
+    """Start a service at a place where it is noon: with the true time, against which dated commands are checked."""
     noon_deg = 180.0 - time.time() / 86400.0 % 1.0 * 360.0
     (folder / "heliocube.toml").write_text(
         f"[site]\nlatitude_deg = 0.0\nlongitude_deg = {noon_deg:.1f}\n"
@@ -130,7 +130,7 @@ def serve(folder, broker_port, *, dated):
 
 
 def look(home):
-    """Print what appears, and end the script where an entity has no value."""
+    """Print the entities that appear, and end the script if one has no value."""
     home.shows(Mode="tracking", Command="auto", Positioner="on", Cube_readings="off", Alarm="off")
     states = home.states()
     for name, (entity, state) in sorted(states.items()):
@@ -145,7 +145,7 @@ def look(home):
 
 
 def command(home):
-    """Give every command that Home Assistant has, and see each in the states."""
+    """Give every command that Home Assistant has, and check each in the states."""
     home.press("Stop")
     home.shows(Mode="hold", Reason="stopped by MQTT", Command="hold", Last_reply="stop: ")
     home.choose("stow")

@@ -15,7 +15,7 @@ from sim_drivers.weather import GeneratedWeather
 from solar.ephemeris import DAY_S
 
 SEED = 1
-# The simulator's name of each day's weather.
+# The simulator's name for each day's weather.
 KINDS = {"clear": "clear", "mixed": "broken", "overcast": "overcast"}
 
 

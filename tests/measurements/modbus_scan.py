@@ -22,7 +22,7 @@ from sim_drivers.modbus.pyranometers import simulated_pyranometer
 
 
 async def measure(make, folder, scans):
-    """Return the durations of scans [s] with all four, in the scan in which one falls silent, and afterwards."""
+    """Return durations of scans [s]: with all four, of the scan in which one falls silent, and of those after it."""
     clock = SystemClock()
     keys = {"make": make, "line": str(folder / "cube"), "serial_form": "8N1"}
     if make in ("smp", "hukseflux"):

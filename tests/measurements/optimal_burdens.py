@@ -27,7 +27,7 @@ BUDGETS = ({"travel_per_day_deg": 900.0}, {"travel_per_day_deg": 650.0}, {"moves
 
 
 def interpolated(minutes, scan_s):
-    """Return instants so far apart [s], and DNI and DHI [W/m2], interpolated between minutes that are known."""
+    """Return instants so far apart [s], DNI and DHI [W/m2], interpolated where both neighbouring minutes are known."""
     utc_s = np.arange(minutes.utc_s[0], minutes.utc_s[-1] + 1.0, scan_s)
     known = [np.isin(60.0 * whole(utc_s / 60.0), minutes.utc_s) for whole in (np.floor, np.ceil)]
     utc_s = utc_s[np.logical_and(*known)]
@@ -55,7 +55,7 @@ def noisy(days, rng):
 
 
 def say(name, days, faces, law=optimal_live, **settings):
-    """Drive a law by these faces and print what it keeps, and how far it goes."""
+    """Drive a law by these faces and print how much of the gain it keeps, and how far it travels."""
     lit = days.weather.day_types() >= 0
     done = days.run(law.steer(law.SETTINGS(**settings), days.weather, faces, LIMITS), Drive())
     room = (days.bound_kwh_m2 - days.chronometric_kwh_m2)[lit].sum()

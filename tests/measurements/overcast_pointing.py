@@ -45,7 +45,7 @@ def clear_faces(utc_s: Array) -> Array:
 
 
 def clear_change_deg(gain_uncertainty: float) -> float:
-    """Return by how much the threshold turns the law under clear skies with the sun above 5 deg, at the most [deg]."""
+    """Return the most by which the threshold turns the law under clear skies with the sun above 5 deg [deg]."""
     worst = 0.0
     for midnight in DAYS_UTC_S:
         utc_s = midnight + 300.0 * np.arange(288)

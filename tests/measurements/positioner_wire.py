@@ -1,9 +1,9 @@
-"""What it costs a process to listen to one POZSOL on a serial line: CPU time per second, at rest and on its way.
+"""What listening to one POZSOL on a serial line costs a process: CPU time per second, at rest and under way.
 
 Usage: python tests/measurements/positioner_wire.py [seconds]
 
-A process of its own prints the simulated unit's screens onto a pseudo-terminal, one every 20 ms as the unit does; this
-one reads and parses them as `run` does, and does nothing else.
+Another process prints the simulated unit's screens onto a pseudo-terminal, one every 20 ms as the unit does. This one
+reads and parses them as `run` does, and does nothing else.
 """
 
 import multiprocessing
@@ -60,7 +60,7 @@ def cost(seconds: float, *, moves: bool) -> float:
 
 
 def main(seconds: float = 30.0) -> None:
-    """Print both."""
+    """Print the cost at rest and under way."""
     print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, "
           f"load {os.getloadavg()[0]:.1f} before")  # fmt: skip
     for name, moves in (("at rest", False), ("on its way", True)):

@@ -2,7 +2,7 @@
 
     python -m tests.measurements.report_picture [DIR]
 
-The page itself is left in DIR, to be looked at.
+The page itself is left in DIR, to look at.
 """
 
 import subprocess

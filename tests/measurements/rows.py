@@ -32,14 +32,14 @@ LIMITS = Limits()
 AT_ONCE = 1000
 LAWS = {"chronometric": chronometric, "mu-prime": mu_prime, "optimal": optimal_live}
 COSTS = {"area": 0, "thirds": 3, "all": 1}
-"""Groups of cells that shade costs whole, its area alone for none."""
+"""The groups of cells that shade takes as a whole; with none it takes its own area."""
 EVENING_UTC_S = 1474646400.0
 """2016-09-23 16:00, the sun 9 deg above the west."""
 DECISIONS = 60
 
 
 class Field(NamedTuple):
-    """A field to drive in: its group, turning back always and only if it pays, and what shade takes there."""
+    """A field to drive in: the group always turning back, the group doing so if it pays, and what shade takes."""
 
     always: TrackerGroup
     group: TrackerGroup
@@ -77,7 +77,7 @@ def main() -> None:
 
 
 def five_minutes(files: list[Path], every: int) -> DaylightWeather:
-    """Return means of five minutes of every so many-th day."""
+    """Return five-minute means of every so many-th day."""
     utc_s, dni, dhi, *_ = measured_minutes(files, LYNGBY)
     chosen = (utc_s // DAY_S) % every == 0
     steps, place = np.unique(utc_s[chosen] // STEP_S, return_inverse=True)
@@ -128,7 +128,7 @@ def lines(weather: DaylightWeather, light: Shining, faces: Array, field: Field, 
 
 
 def cost_ms(law: ModuleType, group: TrackerGroup | None) -> float:
-    """Return what one decision with the sun low in the west costs of a processor, median of many [ms]."""
+    """Return the median processor time of one decision with the sun low in the west [ms]."""
     facts = TrackerFacts(
         site=LYNGBY, limits=LIMITS, scan_every_s=5.0, decide_every_s=STEP_S, utc_s=EVENING_UTC_S, group=group
     )

@@ -2,10 +2,10 @@
 
     python -m tests.measurements.shares [--seconds 15]
 
-What is written to a pseudo-terminal is carried by a thread of the kernel. Beside twelve processes, half of which always
-compute and half of which begin anew every half millisecond, a byte is sent every 20 ms, and what comes later than
-200 ms is counted: with the share that a session has by itself and with the smaller one of `make test`, each with
-processes whose shares are equal and not. The session's share is set back at the end.
+A thread of the kernel carries what is written to a pseudo-terminal. Twelve processes run, half of which always compute
+and half of which wake every half millisecond. Meanwhile a byte is sent every 20 ms, and those that come later than
+200 ms are counted: with the session's default share and with the smaller one of `make test`, each with equal and with
+unequal shares of the processes. The session's share is set back at the end.
 """
 
 import argparse
@@ -24,11 +24,11 @@ EVERY_S = 0.02
 COMPUTES = "while True: pass"
 BEGINS_ANEW = "import time\nwhile True:\n    time.sleep(0.0005)\n    sum(range(3000))"
 SHARES = ((0, 0), (5, 0), (15, 0), (0, -10))
-"""Of what computes and of what begins anew, as `nice`."""
+"""The shares, as `nice`, of the processes that compute and of those that wake."""
 
 
 def measured(seconds):
-    """Return how many bytes were sent, and how late those came that were late [s]."""
+    """Return how many bytes were sent, and the delays of the late ones [s]."""
     master, slave = os.openpty()
     tty.setraw(slave)
     late, sent = [], 0
@@ -65,12 +65,12 @@ def main():
         with session_share(session):
             for computing, beginning in SHARES:
                 print(f"session {session}, {told(computing, beginning, seconds)}", flush=True)
-        # Linux takes no more than ten changes a second from who is no administrator.
+        # Linux allows at most ten changes a second to a user who is not the administrator.
         time.sleep(0.2)
 
 
 def told(computing, beginning, seconds):
-    """Measure beside processes of two shares and return what came of it in words."""
+    """Measure beside processes of two shares and return the outcome in words."""
     ordered = [(computing, COMPUTES)] * 6 + [(beginning, BEGINS_ANEW)] * 6
     beside = [subprocess.Popen(["nice", "-n", str(share), sys.executable, "-c", what]) for share, what in ordered]
     try:

@@ -4,8 +4,8 @@ Usage: python tests/measurements/site_years.py [SITE_YEARS [JOBS [HOST:PORT of a
        python tests/measurements/site_years.py days [SITES]
 
 Sites lie on a grid between 45 deg south and 60 deg north, each under the built-in weather `broken`; 64 by default.
-Needs as many idle cores as there are jobs. `days` runs a thousand sites, or so many, with a day of light each by one
-process, and prints its processor time and memory, which a busy machine leaves alone.
+Needs as many idle cores as there are jobs. `days` runs SITES sites, a thousand by default, with one day of light each
+in one process, and prints its processor time and memory: other load on the machine does not change these.
 """
 
 import csv

@@ -3,8 +3,8 @@
 Usage: python tests/measurements/speed.py [repetitions [LAT,LON,ALT WEATHER...]]
 
 The replay reads 48 days of made-up readings every 5 s at SIRTA, half of the minutes with sun and half without; the
-energy benchmark runs where a year of one-minute weather is given. What the processors were busy with it is told beside
-the wall time: the two are one on a machine with nothing else to do.
+energy benchmark runs if a year of one-minute weather is given. Processor time is printed beside wall time: they are
+equal on a machine with nothing else to do.
 """
 
 import csv

@@ -2,10 +2,10 @@
 
 Usage: python tests/measurements/stop_latency.py [--runs N] [--load N] [--firmware DIR]
 
-In each run the tracker is sent somewhere far; in mid-move the stop is given, first in all runs as a POST to the service
-and then in all runs as `heliocube stop` from a shell. The time is from just before the command's start to when the
-truth no longer changes. --load keeps so many processes busy beside it; --firmware takes the maker's firmware, whose
-server is in DIR, in place of the bench.
+In each run the tracker is sent far away and stopped in mid-move: first in all runs by a POST to the service, then in
+all runs by `heliocube stop` from a shell. The time runs from just before the command's start until the true pose no
+longer changes. --load keeps so many processes busy meanwhile; --firmware uses the maker's firmware, whose server is in
+DIR, in place of the bench.
 """
 
 import argparse
@@ -40,7 +40,7 @@ def wait_until_it_moves(unit):
 
 
 def standstill_s(unit, begun_s):
-    """Return when the truth last changed, in seconds after `begun_s`."""
+    """Return when the true pose last changed [s after `begun_s`]."""
     last, changed_s = unit.truth(), time.monotonic()
     while time.monotonic() - changed_s < STANDS_FOR_S:
         if changed_s - begun_s > GIVES_UP_S:
@@ -55,7 +55,7 @@ def standstill_s(unit, begun_s):
 def one_run(unit, tracker, turn, way):
     tracker.until_it_takes(*TARGETS[turn % len(TARGETS)])
     wait_until_it_moves(unit)
-    # Another instant of the service's looks each time.
+    # At another phase of the service's reads each time.
     time.sleep(0.13 * (turn % 7))
     begun_s = time.monotonic()
     if way == "shell":
@@ -90,7 +90,7 @@ def main():
     parser.add_argument("--load", type=int, default=0, help="busy processes beside it")
     parser.add_argument("--firmware", type=Path, help="directory of the firmware's server")
     chosen = parser.parse_args()
-    # They end by themselves, whatever becomes of this process.
+    # These processes end by themselves even if this one dies.
     script = BUSY.format(seconds=60 + 25 * chosen.runs)
     busy = [subprocess.Popen([sys.executable, "-c", script]) for _ in range(chosen.load)]
     try:

@@ -2,8 +2,8 @@
 
 Usage: python tests/measurements/theory_octave.py [--latitudes 45] [--days 365]
 
-The scripts are written here anew, one cell at a time as the paper has them, so that their cost is that of the paper's.
-A whole table of 66 latitudes takes over an hour, hence one latitude by default; the time of a table is scaled from it.
+The scripts are rewritten here, one cell at a time as in the paper, so that their cost is that of the paper's. A whole
+table of 66 latitudes takes over an hour, hence one latitude by default; the time of a table is scaled from it.
 """
 
 import argparse

@@ -4,10 +4,10 @@ Usage: python tests/measurements/wrong_readings.py LAT,LON,ALT WEATHER... [--law
        [--days N] [--scan SECONDS] [--sky SKY] [--seed SEED] [--case CASE ...]
 
 A case is `healthy`, `gaps` (1 % of the readings in bursts of up to 75 s), `pause:SECONDS`, `dead:FACE`, `frozen:FACE`
-or `shaded:FACE:SHARE`; FACE is east, south, west or zenith. A pause is five minutes without readings, so long after the
-fiftieth minute of each day: a law decides when they come again, and at its interval from then on. The faces are those
-of the sky, with the readings of a real sensor's noise (0.2 % and 0.3 W/m2), interpolated between the minutes of the
-weather.
+or `shaded:FACE:SHARE`; FACE is east, south, west or zenith. A pause is five minutes without readings, SECONDS after the
+fiftieth minute of each day: the law decides when readings come again, and at its interval from then on. The sky's light
+on the faces is interpolated between the minutes of the weather, and read with a real sensor's noise (0.2 % and 0.3
+W/m2).
 """
 
 import argparse
