@@ -35,7 +35,7 @@ directory = "{folder}/records"
 [safety]
 fallback_after_s = 5.0
 """
-"""There is no cube; the sun is followed as soon as that is known."""
+"""There is no cube. The tracker follows the sun as soon as it knows that."""
 REAL = """
 [instruments]
 kind = "real"
@@ -43,7 +43,7 @@ kind = "real"
 port = "{link}"
 """
 
-# What each disturbance is to the bench: the command that begins it and the one that ends it.
+# The bench's commands that begin and end each disturbance.
 BENCH_DISTURBANCES = {
     "unplugged": ("unplug positioner", "replug positioner"),
     "undervoltage": ("inject undervoltage", "repair undervoltage"),
@@ -64,7 +64,7 @@ FIRMWARE_DISTURBANCES = {
     "undervoltage": (f"supply {LOW_V}", f"supply {FULL_V}"),
     "a_hall_loss": ("freeze 0 1", "freeze 0 0"),
     "b_hall_loss": ("freeze 1 1", "freeze 1 0"),
-    # What another program on this port, or an echo, would be to the unit: a target that nobody ordered.
+    # Targets that nobody ordered, as from another program on this port, or from an echo.
     "stranger_a": ("usb 242c33302e30300d", ""),
     "stranger_b": ("usb 243033352e30300d", ""),
     "stranger_homes": ("usb 2439350d", ""),
@@ -150,7 +150,7 @@ class FirmwareUnit:
 
 
 class Tracker:
-    """The service in the tracker's role, and the shell's and the programs' way to it."""
+    """The service in the tracker's role, with access by HTTP and from the shell."""
 
     def __init__(self, config, port, log):
         self._port, self.config, self._log = port, config, log

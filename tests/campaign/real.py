@@ -1,8 +1,8 @@
 """The campaign on real processes, in real time: ``python -m tests.campaign.real --minutes 5 [--firmware DIR]``.
 
 Faults of the unit, deaths of the service and commands from the shell and over HTTP are drawn from a seed, one to three
-at nearly the same time. The truth is looked at all the while; the promises about a stop, about motion without an order
-and about "done" are held against it. Ends with 1 if any was broken.
+at nearly the same time. The true pose is read all the while, and the promises about a stop, about motion without an
+order and about "done" are checked against it. Ends with 1 if any was broken.
 """
 
 import argparse
@@ -31,7 +31,7 @@ COMMANDS = ("stop", "stop", "stop", "stow", "hold", "goto", "goto", "goto", "aut
 
 
 class Looker(threading.Thread):
-    """Looks at the truth and at what the service says, and judges."""
+    """Reads the true pose and the service's state, and judges."""
 
     def __init__(self, unit, tracker):
         super().__init__(daemon=True)
@@ -46,7 +46,7 @@ class Looker(threading.Thread):
         self._unexplained_s = None
 
     def frees(self, for_s):
-        """What the service cannot know or do anything about may move the axes for so long."""
+        """Excuse motion for so long: the service cannot know of its cause, or cannot prevent it."""
         self.free_s = max(self.free_s, time.monotonic() + for_s)
 
     def fails(self, promise, text):

@@ -28,7 +28,7 @@ def test_the_seeds_draw_every_fault_and_every_command():
     assert drawn >= {*SPANS, *COMMANDS}
 
 
-# The same seeds each time: a change that breaks one is red before it lands and after. Fresh ones are `.ci/run`'s.
+# The same seeds each time: a change that breaks one fails before it lands and after. `.ci/run` takes fresh seeds.
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_promise_is_broken(seed):
     schedule = draw(seed, HOURS)

@@ -92,7 +92,7 @@ def test_every_command_goes_through_every_door(name):
 
 
 class AnyDoor:
-    """Each command through another door, as the drawing has it."""
+    """Gives each command through a door that is drawn at random."""
 
     def __init__(self, random):
         self._random = random
@@ -112,7 +112,7 @@ def test_the_last_of_stop_and_auto_counts_by_whatever_doors_they_come_and_across
             at_s += random.choice((0.02, 0.1, 0.3, 1.0, 4.0))
             events.append(command(at_s, random.choice(("stop", "auto"))))
         if not killed:
-            # Also while the last command is still being carried out.
+            # The kill may come while the last command is still being carried out.
             at_s += random.choice((0.01, 0.3, 2.0))
             events.append(fault(at_s, "kill", 3.0))
             at_s += 8.0

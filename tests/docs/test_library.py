@@ -22,7 +22,7 @@ BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 @pytest.fixture(scope="module")
 def names(tmp_path_factory):
-    """What the page's examples, run one after the other in one notebook, have defined."""
+    """The names that the page's examples define, run one after the other in one notebook."""
     defined = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path_factory.mktemp("notebook"))

@@ -1,6 +1,6 @@
-"""Every script of `tests/measurements`: a slice of it is run, or it is named here why not; all know their own options.
+"""Every script of `tests/measurements`: a small part of it is run, or the reason why not is named here.
 
-The pages quote their figures, and nobody runs them for months.
+The pages quote their figures, and nobody runs them for months. The usage of each names its options.
 """
 
 import importlib
@@ -24,7 +24,7 @@ SIRTA = "48.7176,2.2090,156"
 
 
 class Slice(NamedTuple):
-    """Arguments for as little as a script can do, what else makes it small, and what its answer has."""
+    """The least that a script can do: its arguments, a pattern of its answer, and constants that make it smaller."""
 
     arguments: tuple[str, ...]
     answer: str
@@ -46,7 +46,7 @@ SLICES = {
     "theory_grid": Slice(("1",), r"all three: median"),
     "wrong_readings": Slice((SIRTA, "weather/day.csv", "--every", "1", "--days", "1", "--scan", "60"), r"gaps +-?\d"),
 }
-# Why no slice of the others is run.
+# Why no part of the others is run.
 PROCESSES = "real time, processes of its own and what they need"
 BROWSER = "real time, and a browser"
 NOT_RUN = {
@@ -62,13 +62,13 @@ NOT_RUN = {
     "make_samples": "tests/daemon/studies/samples makes them again",
     "theory_octave": "asks for Octave",
 }
-# Short commands in the place of those that a script gives the program.
+# What makes the commands shorter that a script gives the program.
 SHORTER = {"simulate": ("--days", "0.01"), "campaign": ("--hours", "0.1")}
 
 
 @pytest.fixture(autouse=True)
 def logged_again():
-    """Let what comes next in this process be logged: some scripts silence it all."""
+    """Let later tests in this process log again: some scripts disable all logging."""
     yield
     logging.disable(logging.NOTSET)
 

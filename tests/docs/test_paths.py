@@ -15,7 +15,7 @@ LINK = re.compile(r"\]\((?!https?:|#)([^)#]+)")
 FOREIGN = re.compile(r"(?:\]\(|<)(https?:[^)>\n]*)[)>]")
 # Where campaigns put what failed.
 ELSEWHERE = {"tests/campaign/failed_once/"}
-# It tells of names that were tried and not taken.
+# This decision tells of names that were tried and not taken.
 NOT_TAKEN = "0001-import-names-are-folder-names.md"
 
 

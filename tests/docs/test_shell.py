@@ -31,7 +31,7 @@ PAGES = [
 ]
 BLOCK = re.compile(r"^( *)```(\w*)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
 
-# By the beginning of a command: why it is not run.
+# Why commands are not run, by their beginning.
 LEFT_OUT = {
     "sudo": "asks for root; tests/system/test_deploy.py installs into a folder of its own",
     "sudoedit": "asks for root, and for a person",
@@ -51,7 +51,7 @@ LEFT_OUT = {
     ".venv/bin/python -m pytest": "is this suite",
     "curl": "asks for a service at work; tests/daemon/api sends these orders to one",
 }
-# Its options are read as the program reads them; what it does is tested elsewhere.
+# The options of these commands are read as the program reads them; what they do is tested elsewhere.
 ONLY_READ = {
     "heliocube alarms": "an alarm has to be on",
     "heliocube archive": "asks for a database and a broker; tests/daemon/archive has both",
@@ -67,10 +67,10 @@ ONLY_READ = {
     "heliocube run": "the tutorials run it; so does tests/system/test_run.py",
     "heliocube status": "the tutorials run it; so does tests/system/test_operation.py",
 }
-# These pages run the service, and everything on them is run on it.
+# These pages run the service, and all their commands are run on it.
 WITH_A_SERVICE = ("first-hour.md", "day-at-the-rig.md")
 SHELL = ("openssl", "promtool", ".venv/bin/python -m tests.fuzz.run --list")
-# What is changed in a command so that it stays in a folder of its own and does not take long.
+# Changes that keep a command in a folder of its own, and short.
 CHANGES = (
     (r"^\.venv/bin/heliocube", "heliocube"),
     (r"~/", "home/"),
@@ -82,7 +82,7 @@ CHANGES = (
     (r"^(heliocube (?:compare )?simulate .*--start \S+)", r"\1T11:00Z --days 0.01"),
     (r"(--plot map|--lat-range 0:65):1", r"\1:13"),
 )
-# What a command may end with beside 0.
+# Exit codes beside 0 that a command may end with.
 REFUSED = {"heliocube goto 0 60": 6, "heliocube status --check": 4}
 
 
@@ -170,7 +170,7 @@ def heliocube(monkeypatch, capsys):
 
 
 def words_of(command):
-    """Return what the shell would give the program: without a pipe or what follows it, and with its files found."""
+    """Return the arguments that a shell would give the program: without a pipe, with files in place of wildcards."""
     words = shlex.split(re.split(r" [|&]|2>", command)[0])[1:]
     found = [sorted(map(str, Path().glob(word))) if "*" in word else [word] for word in words]
     return [word for several in found for word in several]
@@ -215,7 +215,7 @@ def try_out(command, heliocube):
         assert changed_to.startswith("heliocube "), f"neither run nor named with a reason: {command}"
         code, output = heliocube(words_of(changed_to))
         assert code == 0, output
-        # Weather that the tests stand in is not of the page's site; the samples are, if the page says it rightly.
+        # The tests' substitute weather is not from the page's site; the samples are, if the page names it rightly.
         assert "does not fit a site" not in output or "samples/" not in command, output
 
 
@@ -239,7 +239,7 @@ def on_free_ports(config):
 
 @pytest.fixture(scope="module")
 def readers_folder(tmp_path_factory):
-    """Where a reader follows one tutorial after the other."""
+    """The folder in which a reader follows one tutorial after the other."""
     return tmp_path_factory.mktemp("reader")
 
 
@@ -261,7 +261,7 @@ def test_a_tutorial_runs_from_its_first_command_to_its_last(name, readers_folder
             elif command.startswith(("make ", "export ")):
                 try_out(command, heliocube)
             elif command.startswith(("heliocube export", "heliocube report")):
-                # The records are written some seconds after what they tell of.
+                # Records are written some seconds after the events that they tell of.
                 wait_until(lambda line=command: heliocube(words_of(line))[0] == 0, command)
             else:
                 code, output = heliocube(words_of(changed(command)))

@@ -1,4 +1,4 @@
-"""What the documentation site is built of. `make docs` builds it, runs the notebook and checks every link."""
+"""The parts of the documentation site. `make docs` builds it, runs the notebook and checks every link."""
 
 import importlib.util
 import json

@@ -1,4 +1,4 @@
-"""The tier against the maker's firmware: left out, in one line, where emulator or firmware is missing."""
+"""The tier of the maker's firmware: left out, with one line, where the emulator or the firmware is missing."""
 
 import contextlib
 
@@ -26,7 +26,7 @@ def lock_step():
 
 @pytest.fixture(scope="session", name="recorded")
 def _recorded():
-    """What the maker's firmware did, by the kind of sequence: its fingerprint, and the recording of each seed."""
+    """What the maker's firmware did, by kind of sequence: its fingerprint, and the recording of each seed."""
     return {which: recorded.read(which) for which in recorded.MAKERS}
 
 
@@ -40,7 +40,7 @@ def unit(lock_step):
 
 @pytest.fixture(scope="session")
 def powered_up(lock_step):
-    """Where such a unit stands, for simulated ones that begin alike: it is the same each time."""
+    """Where such a unit stands, to let simulated ones begin alike: it stands at the same place each time."""
     with contextlib.closing(peer.Firmware(lock_step, 0.0, 90.0)) as firmware:
         return firmware.stands()
 
@@ -48,7 +48,7 @@ def powered_up(lock_step):
 @pytest.fixture
 def start_firmware(tmp_path, monkeypatch):
     """Start a powered-up, provisioned unit on a pseudo-terminal, its axes at the angles given."""
-    # It tells its status every 3 s of its own time, which goes slower the busier the machine is.
+    # It reports its status every 3 s of its own time, which passes more slowly on a busy machine.
     monkeypatch.setattr("drivers.positioners.pozsol.positioner._STATUS_SHOWS_S", 20.0)
     started = []
 

@@ -18,8 +18,8 @@ A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
 
 
-# As the peer's own program, but for two things: packets are spaced in the unit's own time, since of two that a busy
-# machine hands over late one is lost, and a parameter with it; and the status need not be cleared after power-up.
+# As the peer's own program, with two differences. Packets are spaced in the unit's own time: if a busy machine delivers
+# two late, one is lost, and a parameter with it. And the status need not be cleared after power-up.
 _PROGRAM = """
 import sys
 import time
@@ -44,13 +44,13 @@ unit.close()
 
 
 def command(link, a_deg, b_deg, *, cleared=True, where=FIRMWARE, build=BUILD):
-    """Return what to run for a unit on a pseudo-terminal: it says "up", and takes lines of control from then on."""
+    """Return the command that runs a unit on a pseudo-terminal: it prints "up", and then takes lines of control."""
     begins = "cleared" if cleared else "as after power-up"
     return [sys.executable, "-B", "-c", _PROGRAM, str(where), build, str(link), str(a_deg), str(b_deg), begins]
 
 
 class LiveFirmware:
-    """One unit, with its truth and its cable in hand."""
+    """One unit, whose true place and cable a test can reach."""
 
     def __init__(self, link, a_deg, b_deg, *, cleared=True):
         self.link = link
@@ -74,7 +74,7 @@ class LiveFirmware:
         self.control("usb " + (b"$%c" % code + text.encode() + b"\r").hex())
 
     def let_pass(self, seconds):
-        """Return when so much of the unit's own time has passed, which a busy machine makes longer."""
+        """Return when so many seconds of the unit's own time have passed, which takes longer on a busy machine."""
         until_ms = self._ms() + 1000 * seconds
         while self._ms() < until_ms:
             time.sleep(0.05)
@@ -106,7 +106,7 @@ class LiveFirmware:
 
 
 async def taken(order):
-    """Give an order, and again while it is not taken, as the service does: of two packets read late one is lost."""
+    """Give an order, and again until it is taken, as the service does: of two packets read late one is lost."""
     for _ in range(9):
         with contextlib.suppress(RefusedError):
             return await order()
@@ -114,7 +114,7 @@ async def taken(order):
 
 
 async def move(positioner, a_deg, b_deg, **options):
-    """Give a target until it is taken, from standstill each time: one axis may have taken the one before."""
+    """Give a target until it is taken, from standstill each time: an earlier try may have reached one axis."""
 
     async def order():
         try:
@@ -132,18 +132,18 @@ async def home(positioner, axis):
 
 
 async def clear(positioner, **options):
-    """Clear what the unit says until it has taken that, and return the look before it."""
+    """Clear the unit's status until it has taken that, and return the telemetry from before."""
     return await taken(lambda: positioner.clear_faults(**options))
 
 
 def driver_on(firmware, a=A, b=B, **options):
-    """Return the real driver on the firmware's port; what a busy machine holds up for seconds is no lost link."""
+    """Return the real driver on the firmware's port; a pause of seconds on a busy machine is not a lost link."""
     line = SerialLine(lambda: open_port(str(firmware.link)), time.monotonic, write_s=10.0)
     return PozsolPositioner(line, time.monotonic, a, b, **{"stale_s": 60.0} | options)
 
 
 async def opened(positioner):
-    """Open, and return who it is; once more where a busy machine lets the emulator print its screens too slowly."""
+    """Open, and return the identity; again if a busy machine lets the emulator print its screens too slowly."""
     deadline_s = time.monotonic() + PATIENCE_S
     while True:
         try:
@@ -154,7 +154,7 @@ async def opened(positioner):
 
 
 async def until(condition):
-    """Wait for what must come."""
+    """Wait for a condition that must come true."""
     async with asyncio.timeout(PATIENCE_S):
         done = await condition()
         while not done:
@@ -163,11 +163,11 @@ async def until(condition):
 
 
 async def standstill_after_s(firmware, begin_s, within_s=10.0):
-    """Return how long after `begin_s` the axes have last moved in truth, watched for `within_s` at most."""
+    """Return how long after `begin_s` the axes really moved last [s], watching for `within_s` at most."""
     before, last_s = firmware.positions_mm(), begin_s
     while time.monotonic() < last_s + 1.0 and time.monotonic() < begin_s + within_s:
         await asyncio.sleep(0.03)
-        # Not in the way of the driver, which lives in this process.
+        # In a thread, so that the driver, which lives in this process, is not held up.
         after = await asyncio.to_thread(firmware.positions_mm)
         if after != before:
             before, last_s = after, time.monotonic()

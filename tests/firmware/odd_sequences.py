@@ -1,4 +1,4 @@
-"""What somebody would send who has never read this unit's manual: seeded sequences of odd bytes, in every state."""
+"""What somebody might send without having read the unit's manual: seeded sequences of odd bytes, in every state."""
 
 import random
 from dataclasses import replace
@@ -26,7 +26,7 @@ _HIGH = (0x80, 0x81, 0x85, 0x87, 0x89, 0x90, 0xA0, 0xB9, 0xC3, 0xFF)
 
 
 def odd_sequence(seed: int) -> tuple[str, Sequence]:
-    """Return the odd case of a seed and its kind."""
+    """Return the kind and the odd case of a seed."""
     draw = random.Random(f"odd {seed}")
     kind, state = draw.choice(KINDS), draw.choice(STATES)
     a_deg, b_deg = start_angles(state, draw)

@@ -19,7 +19,7 @@ COUNTS_PER_MM = 75
 _POLL_MS = 20
 _SLOW_MM_S = 0.5
 _SUN_DEG = 33.08
-"""What the firmware's own tracking makes of its clock and place, for both axes, in the first minutes."""
+"""The sun's angles in the first minutes, as the firmware's own tracking computes them from its clock and place."""
 _FIRMWARE_EVENTS = {
     "button out": ("buttons 2",),
     "button in": ("buttons 1",),
@@ -56,7 +56,7 @@ _EVENT_MS = {"overcurrent A": 40}
 
 
 def missing() -> str | None:
-    """Return in one sentence what is needed to run the firmware and is not here."""
+    """Return in one sentence what is missing to run the firmware, or None."""
     if shutil.which(EMULATOR) is None:
         return f"{EMULATOR} is not here (Debian's qemu-user): the tests against the maker's firmware are left out"
     if not (FIRMWARE / f"firmware_{BUILD}").exists():
@@ -99,7 +99,7 @@ def _direction(velocity_mm_s: float) -> int:
 
 
 class Firmware:
-    """The maker's firmware: powered up, provisioned, its input due to be looked at in 20 ms."""
+    """The maker's firmware: powered up and provisioned, 20 ms before it looks at its input."""
 
     def __init__(self, module: ModuleType, a_deg: float, b_deg: float) -> None:
         self.unit = module.Unit(BUILD)
@@ -116,7 +116,7 @@ class Firmware:
         self.unit.usb(packet, 0)
 
     def cause(self, event: str) -> None:
-        """Do something to the unit that is no command."""
+        """Do something to the unit other than a command."""
         for line in _FIRMWARE_EVENTS[event]:
             if line.startswith("step "):
                 self.unit.step(int(line[5:]))
@@ -151,7 +151,7 @@ class Firmware:
 
 
 class Simulated:
-    """The simulated unit on mechanics like those of the firmware's."""
+    """The simulated unit, with mechanics like the firmware's."""
 
     def __init__(self, a_mm: float, b_mm: float) -> None:
         start = Angles(A_ACTUATOR.angle_deg(a_mm), B_ACTUATOR.angle_deg(b_mm))
@@ -182,7 +182,7 @@ class Simulated:
         self.core.feed(packet, self._now)
 
     def cause(self, event: str) -> None:
-        """Do something to the unit that is no command."""
+        """Do something to the unit other than a command."""
         kind, fault = _SIMULATED_EVENTS[event]
         if kind == "replug":
             self.core.enumerate_usb(self._now)

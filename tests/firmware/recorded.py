@@ -2,8 +2,8 @@
 
     python -m tests.firmware.recorded
 
-writes the recordings anew. Without anything before it the firmware does the same each time; that it still does what is
-recorded is tested with every twentieth sequence.
+writes the recordings anew. A freshly started firmware does the same each time. Every twentieth sequence is used to test
+that it still does what is recorded.
 """
 
 import hashlib
@@ -19,20 +19,20 @@ from tests.firmware.peer import BUILD, FIRMWARE, Firmware, Look, Simulated, driv
 from tests.firmware.sequences import Outcome, Sequence, compare, sequence
 
 MAKERS: dict[str, Callable[[int], Sequence]] = {"ordinary": sequence, "odd": lambda seed: odd_sequence(seed)[1]}
-# Always the same, so that a red test is a change; tests/measurements/firmware_agreement.py draws others.
+# Always the same, so that a failing test means a change; tests/measurements/firmware_agreement.py draws others.
 SEEDS = range(1_000_000, 1_000_040)
 ONCE_DIFFERED = {
     "ordinary": (50079, 3228423247, 910204, 910209, 910088, 910110),
     "odd": (16, 51, 100),
 }
-"""Sequences in which the units did not agree before the simulated one was mended."""
+"""Sequences in which the two units differed before the simulated one was corrected."""
 _FOLDER = Path(__file__).parent / "recordings"
 _DIGITS = 3
 Page = dict[str, Any]
 
 
 class _Heard(Firmware):
-    """The firmware, with all that it shows written down."""
+    """The firmware, with all that it shows recorded."""
 
     def __init__(self, module: ModuleType, a_deg: float, b_deg: float) -> None:
         super().__init__(module, a_deg, b_deg)
@@ -47,7 +47,7 @@ class _Heard(Firmware):
 
 
 class Recorded:
-    """Stands where the firmware stood, and shows what it showed; what is done to it was done."""
+    """Stands where the firmware stood, and shows what it showed; calls do nothing, since they were recorded."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -60,10 +60,10 @@ class Recorded:
         """Send bytes."""
 
     def cause(self, event: str) -> None:
-        """Do something to the unit that is no command."""
+        """Do something to the unit other than a command."""
 
     def look(self) -> Look:
-        """Return what it showed next."""
+        """Return the next recorded look."""
         a_mm, b_mm, to_a_mm, to_b_mm, a, b, status = next(self._looks)
         return Look((a_mm, b_mm), (to_a_mm, to_b_mm), (int(a), int(b)), int(status))
 
@@ -73,7 +73,7 @@ class Recorded:
 
 
 def fingerprint(what: object) -> str:
-    """Return what tells one case, or the firmware's bytes, from another."""
+    """Return a text that tells one case, or one build of the firmware, from another."""
     return hashlib.sha256(what if isinstance(what, bytes) else repr(what).encode()).hexdigest()[:16]
 
 
@@ -83,7 +83,7 @@ def firmware() -> str:
 
 
 def heard(module: ModuleType, case: Sequence) -> tuple[Page, Outcome]:
-    """Give a case to a fresh firmware and return what it showed, and where a fresh simulated unit differed."""
+    """Give a case to a fresh firmware; return what it showed, and where a fresh simulated unit differed."""
     unit = _Heard(module, case.a_deg, case.b_deg)
     try:
         outcome = compare(unit, unit.twin(), case)
@@ -93,7 +93,7 @@ def heard(module: ModuleType, case: Sequence) -> tuple[Page, Outcome]:
 
 
 def read(which: str) -> tuple[str, dict[int, Page]]:
-    """Return the fingerprint of the firmware that was recorded, and the recording of each seed."""
+    """Return the fingerprint of the recorded firmware, and the recording of each seed."""
     first, *lines = (_FOLDER / f"{which}.jsonl").read_text().splitlines()
     return json.loads(first)["firmware"], {page["seed"]: page for page in map(json.loads, lines)}
 

@@ -29,18 +29,18 @@ STATES = (
 _SHORT_MS, _LONG_MS = 150, 4000
 _TOLERANCE_MM = 0.5
 _LATE_MS = 120
-"""How much earlier or later than the other one unit may change what it shows."""
+"""How much earlier or later than the other one, one unit may change what it shows."""
 _LOOKS = 3
 _FLICKERS, _FLICKER_MS = 3, 3
-"""While an axis runs out, the firmware shows the other way now and then for a millisecond: it is looked at again."""
+"""While an axis runs out, the firmware now and then shows the other direction for a millisecond: then look again."""
 _ORDERS = {"A": (b"$,", b"$.", b"$92", b"$94", b"$95"), "B": (b"$0", b"$2", b"$91", b"$93", b"$96")}
 STATUS_BITS = 0x91FF_FFFF & ~(1 << 10 | 1 << 14 | 1 << 30) | 1 << 25
-"""What the driver reads: faults, reset, button, motion and homing, switches, pulse loss, own tracking, destinations."""
+"""The bits that the driver reads: faults, reset, button, motion, homing, switches, pulses, tracking, destinations."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """Packets sent at once or an event, then time [ms], then a look."""
+    """Packets that are sent at once, or an event; then a wait [ms], and a look."""
 
     packets: tuple[bytes, ...] = ()
     gap_ms: int = 0
@@ -61,7 +61,7 @@ class Sequence:
 
 @dataclass
 class Outcome:
-    """Where the two units disagreed: in which quantity, after which step."""
+    """Where the two units disagree: in which quantity, and after which step."""
 
     sequence: Sequence
     differences: list[str] = field(default_factory=list)
@@ -81,7 +81,7 @@ def sequence(seed: int) -> Sequence:
 
 
 def kind(case: Sequence) -> str:
-    """Return which documented difference (docs/hardware.md) a case can meet, by its state and its commands."""
+    """Return which documented difference (docs/hardware.md) a case can show, by its state and its commands."""
     packets = b"".join(packet for step in case.steps for packet in step.packets)
     if case.state == "button held":
         return "a button that is held"

@@ -9,7 +9,7 @@ import pytest
 from drivers.errors import LinkLostError, RefusedError
 from tests.firmware.live import A, B, clear, driver_on, move, opened, standstill_after_s, taken, until
 
-# Braking takes a third of a second; the rest is for a machine on which emulator and driver wait for their turn.
+# Braking takes a third of a second; the rest allows for a machine on which emulator and driver have to wait.
 STANDS_WITHIN_S = 2.0
 
 
@@ -64,7 +64,7 @@ def test_a_halt_ends_a_move_although_the_first_packet_after_an_enumeration_is_lo
             begin_s = time.monotonic()
             watching = asyncio.create_task(standstill_after_s(firmware, begin_s))
             await positioner.halt()
-            # The move would have gone on for a minute.
+            # Without the halt the move would have gone on for a minute.
             assert await watching < STANDS_WITHIN_S
         await positioner.close()
 
@@ -99,7 +99,7 @@ def test_a_single_stop_that_is_the_first_word_of_a_connection_is_heard(start_fir
         return stands
 
     async def scene():
-        # A busy machine lets the emulator read both packets of a stop at once: they are one then, the first, and lost.
+        # A busy machine may let the emulator read both packets of a stop at once: as one, the first, they are lost.
         assert await hears(driver_on(firmware)) or await hears(driver_on(firmware))
 
     asyncio.run(scene())
@@ -135,7 +135,7 @@ def test_the_axis_that_is_named_first_moves_first(start_firmware):
         positioner = driver_on(firmware)
         await opened(positioner)
         await move(positioner, -10.0, 80.0, first="b")
-        # Not zero where a first try was not taken whole.
+        # A is not at zero if an earlier try has reached it.
         a_deg, b_deg = firmware.pose_deg()
 
         async def moves():
@@ -197,7 +197,7 @@ def test_every_setting_of_the_unit_that_contradicts_the_configuration_is_named_w
     for code, text in ((74, "39.6"), (193, "2.5")):
         firmware.write_parameter(code, text)
         firmware.let_pass(0.1)
-    # Parameters are taken over by the write to the flash.
+    # Writing to the flash puts parameters into force.
     firmware.let_pass(0.5)
 
     async def scene():
@@ -211,7 +211,7 @@ def test_every_setting_of_the_unit_that_contradicts_the_configuration_is_named_w
             await positioner.move_to(-10.0, 80.0)
         assert firmware.positions_mm() == before
         await positioner.close()
-        # With the unit's own values in the configuration nothing is left to complain of.
+        # With the unit's own values in the configuration there is no conflict left.
         a = replace(A, geometry=replace(A.geometry, holder_mm=39.6, low_deg=-51.2))
         positioner = driver_on(firmware, a=replace(a, minimum_deg=-45.0), b=replace(B, zero_offset=2.5))
         identity = await opened(positioner)

@@ -21,7 +21,7 @@ async def over(positioner):
 
 
 def freeze_after(act, seconds):
-    """Act, and let nothing of this process run for a while after it."""
+    """Act, and freeze this process for some seconds after that."""
     wake = f"read go; sleep {seconds}; while kill -CONT {os.getpid()}; do sleep 1; done"
     with subprocess.Popen(["/bin/sh", "-c", wake], stdin=subprocess.PIPE) as waker:
         act()
@@ -31,7 +31,7 @@ def freeze_after(act, seconds):
 
 
 def test_both_axes_are_homed_and_the_count_is_believed(start_firmware):
-    # A way of some seconds, of which a busy machine sees more than the end.
+    # A way of some seconds, so that even a busy machine sees more than its end.
     firmware = start_firmware(-47.0, 18.0)
 
     async def scene():
@@ -77,7 +77,7 @@ def test_a_count_that_was_lost_while_nobody_read_is_settled_by_one_reference_run
         positioner = driver_on(firmware)
         await opened(positioner)
         assert (await positioner.read_telemetry()).reference_doubt == ""
-        # Sooner, and it is a jump: in so long an axis might have gone there.
+        # After a shorter pause this would be a jump; in 0.8 s an axis might have gone there.
         freeze_after(lambda: firmware.control("count 0 4500"), 0.8)
 
         async def lost():

@@ -1,4 +1,4 @@
-"""The service's motion on the maker's firmware: what it does not take at the first attempt it takes at the next."""
+"""The service's motion on the maker's firmware: an order that it refuses at first is taken at the next attempt."""
 
 import asyncio
 import logging
@@ -46,13 +46,13 @@ def test_a_target_that_falls_into_the_braking_of_the_move_before_is_reached_with
                 return motion.connected
 
             await until(connected)
-            # On a busy machine the emulator prints its first screens too slowly, and it is looked for again.
+            # On a busy machine the emulator prints its first screens too slowly, and the service looks for it again.
             caplog.clear()
             records.clear()
             while len([one for one in records if isinstance(one, Move)]) < len(MOVES):
                 if motion.connected and motion.blocked is None and motion.resting and left:
                     motion.order(left.pop(0))
-                # As soon as a move counts as arrived, the unit may still be braking.
+                # When a move counts as arrived, the unit may still be braking.
                 await asyncio.sleep(0.005)
             assert alarms.active == ()
         finally:

@@ -1,7 +1,7 @@
 """The simulated unit beside the maker's firmware: the same bytes to both, in lock step.
 
-Most of what the firmware does is recorded (tests/firmware/recorded.py): to emulate it through
-eighty sequences took half a minute of a processor, and it does the same every time.
+Most of what the firmware does is recorded (tests/firmware/recorded.py): emulating it through eighty sequences took half
+a minute of a processor, and it does the same every time.
 """
 
 from collections import Counter

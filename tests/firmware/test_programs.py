@@ -23,7 +23,7 @@ def configure(firmware, folder, more=""):
     config = folder / "heliocube.toml"
     config.write_text(
         f'[instruments]\nkind = "real"\n[instruments.positioner]\nport = "{firmware.link}"\n'
-        # Beside other work Linux has let the pseudo-terminal wait for more than ten seconds.
+        # Under load, Linux has been seen to let the pseudo-terminal wait for more than ten seconds.
         f"telemetry_stale_s = 60.0\n{more}",
         encoding="utf-8",
     )
@@ -78,7 +78,7 @@ def tracker(firmware, folder, for_s):
 
 
 def state(address):
-    """Return what the service shows, None while it does not answer."""
+    """Return the service's state, or None while it does not answer."""
     try:
         with urllib.request.urlopen(f"http://{address}/api/state", timeout=PATIENCE_S) as reply:
             return json.load(reply)
@@ -96,18 +96,18 @@ def until_state(address, condition, what):
 
 
 def home(config, address):
-    """Order a reference run, and again as a person would where the unit lost a command, until nothing is in doubt."""
+    """Order a reference run until nothing is in doubt; again, as a person would, if the unit lost the command."""
     deadline_s, again_s, shown = time.monotonic() + PATIENCE_S, 0.0, False
     while (seen := state(address)) is None or seen["tracker"]["concerns"]:
         now_s = time.monotonic()
         assert now_s < deadline_s, f"the reference run: {seen}"
         if seen is None or seen["tracker"]["homing"]:
             shown = shown or seen is not None
-            # It is over before it has been judged.
+            # The unit ends a run before the service has judged it.
             again_s = now_s + 10.0
         elif now_s >= again_s:
             homed = heliocube("home", "-c", config)
-            # Beside other work an emulated unit may say nothing for a minute.
+            # Under load, an emulated unit may be silent for a minute.
             silent = "has been silent" in homed.stderr
             assert silent or homed.returncode in (ExitCode.GOOD, ExitCode.NOT_SEEN), homed.stderr
             again_s = time.monotonic() + 10.0
@@ -126,7 +126,7 @@ def test_the_trackers_role_goes_where_it_is_told_and_stops_when_it_is_told(start
         while abs(firmware.pose_deg()[0]) < 1.0:
             assert time.monotonic() < deadline_s, "it does not move"
             time.sleep(0.1)
-        # On a busy machine it may have waited too short a time to see it; whoever is told so asks again.
+        # On a busy machine the command may end before it has seen the stop; then a person asks again.
         while (stopped := heliocube("stop", "-c", config)).returncode == ExitCode.NOT_SEEN:
             assert time.monotonic() < deadline_s, stopped.stdout
         assert stopped.returncode == 0, stopped.stderr
@@ -138,16 +138,16 @@ def test_the_trackers_role_goes_where_it_is_told_and_stops_when_it_is_told(start
 
 @pytest.mark.long
 def test_a_count_that_was_lost_is_a_fault_until_the_trackers_role_has_homed_both_axes(start_firmware, tmp_path):
-    # A way of some seconds, of which a busy machine sees more than the end.
+    # A way of some seconds, so that even a busy machine sees more than its end.
     firmware = start_firmware(-46.0, 20.0)
     with tracker(firmware, tmp_path, 480) as (config, address):
         until_state(address, lambda seen: seen["tracker"]["connected"], "the connection")
-        # On a busy machine a command may end before it has seen what it waits for; here that is waited for.
+        # On a busy machine a command may end before it has seen its effect; this test waits for the effect.
         assert heliocube("hold", "-c", config).returncode in (ExitCode.GOOD, ExitCode.NOT_SEEN)
-        # It may have set out already: what jumps while a stopped move runs out counts as motion.
+        # The tracker may have set out already: a jump while a stopped move runs out would count as motion.
         until_state(address, lambda seen: seen["mode"]["name"] == "hold" and not seen["tracker"]["moving"], "rest")
         time.sleep(3.0)
-        # So far that a look seconds late, too, shows what no axis can have turned.
+        # So far that even a look some seconds late shows a turn that no axis can have made.
         firmware.control("count 0 22500")
         until_state(address, lambda seen: "jumped" in (seen["tracker"]["doubt_why"] or ""), "the doubt")
         assert heliocube("auto", "-c", config).returncode == 0

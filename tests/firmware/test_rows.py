@@ -1,4 +1,4 @@
-"""What running the firmware has shown, a test each, on the firmware itself and on the simulated unit."""
+"""What running the firmware has shown: a test for each finding, on the firmware itself and on the simulated unit."""
 
 import contextlib
 from dataclasses import replace
@@ -92,7 +92,7 @@ def test_homing_an_axis_that_moves_outwards_is_lost(both):
     assert look.position_mm[0] == pytest.approx(turn + 3.2 - 10.0, abs=0.4)
 
 
-# One unit for all of them: to power one up takes five times as long as to tell it a number.
+# One unit for all of them: powering one up takes five times as long as sending it a number.
 def test_a_negative_destination_is_the_far_end(both):
     for text in (b"-5", b"-400", b"99999999999"):
         assert after(both, b"$.300\r", 100).destination_mm[0] == 300.0
@@ -100,7 +100,7 @@ def test_a_negative_destination_is_the_far_end(both):
 
 
 def test_numbers_are_read_as_c_reads_them(both):
-    # Only the last, which is none, leaves the destination where it was.
+    # Only the last, which is no number at all, leaves the destination unchanged.
     numbers = [(b"1e1", 264), (b"nan", 0), (b"0x10", 283), (b"inf", 0), (b"\t10", 264), (b"", 264)]
     for text, destination_mm in numbers:
         assert after(both, b"$,%s\r" % text, 100).destination_mm[0] == destination_mm, text
@@ -298,5 +298,5 @@ def test_a_held_button_acts_first_after_320_ms_and_then_every_301_ms(both):
         if goes_in and not was:
             times_ms.append(ms + 10)
         was = goes_in
-    # Its first act meets a command.
+    # The first one coincides with a command.
     assert times_ms[-4:] == [pytest.approx(320 + 301 * turn, abs=10) for turn in range(1, 5)]
