@@ -15,16 +15,16 @@ from tests.support.addresses import free_port
 from tests.system.processes import BenchProcess, Process, wait_until
 from tests.system.rig import BRISK, HIGH_SUN
 
-# The one without a window takes a third less of a processor than the whole.
+# The chromium without a window takes a third less of a processor than the whole one.
 CHROMIUM = shutil.which("chromium-headless-shell") or shutil.which("chromium")
 TOKEN = "t" * 43
 PHONE = {"width": 390, "height": 844}
 TABLET = {"width": 820, "height": 1180}
 DESKTOP = {"width": 1440, "height": 900}
-# For a program that hangs, not for a machine that is slow.
+# A limit for a program that hangs, not for a slow machine.
 WITHIN_MS = 1000 * PATIENCE_S
 expect.set_options(timeout=WITHIN_MS)
-# Without the certificates, which take longer to read than a service to answer, and with no connection that stays.
+# No certificates are read, which takes longer than a service's answer, and no connection is kept.
 WEB = httpx.Client(timeout=PATIENCE_S, trust_env=False, verify=False, headers={"Connection": "close"})
 
 SIMULATED = """
@@ -70,7 +70,7 @@ class Page:
         self.page.goto(f"{url}/#{view}")
 
     def _note(self, message):
-        # A service that is gone and a token that is wrong are no mistakes of the page's.
+        # A service that is gone and a wrong token are not the page's mistakes.
         if message.type in ("error", "warning") and "Failed to load resource" not in message.text:
             self.complaints.append(message.text)
 
@@ -124,7 +124,7 @@ class Site:
 
     def mode(self):
         try:
-            # Of several trackers the first.
+            # If there are several trackers, that of the first.
             return next(iter(self.state()["trackers"].values()))["mode"]["name"]
         except httpx.HTTPError:
             return None
@@ -167,7 +167,7 @@ def with_interface(folder, text, last=""):
 
 @contextlib.contextmanager
 def run_site(config, api):
-    """Give a site whose tracker tracks; ends everything at the end."""
+    """Run a site whose tracker tracks; everything ends with it."""
     with contextlib.ExitStack() as stack:
         service = run_service(config)
         dashboard, url = run_dashboard(config.parent, api)
@@ -205,8 +205,8 @@ def site_on_bench(folder):
 
 
 def launch(kind, *options):
-    """Return a browser of the one that playwright drives."""
-    # As root a sandbox cannot be had.
+    """Launch the chromium of this machine through playwright."""
+    # Chromium has no sandbox for root.
     given = ["--no-sandbox", "--disable-gpu", *options]
     starter = Path(__file__).with_name("chromium.sh")
     return kind.launch(executable_path=starter, args=given, env=os.environ | {"CHROMIUM": CHROMIUM})

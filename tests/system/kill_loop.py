@@ -1,9 +1,9 @@
 """Start the service, kill it, look at its store; again and again. Run by test_operation.py.
 
-Every other one is killed at some moment of its start, wherever it has come by then, and every other one at some moment
-after its first records are in the store, however long that took.
+Every other service is killed at some moment of its start, however far it has come. The others are killed at some moment
+after their first records are in the store, however long that took.
 
-Each service is forked from this process, which has the libraries loaded already: 50 starts then take seconds.
+Each service is forked from this process, which has loaded the libraries already: so 50 starts take seconds.
 """
 
 import contextlib
@@ -48,7 +48,7 @@ def main(folder, restarts, seed):
         }
     )
     chance, lost_s = random.Random(seed), []
-    # The libraries are no garbage, and a copy that looks through them copies them in truth.
+    # The libraries are not garbage. A child whose collector went through them would copy all their memory.
     gc.freeze()
     for turn in range(restarts):
         child = os.fork()
@@ -58,7 +58,7 @@ def main(folder, restarts, seed):
             if turn % 2:
                 wait_for_records(folder / FILE_NAME)
             last = turn == restarts - 1
-            # The last one long enough for a batch that is not written in time to be missed.
+            # The last service lives long enough to show if a batch is not written in time.
             time.sleep(BATCH_S + MARGIN_S + 0.5 if last else chance.uniform(0.0, 0.5))
             waited_s = waited_for_processor_s(child)
         finally:
@@ -82,7 +82,7 @@ def serve(settings):
 
 
 def waited_for_processor_s(pid):
-    """Return how long the threads of a process have been ready to run and did not."""
+    """Return how long the threads of a process were ready to run and waited for a processor."""
     waited_ns = 0
     for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
         # A thread may end meanwhile.
@@ -97,7 +97,7 @@ inspected = {"run": 0}
 def wait_for_records(path):
     deadline_s = time.monotonic() + PATIENCE_S
     while True:
-        # It may not be there yet, or be taken up just now.
+        # The store may not exist yet, or be opened just now.
         with contextlib.suppress(StoreError, sqlite3.Error), closing(open_for_reading(path)) as connection:
             if connection.execute("SELECT 1 FROM scans WHERE run > ? LIMIT 1", (inspected["run"],)).fetchone():
                 return

@@ -1,4 +1,4 @@
-"""The dashboard's page in a real browser, with a made service behind it: its clock and its store are the test's own."""
+"""The dashboard's page in a real browser, with an artificial service whose clock and store are the test's own."""
 
 import gzip
 import json
@@ -43,7 +43,7 @@ window.EventSource = class extends EventTarget {
 
 
 class MadeSite:
-    """A store, the service that reads it, and the dashboard's page, without a process but the browser.
+    """A store, the service that reads it, and the dashboard's page; the browser is the only other process.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class MadeSite:
         )  # fmt: skip
 
     def open(self, context, now_utc_s, mode="tracking", since_utc_s=None):
-        """Open the view of the day at an instant, from which on the page's clock runs."""
+        """Open the view of the day; the page's clock starts at `now_utc_s`."""
         since = iso_utc(now_utc_s if since_utc_s is None else since_utc_s)
         unit = {"name": TRACKER, "pose": None, "moving": False, "target": None}
         said = {"name": mode, "since": since, "why": "a reason"}
@@ -83,7 +83,7 @@ class MadeSite:
         return browsers.Page(context, URL, "day")
 
     def let_go(self, holds=None):
-        """Answer what is held, or would be, and hold the next request for another path."""
+        """Answer the held requests, end holding their path, and hold the next request for another path."""
         self.holds = holds
         while self._held:
             self._answer(self._held.pop())

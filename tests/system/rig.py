@@ -8,8 +8,8 @@ from tests.system.processes import wait_until
 
 WITHIN_DEG = 1.5
 ROLES = {"positioner": "the positioner", "voltmeter": "the cube", "multiplexer": "the cube"}
-# High sun: the tracker begins near to where it has to go, and two faces in half shade turn it by a few degrees. A dark
-# one would not: the law leaves it out.
+# High sun: the tracker begins near its target, and half shade on two faces turns the target by a few degrees. A dark
+# face would not: the law leaves it out.
 HIGH_SUN = ("--weather", "clear", "--site", "10,0", "--start", "2022-09-21T11:50Z")
 SHADED = ("east", "west")
 
@@ -32,7 +32,7 @@ class Rig:
         )
 
     def new_sky(self):
-        """Change the light so much that the law says something else."""
+        """Change the light so much that the law gives another target."""
         before = law_says(self.bench)
         self.bench.ask("shade", SHADED[self._turn % 2], 1)
         self._turn += 1
@@ -42,7 +42,7 @@ class Rig:
         assert max(abs(old - new) for old, new in zip(before, after, strict=True)) > 3 * WITHIN_DEG
 
     def survive(self, device, seconds, phase):
-        """Pull a plug for a while: it is told once, and the tracker tracks again soon.
+        """Pull a plug for a while: the outage is told once, and the tracker tracks again soon.
 
         Return the share of a processor that the service took without it, and how soon it tracked again [s].
         """
@@ -145,8 +145,8 @@ telemetry_stale_s = 60.0
 """
 """The rig at a brisk rhythm: a scan every half second, a decision every four seconds, motors twice as fast.
 
-A busy machine may hold up a unit's screens for seconds, and that is no outage here: what is pulled or restarts is.
-Faster ones would come near to what counts as a jump when a busy machine shows the unit's screens half a second late.
+A busy machine may hold up a unit's screens for seconds. That is no outage here: outages come from pulled plugs and
+restarts. Faster motors would come near to what counts as a jump if the machine shows the screens half a second late.
 """
 
 

@@ -1,4 +1,4 @@
-"""What the page says of several orders, of which one waits for its answer, and of a page that is to be opened anew."""
+"""What the page says of several orders while one waits for its answer, and of a page that has to be opened anew."""
 
 import pytest
 

@@ -21,7 +21,7 @@ def _possible():
 
 
 def seen(network, *counted, **how):
-    """Return the modes while the link is that bad, for some seconds and until all of that has been counted."""
+    """Return the modes seen on a link that bad, over some seconds and until each counter in `counted` has risen."""
     network.change(**how)
     before, modes = network.state()["bridge"], set()
     end_s = time.monotonic() + WATCHED_S
@@ -51,7 +51,7 @@ def test_loss_duplicates_reordering_jitter_and_cuts_between_cube_and_tracker(tmp
         wait_until(lambda: "duplicate: a datagram from 10.77.0.1" in network.log("tracker"), "a duplicate is not told")
 
         network.change(duplicate=0.0, reorder=0.0, delay_s=0.0, jitter_s=0.0, cut=True)
-        # Five times the service's way from scan to scan.
+        # About five of the service's scan intervals.
         time.sleep(0.6)
         network.change(cut=False)
         assert network.state()["mode"]["name"] == "tracking"

@@ -147,7 +147,7 @@ def test_a_port_left_in_its_default_mode_harms_the_positioner_and_raw_mode_does_
     before = bench.state()["positioner"]
     assert before["received"] == {}
     with serial.Serial(str(link), timeout=30) as port:
-        # Between its opening and its raw mode a port echoes: on a rig the udev rule comes first, here nothing does.
+        # A port echoes until it is set to raw mode: on a rig the udev rule comes first, here nothing does.
         assert len(port.read(500)) == 500
         opened = bench.state()["positioner"]
         # A whole round of screens in raw mode.
@@ -160,7 +160,7 @@ def test_a_port_left_in_its_default_mode_harms_the_positioner_and_raw_mode_does_
     naive = os.open(link, os.O_RDWR | os.O_NOCTTY)
     try:
         assert termios.tcgetattr(naive)[3] & termios.ECHO
-        # It is told to go where it stands, to forget its status, to store its settings anew.
+        # The echo orders it to go where it stands, to forget its status, to store its settings anew.
         harm = {"44", "48", "70", "96", "136"}
         wait_until(lambda: harm <= set(bench.state()["positioner"]["received"]), "the echo of all screens")
         assert bench.state()["positioner"]["destination"] != before["destination"]
@@ -249,7 +249,7 @@ def select(bench, channel):
 
 
 def run_python(program, fails=False):
-    """Run a program of its own: these libraries keep threads and descriptors for as long as a process lives."""
+    """Run a program in a process of its own: these libraries keep threads and descriptors until their process ends."""
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(program)],
         capture_output=True,

@@ -1,4 +1,4 @@
-"""`deploy/test-boot` where it boots nothing: that is a program of its own, which `.ci/run` starts."""
+"""`deploy/test-boot` with options that boot nothing; `.ci/run` starts the real boot."""
 
 import sys
 

@@ -35,7 +35,7 @@ RECEIVED = {
 @pytest.fixture(scope="module")
 def the_site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
-    # An hour of light was counted before, of which the page has something to show from the start.
+    # An hour of light is counted already, so that the page has something to show from the start.
     (folder / "records").mkdir()
     (folder / "records" / "received.json").write_text(json.dumps(RECEIVED))
     with browsers.simulated_site(folder) as site:
@@ -193,7 +193,7 @@ def test_the_day_that_is_asked_for_last_is_shown_and_what_is_missing_of_it_is_sa
 
 def test_what_a_day_has_already_is_not_asked_for_again(open_page):
     page = open_page("now")
-    # In 32 bits it is 70000.0 s after the begin.
+    # In 32 bits this would be 70000.0 s after the beginning.
     last_s = 70000.0035
     head = {"rows": 1, "columns": ["time_s", *(f"{face}_w_m2" for face in ("east", "south", "west", "zenith"))]}
     begun, later = [], []
@@ -293,7 +293,7 @@ def test_all_is_reached_with_the_keyboard_alone(site, open_page):
 def test_a_screen_reader_tells_another_mode_and_an_alarm_and_not_the_seconds(site, open_page):
     page = open_page("control")
     page.sees(".hero h1", "Tracking")
-    # What a reader says of its own accord, as it changes.
+    # What a screen reader says of its own accord, as it changes.
     page.page.evaluate(
         """() => {
             window.told = [];
@@ -353,7 +353,7 @@ def test_what_the_page_shows_is_what_the_interface_says(site, open_page):
             "b": round(pose["b_deg"], 1),
             "faces": [float(round(faces[name]["irradiance_w_m2"])) for name in ("east", "south", "west", "zenith")],
             "wind": round(state["wind"][0]["speed_m_s"], 1),
-            # "1, 299 left" read as a thousand.
+            # With a comma, "1, 299 left" was read as a thousand.
             "moves": f"{state['today']['moves']} ({state['today']['left']['moves']} left)",
             "sun": round(state["sun_elevation_deg"], 1),
             "board": True,
@@ -364,7 +364,7 @@ def test_what_the_page_shows_is_what_the_interface_says(site, open_page):
     pairs = []
 
     def agree():
-        # The readings go on changing: once, all of them have to agree.
+        # The readings go on changing: all of them have to agree at one moment.
         pairs.append((said(), shown()))
         return close(*pairs[-1])
 

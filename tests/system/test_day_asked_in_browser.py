@@ -1,4 +1,4 @@
-"""The view of the day in a real browser: how a day is chosen, and what is read for it given up."""
+"""The view of the day in a real browser: how a day is chosen, and how reading it is given up."""
 
 import pytest
 

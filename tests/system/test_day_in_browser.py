@@ -21,8 +21,8 @@ MIDNIGHT = 1663718400.0
 HOUR = 3600.0
 OUTAGE = (MIDNIGHT + 2 * HOUR, MIDNIGHT + 6 * HOUR)
 
-# The share of a plot's width is 0 to 1 of the day; a line is what is coloured, or darker than any grid, and a strip
-# what is translucent over more than a line's width.
+# `share` is a place in the day, 0 to 1 of the plot's width. Pixels that are coloured, or darker than any grid, are a
+# line; translucent ones over more than a line's width are a strip.
 LINED = """([number, share]) => {
   const plot = document.querySelectorAll(".plot")[number];
   const canvas = plot.querySelector("canvas");
@@ -119,7 +119,7 @@ def test_nothing_is_drawn_or_counted_of_a_time_without_records(context, tmp_path
     assert [title.split()[0] for title in titles] == ["Irradiance", "Angle", "Angle", "Wind,", "Modes,"]
     for number, title in enumerate(titles):
         lined = {hour: page.page.evaluate(LINED, [number, hour / 24.0]) for hour in (1.0, 3.9, 7.0, 8.5, 9.2)}
-        # Of the first stretch no record says which mode it was; the sun's own path is known at 9.2 too.
+        # No record tells the mode of the first stretch. The sun's path is calculated, so it is known at 9.2 too.
         wanted = {1.0: number != 4, 3.9: False, 7.0: True, 8.5: True, 9.2: number in (1, 2)}
         assert lined == wanted, title
     assert page.complaints == []
@@ -224,7 +224,7 @@ def test_a_view_that_is_left_while_its_day_comes_leaves_nothing_behind(context, 
         page.show("day")
     page.show("fleet")
     page.sees(".fleet tbody", TRACKER)
-    # What comes for the first is here before anything that the second asks for.
+    # The answer to the first request comes before the page asks anything for the second.
     page.show("day")
     site.let_go()
     shows(page, "2022-09-21 (today)")

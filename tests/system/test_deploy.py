@@ -286,7 +286,7 @@ def pinned(lock):
 
 
 def lighten(lock):
-    """Leave in a lock what the check of a configuration imports, and what that asks for."""
+    """Keep in a lock only what the check of a configuration imports, and the requirements of that."""
     kept = [one for one in pinned(lock.read_text()) if re.match(r"[\w.-]+", one)[0] in LIGHT]
     lock.write_text("\n".join(kept) + "\n")
 
@@ -295,9 +295,9 @@ def lighten(lock):
 @pytest.mark.skipif(shutil.which("systemd-sysusers") is None, reason="systemd-sysusers is not installed")
 @pytest.mark.long
 def test_installing_twice_and_removing_leaves_only_data_and_configuration(tmp_path, checkout, monkeypatch):
-    # Compiling the libraries takes pip longer than all the rest, and nothing here hangs on it.
+    # pip would spend most of its time on compiling the libraries, which nothing here needs.
     monkeypatch.setenv("PIP_COMPILE", "0")
-    # So does unpacking those of them with which nothing is done here; deploy/test-boot installs all that is locked.
+    # Nor does it unpack the libraries that are not used here; deploy/test-boot installs all that is locked.
     for name in ("runtime", "archive"):
         lighten(checkout / "deploy" / "lock" / f"{name}.txt")
     tree = tmp_path / "tree"
@@ -320,7 +320,7 @@ def test_installing_twice_and_removing_leaves_only_data_and_configuration(tmp_pa
     program = tree / "opt/heliocube/current/bin/heliocube"
     assert run(program, "--version").stdout.startswith("heliocube ")
     assert run(program.parent / "python", "-c", "import psycopg").returncode == 0
-    # That of the alarms is good only with people to tell.
+    # Without notify.toml: the check refuses it as long as no file names the people to tell.
     for role in (*ROLES, "dashboard"):
         checked = run(program, "config", "check", tree / f"etc/heliocube/{role}.toml")
         assert checked.returncode == 0, checked.stderr

@@ -1,4 +1,4 @@
-"""What installing again does, with a stand-in for Python that installs nothing; test_deploy.py does it in earnest."""
+"""What installing again does, with a stand-in for Python that installs nothing; test_deploy.py really installs."""
 
 import os
 import re
@@ -81,7 +81,7 @@ def test_a_package_of_the_same_version_takes_nothing_away_before_it_is_whole(tmp
         assert (done.returncode, done.stderr) == (0, "")
         assert (release / "bin" / "heliocube").samefile(program)
         assert [path.name for path in release.parent.iterdir()] == ["1"]
-    # As where the supply fails, or the disk is full.
+    # As if the power failed, or the disk were full.
     assert lay_down("cp() { return 1; };").returncode == 1
     assert (release / ".complete").exists()
     assert (release / "bin" / "heliocube").read_text() == "newer"
@@ -97,7 +97,7 @@ def tree(tmp_path):
 
 @pytest.fixture
 def install(tmp_path, tree):
-    """Return what installs a wheel into the tree, with a stand-in for Python and what is put before the PATH."""
+    """Return a function that installs a wheel into the tree; Python is a stand-in, and a folder is put before PATH."""
     python, wheel, path = tmp_path / "python", tmp_path / "heliocube-0.2.0-py3-none-any.whl", tmp_path / "path"
     python.write_text(PYTHON)
     python.chmod(0o755)
@@ -119,7 +119,7 @@ def test_what_is_marked_complete_is_on_the_disk_before_and_all_of_it_at_the_end(
     sync.write_text(f"#!/bin/sh\ncd {tree}\n{there} >>{told}\n")
     sync.chmod(0o755)
     assert install("--role", "tracker").returncode == 0
-    # Three files of that name, for modules, the user and the folders.
+    # Three files are called heliocube.conf: for modules, for the user and for the folders.
     assert told.read_text().split() == ["0", "1", "6"]
 
 
@@ -131,7 +131,7 @@ def test_what_a_unit_keeps_for_everybody_is_of_a_user_that_the_installation_make
     assert {user for text in texts for user in re.findall(r"^User=(.*)$", text, re.MULTILINE)} <= made
     open_to_all = [text for text in texts if "\nStateDirectoryMode=0755\n" in text]
     assert open_to_all
-    # systemd puts what a dynamic user keeps behind a folder that root alone may open.
+    # systemd keeps the state of a dynamic user behind a folder that only root may open.
     assert not [text for text in open_to_all if "\nDynamicUser=yes\n" in text]
 
 
@@ -202,7 +202,7 @@ def test_a_release_that_does_not_answer_is_there_until_it_is_built_anew(tree, in
     assert done.returncode == code
     if code == 2:
         assert "see above; nothing has been changed" in done.stderr
-    # As a cut of the power does, a kill leaves it aside; the next installation puts it back, or does without it.
+    # A kill, like a power cut, leaves the release set aside. The next installation puts it back, or does without it.
     assert install(AT_PIP="exit 1").returncode == 2
     assert list(releases.iterdir()) == [release]
     assert {path.name for path in release.iterdir()} == {".complete", "bin", "for a service that runs"}

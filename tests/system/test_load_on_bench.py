@@ -36,7 +36,7 @@ def stored(rig, tmp_path):
 
 
 def steady(rig):
-    """Return what the module gives if that has stayed the same for five curves, or None."""
+    """Return the module's values if they have stayed the same for five curves, or None."""
     before, count = rig.bench.state()["load"]["truth"], sweeps(rig)
     wait_until(lambda: sweeps(rig) >= count + 5, rig.service.log)
     after = rig.bench.state()["load"]["truth"]
@@ -57,19 +57,19 @@ def test_stored_curves_say_what_the_module_truly_gives(tmp_path, start_bench, st
     assert not state["input_on"]
     assert not state["in_use"]
     curves = stored(rig, tmp_path)
-    # On a busy machine a voltage may be read before the simulated load has it, or no scan be fresh: of a few curves one
-    # is off, or tells no irradiance.
+    # On a busy machine a voltage may be read before the simulated load has set it, or no scan may be fresh: so of a few
+    # curves one may be off, or without irradiance.
     good = [curve for curve in curves[-5:] if curve["quality"] == "ok"]
     assert len(good) >= 3
 
     def median(name):
         return statistics.median(float(curve[name]) for curve in good if curve[name])
 
-    # Noise of the readings, 0.1 % of it, and a sun that moves.
+    # The tolerances allow for noise of 0.1 % in the readings, and for a sun that moves.
     assert median("pmpp_w") == pytest.approx(truth["pmpp_w"], rel=0.01)
     assert median("voc_v") == pytest.approx(truth["voc_v"], rel=0.005)
     if make == "chroma63600":
-        # The other one is rated 10 A, and the sun is bright.
+        # The other load is rated 10 A, and the sun is bright.
         assert median("isc_a") == pytest.approx(truth["isc_a"], rel=0.01)
     assert median("zenith_start_w_m2") == pytest.approx(rig.bench.state()["sky"]["ghi_w_m2"], rel=0.1)
 

@@ -26,7 +26,7 @@ enabled = false
 [store]
 directory = "records"
 """
-# Of a tracker: of its positioner, which has two, its load, its broker's name and its files.
+# Threads of a tracker: two for its positioner, and one each for its load, the name of its broker and its files.
 THREADS, OF_THE_PROCESS = 5, 16
 
 
@@ -60,6 +60,6 @@ def test_the_unit_lets_a_process_of_the_most_trackers_have_all_of_its_threads(tm
     assert (service.returncode, b"Traceback" in (tmp_path / "log").read_bytes()) == (0, False)
     unit = (ROOT / "deploy" / "heliocube-tracker.service").read_text()
     allowed = int(re.findall(r"^TasksMax=(\d+)$", unit, re.MULTILINE)[0])
-    # Nothing answers here, and each has its positioner's alone.
+    # Nothing answers here, so each tracker has only the threads of its positioner.
     assert 2 * _MOST_TRACKERS < most < allowed
     assert allowed >= THREADS * _MOST_TRACKERS + OF_THE_PROCESS

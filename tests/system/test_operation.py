@@ -35,7 +35,7 @@ def test_killed_fifty_times_under_load_the_store_loses_no_more_than_a_batch(tmp_
     assert (code, err) == (0, "")
     scans = pd.read_parquet(tmp_path / "out" / "scans.parquet")
     assert not scans.duplicated(["source", "session", "sequence"]).any()
-    # A machine held up for seconds makes a scan too old for its receiver, 200 times as fast; no record is lost by that.
+    # At 200 times real speed, a pause of seconds makes a scan too old for its receiver; no record is lost by that.
     assert all(run["sequence"].is_monotonic_increasing for _, run in scans.groupby("run"))
 
 
@@ -46,7 +46,7 @@ def service(tmp_path):
     config.write_text(
         "[bridge]\nlisten = '127.0.0.1:0'\n[store]\ndirectory = 'records'\nbatch_s = 0.2\n"
         "[api]\nlisten = '127.0.0.1:0'\ntoken_file = 'api.token'\n"
-        # Slow enough for a person's next command to find it on its way, on a busy machine too.
+        # Slow enough that a person's next command finds it under way, on a busy machine too.
         "[simulation]\nmotor_speed_mm_s = 0.8\n"
     )
     write_token(tmp_path / "api.token", generate_token())
@@ -149,7 +149,7 @@ def no_store(tmp_path):
 
 def test_a_service_that_finds_no_store_in_its_place_starts_and_shows_what_it_moved(no_store, service):
     _, _, address = service
-    # The store's thread moves it while the service starts.
+    # The store's thread moves the file while the service starts.
     out = wait_until(lambda: "moved aside" in (out := heliocube("status", "--api", address)[1]) and out, "alarm")
     assert re.search(
         r"^alarm +a file that is no store of heliocube, or one with a damaged beginning, was moved aside as ",

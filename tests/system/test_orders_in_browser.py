@@ -1,4 +1,4 @@
-"""Orders from a real browser: to whom they go, what answers them, and what is said where no answer comes."""
+"""Orders from a real browser: who gets them, what answers them, and what is said where no answer comes."""
 
 import contextlib
 import math
@@ -28,7 +28,7 @@ def site(tmp_path_factory):
 
 @pytest.fixture
 def back_to_tracking(site):
-    """Whatever a test orders ends with it."""
+    """End whatever a test has ordered."""
     yield
     wait_until(lambda: site.order("auto").get("accepted"), site.service.log)
     site.until_mode("tracking")
@@ -119,7 +119,7 @@ def test_neither_a_double_click_nor_a_held_key_answers_the_question_that_it_open
     yes = page.page.get_by_role("button", name="Stow now")
     playwright.expect(yes).to_be_focused()
     playwright.expect(yes).to_be_enabled()
-    # A second one without the key going up is what the system makes of a key that is held.
+    # While a key is held, the system sends it again without its going up.
     page.page.keyboard.down("Enter")
     page.page.keyboard.up("Enter")
     playwright.expect(yes).to_be_visible()
@@ -298,8 +298,8 @@ def test_an_order_says_when_it_was_given_by_the_clock_of_the_dashboard(context, 
 
 
 def press_late(context, page, button):
-    """Press a button a minute before the page comes to know of it."""
-    # A page knows no press from before its own beginning.
+    """Press a button a minute before the page hears of it."""
+    # The browser dates no press before the page's own beginning: let the page grow old first.
     page.page.evaluate("new Promise((go) => setTimeout(go, 11000 - performance.now()))")
     button.scroll_into_view_if_needed()
     box = button.bounding_box()
@@ -331,12 +331,12 @@ def test_a_stop_that_was_pressed_while_the_page_stood_still_is_done_when_it_goes
 
 @contextlib.contextmanager
 def hung_service():
-    """Give the address of what takes every connection and never answers."""
+    """Give the address of a server that takes every connection and never answers."""
     with socket.create_server(("127.0.0.1", 0)) as listens:
         yield f"127.0.0.1:{listens.getsockname()[1]}"
 
 
-# As the day view of a service that has just come to hang.
+# What the day view reads of a service that has just begun to hang.
 READ_ALL = """
 async (address) => {
     const { numbers } = await import("/static/js/history.js");
@@ -356,7 +356,7 @@ def test_an_order_does_not_wait_behind_what_is_read_of_a_service_that_hangs(cont
             page.log_in()
             page.page.evaluate(READ_ALL, hung)
             page.page.locator(".order.hold").click()
-            # After 30 s the dashboard gives up a service that does not answer: until then nothing else came through.
+            # The dashboard gives up a silent service only after 30 s; the order must not wait for that.
             playwright.expect(page.page.locator(".outcome")).to_contain_text(
                 "Hold for tracker, SIRTA: standing", timeout=25_000
             )
@@ -369,7 +369,7 @@ def test_an_order_does_not_wait_behind_what_is_read_of_a_service_that_hangs(cont
 def test_a_stow_that_fails_does_not_stand_stowed_between_two_tries(browser, tmp_path):
     with browsers.site_on_bench(tmp_path) as (site, bench), browser.new_context() as context:
         page = browsers.Page(context, site.url, "fleet")
-        # At the start it stands stowed, and would be found so.
+        # At the start the tracker stands stowed, which would pass for this stow.
         wait_until(lambda: stands_at_b_deg(site) < 85.0, site.service.log)
         bench.ask("inject", "b_ignores_targets")
         page.page.get_by_role("button", name="Stow all").click()

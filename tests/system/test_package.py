@@ -68,7 +68,7 @@ def test_a_mistake_at_building_is_one_sentence(arguments, sentence):
 
 @pytest.mark.parametrize("action", ["remove", "purge"])
 def test_a_purge_after_the_removal_leaves_what_install_sh_has_laid_down_since(action):
-    # dpkg keeps a removed package in mind until it is purged, by hand or by the cleaning of such remains.
+    # dpkg remembers a removed package until somebody purges it, by hand or when clearing up what packages left.
     told = "rm() { echo rm $*; }; rmdir() { echo rmdir $*; }; systemctl() { :; }"
     done = run("sh", "-euc", f'{told}; set -- "$0"; . "{DEB}/postrm"', action)
     assert (done.returncode, done.stderr) == (0, "")

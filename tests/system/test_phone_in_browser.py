@@ -1,4 +1,4 @@
-"""Ten trackers on a phone: with large letters, lying on its side, and by the keyboard of whoever cannot point."""
+"""Ten trackers on a phone: with large letters, lying on its side, and for a person who has only a keyboard."""
 
 import pytest
 
@@ -11,7 +11,7 @@ pytestmark = [
     pytest.mark.skipif(browsers.CHROMIUM is None, reason="chromium is not installed: no browser for the dashboard"),
 ]
 
-# Whoever presses a button near its edge means it, too.
+# A press near the edge of a button counts too.
 IN_REACH = """button => {
   const { left, right, top, bottom } = button.getBoundingClientRect();
   const places = [[left + 9, top + 9], [right - 9, top + 9], [left + 9, bottom - 9], [right - 9, bottom - 9]];
@@ -55,7 +55,7 @@ def test_with_letters_twice_as_large_no_button_is_cut_and_no_answer_lies_over_th
         site.order("auto", tracker="t0")
 
 
-# What a person at the keyboard is at, as the eye finds it: where no bar lies over its middle.
+# Tells the focused element if a bar covers its middle: a person at the keyboard would not see it.
 IS_COVERED = """() => {
   const at = document.activeElement, { left, right, top, bottom } = at.getBoundingClientRect();
   const found = document.elementFromPoint((left + right) / 2, (top + bottom) / 2);

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.system
 
 POSIX_ONLY = ("fcntl", "termios", "tty", "pty", "grp", "pwd", "resource", "syslog", "posix_ipc", "readline", "curses")
 NOT_NEEDED = ("serial", "pyvisa", "pyvisa_py", "nidaqmx", "grpc")
-# A letter, an end or a whole name that no file there can have.
+# Characters, endings and whole names that no file on Windows can have.
 NOT_OF_WINDOWS = r"""(?i)[<>:"|?*]|[. ](\\|$)|(^|\\)(con|prn|aux|nul|com\d|lpt\d)(\.|\\|$)"""
 SERVICE = ROOT / "deploy" / "windows" / "heliocube-cube.xml"
 # Of the elements that the documentation of WinSW 2.12 lists, those that a service like ours can want.
@@ -28,7 +28,7 @@ WINSW = {
     *("id", "name", "description", "executable", "argument", "env", "startmode", "delayedAutoStart", "depend"),
     *("stoptimeout", "onfailure", "resetfailure", "serviceaccount", "logpath", "log", "workingdirectory", "priority"),
 }
-# What the standard library of Linux itself does without once it is loaded.
+# Names that Windows lacks and that Linux's own standard library does without once it is loaded.
 NOT_ON_WINDOWS = {
     "os": "fork forkpty getuid geteuid getgid getegid getgroups setuid setgid fchown chown lchown killpg setsid"
     " getpgid getpgrp mkfifo mknod openpty ttyname tcgetpgrp pread pwrite sendfile nice getloadavg sync chroot wait3"
@@ -90,7 +90,7 @@ COPIED = """
 
 
 def python_without(modules, *parts):
-    """Return how a process is begun that runs this in turn, and in which these modules cannot be imported."""
+    """Return a command that runs these parts in turn, in a process in which these modules cannot be imported."""
     code = "\n".join(map(textwrap.dedent, (HIDE.format(hidden=set(modules)), *parts)))
     return [sys.executable, "-X", "warn_default_encoding", "-c", code]
 
@@ -104,7 +104,7 @@ def without(modules, code):
 
 @pytest.fixture(scope="module")
 def copied_on_windows():
-    """A process that has loaded all that `heliocube run` does, where nothing of POSIX is, and runs copies of itself."""
+    """A process with all that `heliocube run` loads and nothing of POSIX, which runs copies of itself."""
     code = python_without(POSIX_ONLY, "import os\nfork, waitpid = os.fork, os.waitpid", AS_ON_WINDOWS, COPIED)
     with subprocess.Popen(code, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as origin:
         yield origin
@@ -112,7 +112,7 @@ def copied_on_windows():
 
 @pytest.fixture
 def on_windows(copied_on_windows, tmp_path_factory):
-    """Give a command to a process in which nothing of POSIX is: to load all that takes longer than any of them."""
+    """Run a command in a copy of a process without anything of POSIX: loading it all takes longer than any command."""
 
     def heliocube(*arguments):
         outputs = [tmp_path_factory.mktemp("said") / name for name in ("out", "err")]
@@ -137,7 +137,7 @@ def cube(folder, text, for_s=1):
 
 
 def arguments_of_the_service(program_data):
-    """Return what the service of Windows gives to heliocube, with its data in a folder of this machine."""
+    """Return the arguments that the Windows service gives to heliocube, with its data in a folder of this machine."""
     given = [each.text for each in ET.parse(SERVICE).getroot().iter("argument")]
     return [text.replace("%ProgramData%", str(program_data)).replace("\\", "/") for text in given]
 
@@ -211,7 +211,7 @@ def test_what_is_locked_is_all_that_a_system_needs(surroundings):
             if requirement.marker is None or requirement.marker.evaluate(surroundings):
                 locked[canonicalize_name(requirement.name)] = requirement
     assert ("colorama" in locked) == (surroundings is WINDOWS)
-    # It has no requirements of its own, and is not installed here.
+    # These two have no requirements of their own, and are not installed here.
     names = ["heliocube", *(name for name in locked if name not in ("colorama", "pywin32"))]
     needed = {
         canonicalize_name(requirement.name)

@@ -40,7 +40,7 @@ def sent(path):
 
 def test_probing_reports_records_and_changes_nothing_unless_asked(start_bench, tmp_path):
     file = tmp_path / "heliocube.toml"
-    # Where no other service may be, of which the self-check would tell.
+    # A port without another service, which the self-check would report.
     file.write_text(f"[api]\nlisten = '127.0.0.1:{free_port()}'\n")
     bench = start_bench("--config", file, "--weather", "clear", "--start", "2022-06-21T12:00Z")
     range_v = bench.state()["voltmeter"]["range_v"]
@@ -97,7 +97,7 @@ def test_a_small_move_is_timed_and_the_axes_come_back(start_bench):
     speeds = [float(text) for text in re.findall(r"([\d.]+) units/s", moved.stderr)]
     assert json.loads(moved.stdout)["geometry_fits"] == {"a": True, "b": True}
     assert len(speeds) == 4
-    # It turns at some 2.8; a busy machine sees the beginning or the end late.
+    # The axes turn at some 2.8 units/s; a busy machine sees the beginning or the end late.
     assert all(0.7 < speed < 11.0 for speed in speeds)
     assert bench.state()["pose"] == pytest.approx({"a_deg": 0.0, "b_deg": 90.0}, abs=0.5)
 
@@ -172,8 +172,8 @@ def test_what_was_recorded_from_a_positioner_runs_against_the_simulated_one(star
         assert there.fields[field] == here.fields[field]
     # The status is on a slow screen, which may still tell of the last move.
     assert there.latched == here.latched == ((), False, False)
-    # Out and back with A, out and back with B, and the same targets in the unit's own units; a stop makes one of the
-    # place where the axes stand, a unit beside where they were sent.
+    # Out and back with A, out and back with B, and the same targets in the unit's own units. A stop makes the place
+    # where the axes stand a target, one unit beside where they were sent.
     assert there.targets == here.targets
     for axis in zip(*there.targets, strict=True):
         assert max(axis) - min(axis) >= 5
@@ -206,7 +206,7 @@ class Shown:
     def take(self, tokens):
         self.fields |= dict(tokens)
         if {Field.A_DESTINATION, Field.B_DESTINATION} <= self.fields.keys():
-            # A standing axis that is stopped takes its place, with all decimals, for its destination.
+            # An axis that is stopped at rest takes its place, with all decimals, for its destination.
             both = tuple(int(float(self.fields[field])) for field in (Field.A_DESTINATION, Field.B_DESTINATION))
             if both not in self.targets[-1:]:
                 self.targets.append(both)
@@ -253,7 +253,7 @@ def refused(arguments, sentence):
     done = probe(*arguments)
     assert done.returncode == 2, arguments
     assert re.search(sentence, done.stderr), (arguments, done.stderr)
-    # A mistake in a value has a headline.
+    # For a mistake in a value a headline comes first.
     assert done.stderr.count("\n") <= 2, done.stderr
     assert "Traceback" not in done.stderr
     return done

@@ -18,7 +18,7 @@ pytestmark = [
     pytest.mark.skipif(PROMETHEUS is None, reason="prometheus is not installed"),
 ]
 
-# So early that the tracker points where both angles are other than those of the night.
+# So early in the day that both angles differ from those of the night.
 RIG = """
 [simulation]
 speed = 30.0
@@ -39,7 +39,7 @@ ONLY_AT_TIMES = {"Alarms"}
 
 @pytest.fixture
 def prometheus(tmp_path, start_service):
-    """Return what asks a server that scrapes every second, and has scraped a service on the simulated rig."""
+    """Return a function that asks a Prometheus, which scrapes a service on the simulated rig every second."""
     service, own = free_port(), free_port()
     config = tmp_path / "heliocube.toml"
     config.write_text(f"{RIG}[api]\nlisten = '127.0.0.1:{service}'\n")

@@ -25,7 +25,7 @@ def test_the_bench_serves_a_rotator_that_the_service_drives_loses_and_finds_agai
     wait_until(lambda: rig.lines("the positioner is back") == 1, rig.service.log)
     rig.new_sky()
     rig.settle()
-    # Its last move is over for the service too.
+    # Wait until its last move is over for the service too.
     stays = rig.lines("staying")
     wait_until(lambda: rig.lines("staying") > stays, rig.service.log)
     stops = bench.state()["positioner"]["received"]["stop"]
@@ -37,7 +37,7 @@ def test_the_bench_serves_a_rotator_that_the_service_drives_loses_and_finds_agai
 def test_a_real_rotctld_follows_the_simulated_sky_and_is_taken_up_again_after_it_was_killed(
     tmp_path, start_bench, start_service, start_rotctld
 ):
-    # The dummy begins where its offsets say; with them the limits that it tells are wrong, so the file has them.
+    # Offsets set where the dummy begins. They make the limits that it reports wrong, so the file gives the limits.
     server = start_rotctld("-o", "-180", "-O", "-40")
     config = brisk(
         tmp_path,

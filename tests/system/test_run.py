@@ -21,7 +21,7 @@ pytestmark = pytest.mark.system
 
 
 def hung_up_on():
-    """Let a process have what it has at a terminal: the tests may have been started under nohup."""
+    """Give a process the handling of SIGHUP that it has at a terminal: the tests may have been started under nohup."""
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
@@ -209,7 +209,7 @@ def test_the_service_manager_hears_of_start_work_and_end(tmp_path):
         heard = []
         while heard.count("WATCHDOG=1") < 4:
             heard += manager.recv(4096).decode().split("\n")
-        # First the bridge's port, for the process after this one.
+        # First it hands over the bridge's port, for its successor.
         assert heard[0] == "FDSTORE=1"
         assert heard[2] == "READY=1"
         assert any(line.startswith("STATUS=starting") for line in heard)

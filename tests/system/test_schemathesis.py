@@ -1,4 +1,4 @@
-"""A foreign program calls every route as its description allows, and as it forbids, and checks each answer by it."""
+"""A foreign program calls every route as the API description allows and as it forbids, and checks the answers by it."""
 
 import os
 import re

@@ -66,7 +66,7 @@ def test_a_pulled_plug_is_survived_while_the_service_runs(start_rig, devices):
     rig.new_sky()
     rig.settle()
     assert rig.service.exit_code is None
-    # Each replug brought a port with echo: nothing but the driver's own commands has come through it.
+    # Each replug brought the port back with echo: still only the driver's own commands have come through it.
     positioner = rig.bench.state()["positioner"]
     assert {int(code) for code in positioner["received"]} <= ALLOWED
     assert positioner["stored"] == stored
@@ -87,7 +87,7 @@ def test_plugs_that_are_out_before_the_start_are_waited_for_at_rest(tmp_path, st
     for device in ("multiplexer", "positioner", "voltmeter"):
         bench.ask("replug", device)
         time.sleep(1.0)
-    # That the positioner is back is said a moment after the mode that it makes possible.
+    # The return of the positioner is logged a moment after the mode that it makes possible.
     wait_until(
         lambda: rig.last_mode() == "tracking" and count("back") == 2,
         lambda: f"both back and tracking, but it is {rig.service.log()}",
@@ -100,7 +100,7 @@ def test_a_board_that_restarts_at_open_or_in_mid_run_is_waited_for_homed_and_use
     config = brisk(
         tmp_path,
         positioner='dtr = false\nboot_s = 5.0\nboot_banner = "POZSOL36A1 ready"\n'
-        # End switches within some seconds of where the axes stand: they are looked for twice.
+        # The end switches are within some seconds of the axes: they are sought twice.
         "a_axis = { low_deg = -10.0 }\nb_axis = { low_deg = 68.0 }\n[limits]\na_min_deg = -8.0\nb_min_deg = 70.0\n",
     )
     config.write_text(config.read_text().replace("[motion]", '[motion]\nrehome = "automatic"'))
@@ -147,7 +147,7 @@ def test_a_late_reply_is_never_credited_to_another_face(tmp_path, start_bench, s
         while not next_scan().ok:
             pass
         for turn in range(4):
-            # Longer than any deadline, for a part of a scan or a little more: replies come when nobody waits for them.
+            # The delay is longer than any deadline and lasts about a scan: replies come when nobody waits for them.
             bench.ask("delay", "voltmeter", 1.0 + 0.1 * turn)
             time.sleep(0.1 + 0.15 * turn)
             bench.ask("delay", "voltmeter", 0)
@@ -214,7 +214,7 @@ def test_a_library_whose_calls_do_not_return_is_told_waited_for_and_does_not_kee
     mark.touch()
     told = "the cube is down: multiplexer: a call of its driver did not return within"
     wait_until(lambda: rig.lines(told) == 1, rig.service.log)
-    # Hung again while it is being opened.
+    # The driver hangs again while it is being opened.
     assert rig.load(12.0) < 0.2
     assert rig.lines("the cube is back") == 0
     mark.unlink()
@@ -237,7 +237,7 @@ def test_a_port_held_by_another_program_and_a_missing_ni_driver_are_told_and_wai
     with serial.Serial(str(holder), exclusive=True):
         rig = Rig(bench, start_service(config))
         for sentence in (f"is held by another program ({psutil.Process().name()}, process {os.getpid()})", "NI-DAQmx"):
-            # The lines to look at in between have every reason; the outage, which may have had another, is told once.
+            # The lines in between give every reason. The line of the outage comes once, and may give another reason.
             wait_until(lambda sentence=sentence: sentence in rig.service.log(), rig.service.log)
         assert rig.lines("the positioner is down") == 1
     wait_until(lambda: rig.lines("the positioner is back") == 1, rig.service.log)

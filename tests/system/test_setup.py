@@ -31,7 +31,7 @@ class Terminal:
         self._read = 0
 
     def until(self, words):
-        """Wait for words behind those of the last time, whatever spaces the lines were broken at."""
+        """Wait for words after those found last; a line may be broken at any of their spaces."""
         wanted = re.compile(r"\s+".join(map(re.escape, words.split())))
         deadline_s = time.monotonic() + PATIENCE_S
         while (found := wanted.search(self.text, self._read)) is None:

@@ -23,7 +23,7 @@ LYNGBY = {"name": "Lyngby", "latitude_deg": 55.79064, "longitude_deg": 12.52505,
 
 
 def day(out, start, weather, law, site=None, days=1.0, seed=1, table_format="csv", scan_every_s=20):
-    """Simulate; with a quarter of the scans that the service takes by itself a day takes half as long."""
+    """Simulate. With a quarter of the scans that are the service's default, a day takes half as long."""
     settings = Settings.model_validate(
         {
             "simulation": {"weather": weather, "seed": seed},
@@ -89,7 +89,7 @@ def test_on_measured_days_mu_prime_lands_where_the_equations_put_it(measured, tm
         # In broken cloud the oldest sample of the window counts by the part of it that is inside; a low sun below B's
         # limit turns A a little further than (14), to stay nearest to it.
         assert separation_deg(normal_from_angles(*target), normal_from_angles(*expected)) < 1.5
-        # And there it stands when the next decision is due, unless the mode has changed meanwhile.
+        # It stands there when the next decision is due, unless the mode has changed meanwhile.
         if next_s - utc_s(decision) > 301:
             continue
         while utc_s(pose) < utc_s(decision) + 280:

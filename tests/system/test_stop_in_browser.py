@@ -16,10 +16,10 @@ pytestmark = [
 ]
 
 VIEWS = {"now": ".equipment td", "day": ".day .log li", "fleet": ".fleet td", "control": ".order.auto"}
-# Without the day, which is the service's, though not that of whoever looks.
+# Without the date: it is today by the service's clock, though not by that of the reader.
 ANSWER = re.compile(r"mode hold: stopped by ana since \d\d:\d\d.local")
 SMALL = {"width": 360, "height": 740}
-# Whoever presses a button near its edge means it, too.
+# A press near the edge of a button counts too.
 IN_REACH = """button => {
   const { left, right, top, bottom } = button.getBoundingClientRect();
   const places = [[left + 9, top + 9], [right - 9, top + 9], [left + 9, bottom - 9], [right - 9, bottom - 9]];
@@ -35,7 +35,7 @@ def site(tmp_path_factory):
 
 @pytest.fixture
 def auto(site):
-    """End what was ordered; it is ended with the test, too."""
+    """Return a function that ends all orders; they end with the test, too."""
 
     def end():
         wait_until(lambda: site.order("auto").get("accepted"), site.service.log)
@@ -79,7 +79,7 @@ def test_every_view_has_a_stop_that_is_covered_by_nothing_and_acts_at_once(conte
     for view, shown in VIEWS.items():
         page.show(view)
         page.page.wait_for_selector(shown)
-        # The way to the end of the view, too.
+        # At the top of the view and at its end.
         for place in (0, 1e6):
             page.page.evaluate("place => scrollTo(0, place)", place)
             assert page.page.locator("#stop").evaluate(IN_REACH), view
@@ -97,7 +97,7 @@ def test_on_a_phone_the_orders_hide_neither_the_end_of_a_view_nor_its_tabs(conte
     for view, shown in VIEWS.items():
         page.show(view)
         page.page.wait_for_selector(shown)
-        # Again and again: what comes meanwhile makes the view longer.
+        # Until it holds: text that comes meanwhile makes the view longer.
         page.page.wait_for_function(ENDS_ABOVE_ORDERS)
         assert page.page.locator(".tabs a").evaluate_all(f"tabs => tabs.every({IN_REACH})")
 

@@ -71,7 +71,7 @@ def test_pysunspec2_scans_while_the_tracker_moves_and_sets_it_to_manual(client, 
     assert tracker.Typ.value == 5
     assert irradiance.repeating[2].OTI.value > irradiance.repeating[1].OTI.value
 
-    # Before the first decision a goto is refused, whoever asks: then once more.
+    # Before the first decision every goto is refused: ask until one is taken.
     wait_until(lambda: manual(client, 33.83, 217.01), "the first decision")
     seen = []
 

@@ -1,4 +1,4 @@
-"""Tabs of a real browser: what those say that are behind others, were hidden, or slept with their machine."""
+"""Tabs of a real browser: what they say when they are behind others, were hidden, or slept with their machine."""
 
 import contextlib
 import shutil
@@ -25,7 +25,7 @@ HIDE = """(state) => {
     Object.defineProperty(document, "visibilityState", { value: state, configurable: true });
     document.dispatchEvent(new Event("visibilitychange"));
 }"""
-"""What a browser does with a tab behind another one; playwright keeps all in front."""
+"""Does what a browser does with a tab behind another one: playwright keeps all tabs in front."""
 OF_FILES = """
 import sys
 from pathlib import Path
@@ -34,7 +34,7 @@ app.STATIC = Path(sys.argv.pop(1))
 from daemon.entry import main
 main()
 """
-"""The program, whose dashboard has the files of another folder."""
+"""The program with a dashboard that serves the files of another folder."""
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_seven_tabs_of_one_browser_are_all_live_over_one_stream(context, site):
         tab.sees(".hero h1", "Tracking")
     before = [tab.text("#clock") for tab in tabs]
     wait_until(lambda: all(tab.text("#clock") != old for tab, old in zip(tabs, before, strict=True)), "all go on")
-    # That of a page which another test has closed may end late.
+    # The stream of a page that another test has closed may end late.
     wait_until(lambda: listeners(site) in (1, 2), "one stream for seven tabs")
 
 
@@ -91,7 +91,7 @@ def test_who_has_logged_in_or_out_in_one_tab_has_in_the_others(context, site):
 def test_what_was_shown_before_a_machine_slept_is_old_when_it_wakes(context, site):
     page = browsers.Page(context, site.url)
     page.sees(".hero h1", "Tracking")
-    # Of a browser's two clocks, the one that counts from its start stands in the sleep of a machine.
+    # A browser has two clocks. The one that counts from its start stands still while the machine sleeps.
     seen = page.page.evaluate(
         """() => {
             const now = Date.now;
@@ -113,7 +113,7 @@ def test_a_tab_shows_nothing_that_an_older_one_heard_before_it_was_hidden(contex
     wait_until(lambda: listeners(site) < before, "no stream for a hidden tab")
     site.order("stop")
     with context.browser.new_context() as elsewhere:
-        # The dashboard hears of it a moment after the service.
+        # The dashboard hears of the stop a moment after the service.
         browsers.Page(elsewhere, site.url).sees(".hero h1", "Stopped by a person")
     context.add_init_script(
         """window.seen = new Set();
@@ -136,7 +136,7 @@ def test_a_tab_behind_another_one_has_the_state_in_its_title(context, site):
 
 
 def test_the_loss_of_the_dashboard_is_told_by_the_clock_of_the_service(context, tmp_path):
-    # The clock of whoever looks is two months late, and the simulated day is years ago.
+    # The reader's clock is two months late, and the simulated day is years ago.
     context.add_init_script("const now = Date.now.bind(Date); Date.now = () => now() - 5e9")
     with browsers.simulated_site(tmp_path) as site:
         page = browsers.Page(context, site.url)
@@ -193,7 +193,7 @@ def test_after_an_upgrade_no_page_is_told_by_the_code_of_an_older_one(context, s
         one, other = (browsers.Page(context, url) for _ in range(2))
         for page in (one, other):
             page.sees(".hero h1", "Tracking")
-        # This one stays as it is while somebody types.
+        # This page stays as it is while somebody types in it.
         other.page.locator("#who").click()
     with dashboard_of(STATIC, site, listen):
         one.sees(".hero h1", "No connection")

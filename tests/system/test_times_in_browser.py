@@ -1,4 +1,4 @@
-"""The times that the page tells, in a real browser: those of the service in the time zone of whoever looks."""
+"""The times that the page tells, in a real browser: those of the service, in the reader's time zone."""
 
 import pytest
 
@@ -13,7 +13,7 @@ pytestmark = [
 ]
 
 FIRM = "\xa0"
-"""Where no line ends: between a number and its unit."""
+"""A blank at which no line breaks: between a number and its unit."""
 
 MIDNIGHT = 1663718400.0
 """2022-09-21T00:00Z."""

@@ -1,4 +1,4 @@
-"""What the page says in a real browser: of what it has a button for, it names the button and no command."""
+"""What the page says in a real browser: where it has a button for something, its texts name the button, no command."""
 
 import pytest
 
