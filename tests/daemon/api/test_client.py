@@ -1,4 +1,4 @@
-"""The command line's way to the service where the network is bad."""
+"""The command line's connection to the service where the network is bad."""
 
 import asyncio
 import socket
@@ -17,7 +17,7 @@ from tests.support.api import TOKEN
 from tests.support.bad_network import without_namespaces
 from tests.support.phases import tracking
 
-# Two ports are all that one address has; two connections of somebody else take them.
+# One address has only two ports here; two connections of another program take both.
 ALL_TAKEN = """
 import socket, subprocess, threading
 from pathlib import Path
@@ -95,7 +95,7 @@ def test_a_copied_file_looks_at_and_orders_no_other_tracker_and_a_stop_says_whic
                 await asyncio.to_thread(look)
         for right in (find_unarmed(roof, None), find_unarmed(link, None), find_unarmed(copy, listen)):
             assert (await asyncio.to_thread(right.state))["mode"]["name"] == "tracking"
-        # The thread of a client lets no time pass, which telemetry needs.
+        # The client's thread lets no virtual time pass, which telemetry needs.
         reply = await call.post(f"stop?configuration={copy}")
         assert (reply.status, rig.control.wishes.stop is not None) == (421, True)
         assert reply.json["error"].startswith(f"the tracker of {copy} was NOT stopped: its api.listen leads to ")

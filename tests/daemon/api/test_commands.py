@@ -170,7 +170,7 @@ def test_an_order_that_waited_for_a_service_that_stood_still_is_dropped_if_it_wa
     async def scenario(rig, call):
         await tracking(rig)
         host, port = call.server.url.removeprefix("http://").split(":")
-        # Meanwhile the service does nothing: it is in this very thread.
+        # Meanwhile the service does nothing: this call blocks its thread.
         with socket.create_connection((host, int(port))) as peer:
             if cut_off:
                 peer.setsockopt(*SEND_NO_MORE_ONCE_CLOSED)
@@ -215,7 +215,7 @@ def test_an_auto_ends_nothing_that_whoever_gave_it_was_not_shown(serve):
         assert refused.json["error"].startswith("it was given before what it would end, so give it again; ")
         assert "stopped by ben since" in refused.json["error"]
         assert rig.control.wishes.stop is not None
-        # Whatever has happened to the clock since.
+        # That works whatever has happened to the clock since.
         stop = (await call.get("/api/state")).json["wishes"]["stop"]["latest"]
         both = await call.post("auto", json.dumps({"shown": shown | {"stop": stop}}).encode())
         assert both.status == 200

@@ -71,7 +71,7 @@ def test_health_of_a_tracker_names_scans_that_never_came(serve):
 
 
 def test_a_tracker_whose_address_is_not_there_follows_the_sun_and_says_so_at_every_door(serve):
-    # Nobody has this one (RFC 5737).
+    # No machine has this address (RFC 5737).
     address = "198.51.100.1:20571"
 
     async def scenario(rig, call):

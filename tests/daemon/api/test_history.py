@@ -20,7 +20,7 @@ SPAN = "from=2022-10-14T05:00Z&to=2022-10-15T05:00Z"
 
 def test_stored_days_are_read_over_the_interface(run_rig, tmp_path):
     store = Store(tmp_path, 60.0, 400, ORIGIN, SystemClock(), lambda event: None)
-    # Of this evening by UTC, and of the next morning by the sun 2 degrees east of Greenwich.
+    # The event is on this evening by UTC, and on the next day by the sun 2 degrees east of Greenwich.
     for record in (*ALL, Event(T0 + 17.9 * 3600.0, 1.0, "x", "")):
         store.keep(record)
     store.close()

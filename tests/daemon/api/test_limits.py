@@ -1,4 +1,4 @@
-"""What outsiders may cost: connections that say nothing, floods, garbage, other hosts; and a stop beside all of it."""
+"""What outsiders may cost: silent connections, floods, garbage, other hosts; and a stop beside all of it."""
 
 import asyncio
 import logging
@@ -30,7 +30,7 @@ async def connect(call, content=b""):
 
 
 async def closed(reader):
-    """Return what was still said before the end of a connection."""
+    """Return what was still sent before the end of a connection."""
     try:
         return await reader.read()
     except ConnectionError:
@@ -56,7 +56,7 @@ def test_idle_and_half_sent_connections_keep_out_no_command_and_no_reader(serve,
         held = []
         for turn in range(450):
             held.append(await connect(call, contents[turn % len(contents)]))
-            # No faster than they are let in.
+            # Not faster than they are let in.
             await asyncio.sleep(0.005)
         sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
         assert (await call.post("stop")).status == 200

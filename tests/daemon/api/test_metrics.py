@@ -1,4 +1,4 @@
-"""The metrics: what is among them, and by what name."""
+"""The metrics: which there are, and their names."""
 
 from dataclasses import replace
 

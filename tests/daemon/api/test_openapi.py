@@ -1,4 +1,4 @@
-"""The description of the interface is that of the interface: its routes, its answers, and the file in docs."""
+"""The description of the interface agrees with the interface: its routes, its answers, and the file in docs."""
 
 import asyncio
 import json

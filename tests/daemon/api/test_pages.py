@@ -1,4 +1,4 @@
-"""What readers get is made once, whoever and however many ask for it."""
+"""What readers get is made once, however many ask for it."""
 
 import asyncio
 import json
@@ -95,7 +95,7 @@ def test_scans_are_written_when_they_come_and_not_when_they_are_asked_for(monkey
 
 def test_whoever_asks_on_from_the_last_time_that_was_told_gets_no_scan_twice_and_none_is_left_out():
     begun = time.time()
-    # Set back by an hour after the third, as somebody sets the clock of a PC.
+    # The clock is set back by an hour after the third, as a person does it on a PC.
     ends = [begun + 5.0 * number - (3600.0 if number > 2 else 0.0) + 1e-4 * number for number in range(6)]
     log, found, since = ScanLog(), [], -math.inf
     for number, end_utc_s in enumerate(ends):

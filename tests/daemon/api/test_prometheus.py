@@ -1,4 +1,4 @@
-"""What deploy/ gives to Prometheus and Grafana, read by Prometheus' own tool, and held against the metrics."""
+"""What deploy/ gives to Prometheus and Grafana, read by Prometheus' own tool and compared with the metrics."""
 
 import json
 import re
@@ -18,7 +18,7 @@ __all__ = ["serve"]
 RULES = ROOT / "deploy" / "prometheus"
 DASHBOARD = ROOT / "deploy" / "grafana" / "heliocube.json"
 KNOWN = {f"heliocube_{name}_total" for name in COUNTED} | {f"heliocube_{name}" for name in MEASURED}
-# What a rule records is level:metric:operation.
+# A recorded series is named level:metric:operation.
 RECORDED = re.compile(r"\w+:heliocube_\w+:\w+")
 needs_promtool = pytest.mark.skipif(shutil.which("promtool") is None, reason="promtool is not installed")
 

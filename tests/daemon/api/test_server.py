@@ -1,4 +1,4 @@
-"""The port of the interface, and places that are not there."""
+"""The port of the interface, and addresses that are not there."""
 
 import asyncio
 import socket
@@ -26,7 +26,7 @@ def test_a_port_that_is_taken_is_an_alarm_at_every_other_door_until_it_is_had(se
         assert alarm["text"] == text
         call.server.close()
         await asyncio.sleep(11)
-        # With it the terminal shows the token, which no file may have.
+        # The terminal shows the URL with the token, which no file may have.
         assert urls == [second.url] == [f"http://127.0.0.1:{port}"]
         told = [event.text for event in rig.of(Event) if event.subject == "alarm"]
         assert told == [f"raised api-down: {text}", f"cleared api-down: {text}"]

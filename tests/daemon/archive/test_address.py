@@ -1,4 +1,4 @@
-"""Addresses of archives: what is none, and what holds a password, is one sentence."""
+"""Addresses of archives: a wrong one, and one with a password, is refused in one sentence."""
 
 import socket
 from threading import Thread

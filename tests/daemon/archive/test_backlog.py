@@ -1,4 +1,4 @@
-"""What the archive's process has in memory when everybody sends at once, as after an hour without it."""
+"""What the archive's process holds in memory when everybody sends at once, as after an hour without it."""
 
 import asyncio
 import sys
@@ -22,7 +22,7 @@ def most_mb(pid):
 
 
 def test_pages_of_many_wait_as_they_came_and_are_read_a_few_at_a_time(postgres, database, broker, start_archive):
-    """Read, they are four times as large: a thousand of them would be more than the unit lets the process have."""
+    """Read, they are four times as large: a thousand of them would take more memory than the unit allows."""
 
     async def scenario():
         archive = start_archive(broker.port)

@@ -21,8 +21,8 @@ __all__ = ["small_disk"]
 
 @pytest.fixture
 def address(database):
-    """Of an archive with more than the small disk takes."""
-    # Of chance, which Parquet cannot make smaller.
+    """The address of an archive with more records than the small disk holds."""
+    # Random text, which Parquet cannot compress.
     texts = ("".join(hashlib.sha256(b"%d %d" % (n, m)).hexdigest() for m in range(4)) for n in range(5000))
     rows = [(n, T0 + n, float(n), "test", text, None) for n, text in enumerate(texts)]
     with closing(ArchiveWriter(parse_archive(database))) as writer:

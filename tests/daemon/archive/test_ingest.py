@@ -34,7 +34,7 @@ def running(scenario):
 
 
 async def all_kept(postgres, database, *senders):
-    """Wait until the archive has all that the stores have, and see that it has each record once."""
+    """Wait until the archive has all records of the stores, and check that it has each once."""
     for sender in senders:
         await until(lambda sender=sender: sender.store.status.waiting == 0, "a store with all records")
         wanted = sorted(sender.rows())
@@ -152,7 +152,7 @@ def test_a_record_of_just_before_midnight_has_a_day_to_be_in(postgres, database)
     writer, run = ArchiveWriter(parse_archive(database)), origin()
     writer.prepare()
     try:
-        # Nearer to midnight than the microsecond that the database has.
+        # The database's microseconds would round this to midnight.
         just_before_s = math.nextafter(T0 + 86400.0, 0.0)
         assert writer.take([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(0, just_before_s)]}))]).added == 1
         assert postgres.sql("SELECT number FROM heliocube.poses_20221015", database.rpartition("/")[2]) == [(0,)]
@@ -172,7 +172,7 @@ def test_a_page_of_more_days_than_the_database_can_lock_is_refused_and_costs_no_
             writer.prepare()
             with pytest.raises(PagesRefusedError, match=r"cannot hold them in one transaction: out of shared memory"):
                 writer.take([page(0, 500)])
-            # To make a day takes more locks than to write into it, so not all are made at once.
+            # Making a day takes more locks than writing into it, so not all are made at once.
             assert writer.take([page(1000, 250)]).added == 250
     finally:
         server.close()

@@ -57,7 +57,7 @@ def test_the_file_of_a_day_that_was_dropped_by_hand_outlives_what_comes_late(pos
 
 
 def test_what_the_database_has_lost_since_stays_in_the_file_of_its_day(postgres, database, tmp_path):
-    """As it does when it is restored from a backup of its files; what is filled in again is a file anew."""
+    """A database loses records if it is restored from a backup. If it gets them back, the file is written anew."""
     address, run = parse_archive(database), origin()
     page = SentPage("lab/roof", batch_of(run, {"poses": [pose_row(0), pose_row(1)]}))
     with closing(ArchiveWriter(address)) as writer:
@@ -105,7 +105,7 @@ def test_a_file_of_before_that_cannot_be_read_is_one_sentence(database, tmp_path
     with closing(ArchiveWriter(address)) as writer:
         writer.prepare()
         writer.take([SentPage("lab/roof", batch_of(origin(), {"poses": [pose_row(0)]}))])
-    # What a disk with bad sectors answers is an OSError too, and as little a file that is not whole.
+    # A disk with bad sectors raises an OSError too: neither means that the file is damaged.
     (tmp_path / "poses" / "day=2022-10-14" / "records.parquet").mkdir(parents=True)
     with pytest.raises(UserError, match=r"^--out: .*/records.parquet cannot be written: .*is a directory"):
         list(write_days(address, tmp_path, date(2026, 1, 1)))
@@ -113,7 +113,7 @@ def test_a_file_of_before_that_cannot_be_read_is_one_sentence(database, tmp_path
 
 @pytest.mark.skipif(BINARIES is None, reason=WITHOUT_POSTGRES)
 def test_the_file_of_a_day_that_was_dropped_outlives_its_server(tmp_path):
-    """One that is set up anew by the same steps gives its parts the same numbers."""
+    """A server that is set up anew by the same steps gives its parts the same numbers."""
     out, run = tmp_path / "days", origin()
     out.mkdir()
     for rows in ([pose_row(0), pose_row(1)], [pose_row(1)]):
@@ -132,7 +132,7 @@ def test_the_file_of_a_day_that_was_dropped_outlives_its_server(tmp_path):
 
 @pytest.mark.skipif(BINARIES is None, reason=WITHOUT_POSTGRES)
 def test_what_came_late_outlives_a_server_that_goes_back_to_before_the_day_was_dropped(tmp_path):
-    """A backup of the server's own files has the part of that day again, under the same number."""
+    """A backup of the server's own files holds the part of that day again, under the same number."""
     out, run, today = tmp_path / "days", origin(), date(2026, 1, 1)
     out.mkdir()
     server = Postgres()
@@ -162,7 +162,7 @@ def test_what_came_late_outlives_a_server_that_goes_back_to_before_the_day_was_d
 
 
 def test_a_file_whose_end_is_damaged_is_written_again_and_keeps_no_other_day_from_it(database, tmp_path):
-    """What is wrong inside its footer is told by an error of another kind than what is wrong around it."""
+    """Damage inside its footer raises another kind of error than damage around it."""
     address = parse_archive(database)
     rows = [pose_row(0), pose_row(1, utc_s=T0 + 86400)]
     with closing(ArchiveWriter(address)) as writer:

@@ -1,4 +1,4 @@
-"""What the database does not take is set aside record by record: nothing behind it waits, and nothing is lost."""
+"""Records that the database refuses are set aside one by one: none behind them waits, and nothing is lost."""
 
 import asyncio
 import contextlib
@@ -56,7 +56,7 @@ def test_one_record_that_the_database_does_not_take_is_set_aside_and_written_whe
     ask(made)
     page = page_of()
     if "UNIQUE" in made:
-        # Of the same instant as the one before.
+        # A record of the same instant as the one before.
         page.batch.rows["poses"][7] = (7, *page.batch.rows["poses"][6][1:])
     added, refused = take_what_can_be(writer, page)
     assert (added, [(each.kind, each.row[0]) for each in refused]) == (99, [("poses", 7)])

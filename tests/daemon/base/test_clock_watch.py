@@ -35,7 +35,7 @@ def test_a_step_is_told_once_and_the_sun_is_doubted_until_it_is_undone(step):
         clock.now += 3600.0
         watch.step_s()
         assert not watch.trusted, "that a clock has run on proves nothing"
-        # The night does not end, and no day's budget is opened, by a time that nobody believes.
+        # A time that is not believed ends no night, and opens no day's budget.
         assert watch.believed_utc_s == clock.utc() - step
     clock.offset -= step - 30.0
     watch.step_s()
@@ -82,7 +82,7 @@ def test_a_time_before_the_one_of_the_last_run_is_doubted_until_something_synchr
     assert watch.step_s() is None
     assert watch.trusted == trusted
     clock.now += 200.0
-    # It is set right, and believed when whatever has done so says it.
+    # Now it is right, but believed only when whatever has set it says so.
     clock.offset += 3e7
     watch.step_s()
     assert not watch.trusted
@@ -121,7 +121,7 @@ def test_slewing_and_small_corrections_are_no_steps():
 def test_two_seconds_are_a_step_and_more_than_thirty_make_the_sun_doubtful(step, told, trusted):
     clock = SetClock()
     watch = ClockWatch(clock)
-    # Halves are exact beside an offset of this size.
+    # With an offset of this size, halves are exact numbers.
     clock.offset += step
     assert watch.step_s() == told
     assert watch.trusted == trusted
@@ -175,7 +175,7 @@ def test_small_corrections_hours_apart_do_not_add_up():
 
 
 class Told:
-    """Alarms on a clock, with the kernel's answer in hand."""
+    """Alarms on a clock, with an answer of the kernel that a test sets."""
 
     def __init__(self, answer):
         self.clock = SetClock()

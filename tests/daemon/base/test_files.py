@@ -1,4 +1,4 @@
-"""Files that are written as a whole or not at all: a person's own, which stays that person's, and secrets."""
+"""Files that are written as a whole or not at all: a person's own, which stay that person's, and secrets."""
 
 import os
 import stat
@@ -44,7 +44,7 @@ def test_the_new_name_is_on_the_disk_when_it_returns(tmp_path, monkeypatch, writ
 
     monkeypatch.setattr(os, "fsync", noted)
     write(file, "after")
-    # A power cut after a rename that only memory knows brings the file from before it back.
+    # If only memory knows of a rename, a power cut brings back the file from before.
     assert synced == ["after"]
 
 

@@ -30,7 +30,7 @@ def site(tmp_path):
 
 
 def install(folder, name, files):
-    """Record files as those of a distribution, as an installer does."""
+    """Record files as a distribution's, as an installer does."""
     about = folder / f"{name.replace('-', '_')}-0.1.0.dist-info"
     about.mkdir()
     (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 0.1.0\n")
@@ -42,7 +42,7 @@ def install(folder, name, files):
 
 
 def another_daemon(folder):
-    """Install what python-daemon installs, over ours."""
+    """Install what python-daemon installs, over our package."""
     first, module = folder / "daemon" / "__init__.py", folder / "daemon" / "daemon.py"
     first.write_text(
         '"""Library to implement a well-behaved Unix daemon process."""\nfrom .daemon import DaemonContext\n'
@@ -106,7 +106,7 @@ def test_a_stop_is_given_by_a_damaged_installation_too(site, tmp_path):
 
 def test_two_installations_of_one_version_are_told_apart_by_what_was_installed(site):
     def program():
-        # The program is told of also where there is no file to look at.
+        # The version of the program is printed even without a configuration file.
         return heliocube(site, "self-check", "-c", "nothing.toml").stdout.splitlines()[0].split()[-1]
 
     before = program()

@@ -1,4 +1,4 @@
-"""What the kernel says of its clock."""
+"""What the kernel says about its clock."""
 
 import ctypes
 
@@ -8,7 +8,7 @@ from daemon.base import kernel_clock
 
 
 class Libc:
-    """A C library whose kernel answers as told."""
+    """A C library whose kernel gives the answers of a test."""
 
     def __init__(self, state, maxerror_us):
         self._state, self._maxerror_us = state, maxerror_us

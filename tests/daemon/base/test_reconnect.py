@@ -225,7 +225,7 @@ def test_beginning_and_end_of_an_outage_are_notified_and_reminders_are_not():
     loop = VirtualTimeLoop()
 
     async def use():
-        # At 8 s a try that is more than an hour of them, with two reminders.
+        # With a try every 8 s these are tries for more than an hour, with two reminders.
         if loop.time() < 4000.0:
             raise GoneError("no port")
         assert reconnection.works()

@@ -80,7 +80,7 @@ def test_a_watchdog_of_another_process_or_without_a_time_is_not_ours(environment
 
 def test_a_machine_without_unix_sockets_imports_it_and_stays_silent(monkeypatch):
     monkeypatch.delattr(socket, "AF_UNIX")
-    # A copy: to load the module anew gave all tests after this one two names for what lines of the log say of trackers.
+    # A copy: reloading the module itself gave all later tests a second version of the names that its log lines use.
     found = importlib.util.find_spec(Notifier.__module__)
     copy = importlib.util.module_from_spec(found)
     found.loader.exec_module(copy)
@@ -89,7 +89,7 @@ def test_a_machine_without_unix_sockets_imports_it_and_stays_silent(monkeypatch)
 
 @pytest.fixture
 def handed_over(tmp_path):
-    """Run lines in a process that systemd would have handed a socket to; returns what it prints."""
+    """Run lines in a process with a socket from systemd; returns what it prints."""
 
     def run(lines, opened, names, path=""):
         script = (

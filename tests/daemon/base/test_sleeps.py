@@ -1,4 +1,4 @@
-"""Sleeps of the machine: what of an age they are, and how they are told from a step of its clock."""
+"""Sleeps of the machine: how they count in an age, and how they are told from a step of its clock."""
 
 import sys
 import time
@@ -10,7 +10,7 @@ from daemon.base.sleeps import SleepGauge, SleepWatch, slept_since
 
 
 class Machine:
-    """Its steady clock, and for how long it has slept."""
+    """The machine's steady clock, and how long it has slept."""
 
     now_s = 100.0
     slept_s = 5.0

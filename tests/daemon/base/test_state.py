@@ -1,4 +1,4 @@
-"""Kept state: what is saved comes back, what cannot be read is said and never guessed, and a full disk is no end."""
+"""Kept state: saved state comes back, unreadable state is reported and never guessed, a full disk ends nothing."""
 
 import contextlib
 import logging
@@ -110,7 +110,7 @@ def test_what_two_files_keep_alike_is_said_once(tmp_path):
 
 
 class SlowDisk:
-    """A disk that takes one file when it is let, and remembers the order."""
+    """A disk that writes one file at a time, when a test lets it, and remembers the order."""
 
     def __init__(self):
         self.begun, self.let, self.written = threading.Semaphore(0), threading.Semaphore(0), []
@@ -183,7 +183,7 @@ def test_without_room_that_was_kept_the_first_content_is_lost_and_said(small_dis
 
 @pytest.fixture
 def dies_in_the_middle(monkeypatch):
-    """Return what replaces a kept file twice, and a third time in a process that dies before its nth change there."""
+    """Replace a kept file twice, and a third time in a process that dies before its nth change on the disk."""
 
     def die(path, count):
         for text in ("first", "second"):

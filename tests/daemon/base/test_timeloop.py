@@ -116,7 +116,7 @@ def test_scaled_time_that_the_machine_was_away_passes_in_small_steps_and_is_made
     async def seconds():
         loop = asyncio.get_running_loop()
         seen, began_s = [loop.time()], time.monotonic()
-        # Half a minute in which nothing else runs.
+        # Half a second, half a minute of the loop's time, in which nothing else runs.
         loop.call_soon(time.sleep, 0.5)
         behind_s = math.inf
         while len(seen) < 20 or behind_s > 5.0:
@@ -129,7 +129,7 @@ def test_scaled_time_that_the_machine_was_away_passes_in_small_steps_and_is_made
 
     with asyncio.Runner(loop_factory=lambda: ScaledTimeLoop(60.0)) as runner:
         seen = runner.run(seconds())
-    # Each wait may begin late by a second, and end so.
+    # Each wait may begin and end up to a second late.
     steps = [after - before for before, after in itertools.pairwise(seen)]
     assert min(steps) >= 0.999
     assert max(steps) <= 3.0
@@ -290,7 +290,7 @@ def test_whoever_sleeps_alone_sees_the_same_as_among_others():
         end = call_every(0.7, lambda: bool(seen.append(("beat", round(loop.time(), 6)))))
         loop.call_later(2.5, lambda: seen.append(("timer", round(loop.time(), 6))))
         loop.call_later(3.0, lambda: seen.append(("at the same time", round(loop.time(), 6))))
-        # One timer more at every instant leaves nobody alone.
+        # Other timers, one at every instant, so that the sleeper is not alone.
         timers = [loop.call_later(0.1 * tick, lambda: None) for tick in range(1, 40)] if others else []
         await sleeper()
         end()

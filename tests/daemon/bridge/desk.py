@@ -1,4 +1,4 @@
-"""The scans of a cube, and receivers of them in hand: one without a socket, and one on a real port."""
+"""The scans of a cube, and receivers that a test drives: one without a socket, and one on a real port."""
 
 import asyncio
 from contextlib import asynccontextmanager
@@ -18,7 +18,7 @@ SETTINGS = BridgeSettings(listen="127.0.0.1:0")
 
 
 class HandClock:
-    """The receiver's clock, moved by the test; UTC may be set apart from it."""
+    """The receiver's clock, moved by the test; its UTC may be set independently."""
 
     def __init__(self):
         self.now_s = 1000.0
@@ -32,7 +32,7 @@ class HandClock:
 
 
 def scan(sequence=0, time_s=None, **changes):
-    """The scan that a cube finishes `time_s` seconds (5 per number by default) after the test's beginning."""
+    """Return the scan that a cube finishes `time_s` seconds (5 per number by default) after the test's beginning."""
     time_s = 5.0 * sequence if time_s is None else time_s
     utc_s, steady_s = UTC_S + time_s, 70.0 + time_s
     east, south, west, zenith = (
@@ -68,7 +68,7 @@ class Desk:
         self.receiver.datagram_received(datagram, peer)
 
     def follow(self, *scans):
-        """Take each scan at the instant at which it was made."""
+        """Take each scan at the instant when it was made."""
         for sent in scans:
             self.take(signed(sent), sent.time_monotonic_s - 70.0)
 
@@ -96,7 +96,7 @@ async def until_examined(receiver, expected):
 
 @asynccontextmanager
 async def port(settings=SETTINGS, key=KEY):
-    """An open receiver on a real port, its clock, its scans, and a function that waits for so many datagrams."""
+    """An open receiver on a real port, its clock, its scans, and a function that waits for a number of datagrams."""
     clock, scans = HandClock(), []
     receiver = BridgeReceiver(settings, key, clock, scans.append)
 

@@ -1,4 +1,4 @@
-"""An address, or the network of a group, that is not on this machine yet, that goes, and that comes back."""
+"""An address, or the network of a group, that is missing on this machine at first, goes, and comes back."""
 
 import asyncio
 import logging
@@ -33,7 +33,7 @@ def _possible():
 
 @dataclass
 class Listener:
-    """A receiver in virtual time, and what came of it."""
+    """A receiver in virtual time, and what it has heard and raised."""
 
     settings: BridgeSettings
     heard: list = field(default_factory=list)
@@ -49,7 +49,7 @@ class Listener:
             self.alarms.append((name, text))
 
     async def hears(self):
-        """Send a scan to where the cube would, and return whether it was heard."""
+        """Send a scan to the address that the cube would use, and return whether it was heard."""
         self._number += 1
         before = len(self.heard)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as cube:

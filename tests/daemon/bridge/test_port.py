@@ -1,4 +1,4 @@
-"""Whoever floods the port, the cube's scans come through, and the port stays the tracker's own."""
+"""However the port is flooded, the cube's scans come through, and the port stays the tracker's own."""
 
 import asyncio
 import itertools
@@ -45,7 +45,7 @@ def test_a_flood_that_overflows_the_port_costs_the_cube_no_scan(listen):
                 await settle(1)
                 sent = 0
                 for number in range(1, 6):
-                    # Nobody reads meanwhile: far more than the kernel keeps for a socket.
+                    # Nobody reads meanwhile, and the kernel keeps far less than this for a socket.
                     for _ in range(4000):
                         attacker.sendto(b"x" * 2000, place)
                         sent += 1
@@ -108,7 +108,7 @@ def test_senders_in_turn_are_all_heard_although_there_are_more_of_them_than_line
 
 
 def lines_on(place):
-    """Return the ports of those that a socket of this port hears alone, as the kernel lists them."""
+    """Return the remote ports of the sockets that are connected on this port, as the kernel lists them."""
     rows = [row.split() for row in Path("/proc/net/udp").read_text().splitlines()[1:]]
     ends = [[int(end.partition(":")[2], 16) for end in row[1:3]] for row in rows]
     return {remote for local, remote in ends if local == place[1] and remote != 0}
@@ -172,7 +172,7 @@ def test_a_flood_does_not_keep_the_other_tasks_of_the_loop_waiting():
 
 
 class Manager:
-    """What systemd does with a socket that it is given: it holds a copy, and hands it to the next process."""
+    """Does what systemd does with a socket that it is given: it holds a copy, and hands it to the next process."""
 
     def __init__(self):
         self.held = {}
@@ -188,9 +188,9 @@ class Manager:
 
 @pytest.fixture
 def stamps():
-    """See that the kernel notes when a datagram comes, and keep it so: at the first who asks it begins some time later.
+    """Have the kernel stamp arriving datagrams: it begins some time after the first socket asks for it.
 
-    A datagram that came before has the time at which it is read, which is the same for a service that reads at once.
+    A datagram that came before is stamped when it is read. For a service that reads at once that is the same time.
     """
     with udp() as asking:
         asking.bind(("127.0.0.1", 0))
@@ -226,7 +226,7 @@ def test_what_comes_while_the_service_is_restarted_is_heard_and_dated_by_when_it
             cube.sendto(signed(scan(0)), place)
             await until_accepted(before, 1)
             began_s = time.monotonic()
-            # Both ways in: over the line that the cube has by now, and over the port.
+            # By both ways in: over the cube's own connected socket, and over the port.
             cube.sendto(signed(scan(1, time_s=0.5)), place)
             await before.close()
             cube.sendto(signed(scan(2, time_s=0.6)), place)

@@ -76,7 +76,7 @@ def test_a_recorded_session_cannot_be_played_again_to_a_receiver_that_remembers_
     desk = Desk()
     recorded = [scan(number) for number in range(3)]
     desk.follow(*recorded, scan(0, time_s=15.0, session="second"))
-    # The attacker waits for nothing and hides nothing: stamps within the skew, numbers in order.
+    # The attacker replays at once and leaves nothing out: stamps within the skew, numbers in order.
     for _ in range(2):
         for sent in recorded:
             desk.take(signed(sent))

@@ -1,4 +1,4 @@
-"""What is counted of refused datagrams, and when it is told."""
+"""How refused datagrams are counted, and when they are logged."""
 
 import logging
 
@@ -55,7 +55,7 @@ def test_the_first_of_a_kind_is_told_and_the_others_after_1_2_and_4_hours(log):
     told = [record.getMessage() for record in log.records]
     assert told[0] == ("forged: a datagram from 10.0.0.7:40000 is wrong; more of this kind are counted, not logged")
     counted = [text.split(": ")[1].split(";")[0] for text in told[1:]]
-    # At the 1st, 3rd and 7th hour.
+    # The summaries come after 1, 3 and 7 hours.
     assert counted == ["4 forged", "8 forged", "16 forged"]
 
 
@@ -63,7 +63,7 @@ def test_a_stretch_begins_with_nothing_told_and_an_hour_to_the_first_summary(log
     tally = Tally()
     refuse(tally, Refusal.FORGED, 0.0, HOUR_S, HOUR_S + 10.0)
     assert len(log.records) == 2
-    # A new stretch: what was counted and not told in the one before is none of its summary.
+    # A new stretch: its summary leaves out what was counted and not logged in the one before.
     began_s = HOUR_S + QUIET_S + 10.0
     refuse(tally, Refusal.FORGED, began_s, began_s + HOUR_S - 1.0, began_s + HOUR_S)
     assert len(log.records) == 4

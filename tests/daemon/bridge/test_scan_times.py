@@ -82,7 +82,7 @@ def test_a_sender_that_slept_is_followed_again_within_ten_minutes():
     desk = Desk()
     desk.follow(*(scan(number) for number in range(100)))
     for number in range(100, 300):
-        # Its steady clock stood still for an hour.
+        # The sender's steady clock stood still for an hour.
         sent = scan(number, time_s=3600.0 + 5.0 * number)
         desk.take(signed(replace(sent, time_monotonic_s=70.0 + 5.0 * number)), time_s=3600.0 + 5.0 * number)
     assert desk.scans[-1].sequence == 299

@@ -1,4 +1,4 @@
-"""Every scan goes out at once to everyone who can be reached, and nobody's outage floods the log."""
+"""Every scan goes out at once to every target that can be reached, and no target's outage floods the log."""
 
 import asyncio
 import errno
@@ -90,7 +90,7 @@ def test_a_scan_reaches_an_ipv6_target():
 
 
 def test_targets_that_refuse_or_cannot_be_reached_do_not_stop_the_others(caplog):
-    # The broadcast address of a network is refused by the kernel itself; loopback has one wherever it is a network.
+    # The kernel itself refuses the broadcast address of a network; loopback has one on every machine with a network.
     with (
         listening() as last,
         sending(f"127.0.0.1:{closed_port()}", "127.255.255.255:20571", address_of(last)) as sender,
@@ -146,7 +146,7 @@ def test_the_end_of_an_outage_is_told_once(caplog):
                 sent_until_told += len(caplog.records) < 2
                 clock.now_s += 30
     down, up = caplog.records
-    # The last error comes with one of the first sends, 15 s after the outage was found at the latest.
+    # The last error comes with one of the first sends: at most 15 s after the outage was found.
     assert sent_until_told == 20, "ten minutes without an error"
     assert up.fields["down_s"] <= 15.0
     assert (down.levelname, up.levelname) == ("WARNING", "INFO")
@@ -205,7 +205,7 @@ def test_a_sender_that_is_opened_again_sends_again():
         assert sender.statistics[0].failed == 0
 
 
-# ip(7), <linux/in.h>: says with each datagram how far it may go.
+# ip(7), <linux/in.h>: reports the remaining hops (TTL) of each datagram.
 IP_RECVTTL = 12
 
 

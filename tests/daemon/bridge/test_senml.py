@@ -1,4 +1,4 @@
-"""A scan survives the trip through its SenML pack; whatever is not a pack is refused and nothing worse."""
+"""A scan survives the trip through its SenML pack; anything else is refused, and nothing worse happens."""
 
 import json
 import math
@@ -27,7 +27,7 @@ def scan(**changes):
 
 
 def pack(**changes):
-    """A right pack as JSON objects by name, with some records changed (None removes one)."""
+    """A correct pack as JSON objects by name, with some records changed (None removes one)."""
     records = {record["n"]: record for record in json.loads(senml.encode(scan()))} | changes
     return json.dumps([record for record in records.values() if record is not None]).encode()
 

@@ -1,4 +1,4 @@
-"""Two cubes under one name and key: the elder is followed, the other steers nothing, and nothing old is ever new."""
+"""Two cubes under one name and key: the elder is followed, the other steers nothing, and no old scan counts as new."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def test_a_second_cube_that_was_started_by_mistake_costs_the_first_one_no_scan()
     follow_both(desk, 20, 40)
     desk.follow(*(scan(number) for number in range(8, 20)))
     assert [got.sequence for got in desk.scans if got.session == "first"] == list(range(20))
-    # Its beginning could have been a restart of the first one.
+    # Its first scan could have been a restart of the first cube.
     assert sessions(desk).count("second") == 1
     assert desk.counts == {"accepted": 21, "second_cube": 3}
     assert "the session second, a second cube under the name cube, while the session first is followed" in desk.reason
@@ -135,7 +135,7 @@ def test_after_a_restart_of_the_receiver_an_old_session_cannot_take_the_place_of
 def test_whoever_sends_and_whatever_is_replayed_no_scan_comes_through_twice_and_stamps_rise_between_sessions(sent):
     desk = Desk()
     for number, (session, back) in enumerate(sent):
-        # `back` numbers ago: what is recorded comes again between what is new.
+        # `back` numbers ago: recorded scans come again among the new ones.
         made = max(number - back, 0)
         desk.take(signed(scan(made, time_s=0.3 * made, session=session)), time_s=0.3 * number)
     came = [(got.session, got.sequence) for got in desk.scans]
@@ -189,7 +189,7 @@ def test_what_a_forgotten_session_lost_stays_counted():
 def test_the_fastest_way_is_remembered_for_five_to_ten_minutes(silence_s, counts):
     desk = Desk()
     desk.follow(scan(0))
-    # It comes 11 s after it was made, and 10 s are allowed.
+    # It comes 11 s after it was made; 10 s are allowed.
     desk.take(signed(scan(1, time_s=silence_s)), time_s=silence_s + 11.0)
     assert desk.counts == counts
 

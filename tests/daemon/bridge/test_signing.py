@@ -1,4 +1,4 @@
-"""Only what was signed with the key is taken, and a key file that others could read is not."""
+"""Only scans that were signed with the key are taken, and a key file that others could read is refused."""
 
 import base64
 import hashlib
@@ -97,7 +97,7 @@ def test_a_header_that_is_no_object_is_refused(header):
 
 
 def test_of_a_foreign_header_eighty_letters_are_shown():
-    # The quotes and brackets of {'alg': '...'} take the first nine.
+    # The quotes and brackets of {'alg': '...'} take the first nine characters.
     reason = refusal(jws({"alg": "x" * 200})).reason
     assert f"has the header {{'alg': '{'x' * 71} and not " in reason
 

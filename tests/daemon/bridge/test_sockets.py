@@ -150,7 +150,7 @@ def test_a_group_is_heard_without_an_interface_where_this_machine_has_one():
 
     async def main():
         await receiver.open()
-        # No network is as good.
+        # Hearing nothing because there is no network is right too.
         assert receiver.deaf_why is None or "no network of this machine leads to it" in receiver.deaf_why
         await receiver.close()
 

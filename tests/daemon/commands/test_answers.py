@@ -18,7 +18,7 @@ from daemon.commands.main import app
 from daemon.commands.wrapping import wrapped
 from tests.support import PATIENCE_S, ROOT, forks
 
-# What runs until it is ended, leads a person through something, writes files of known names, or answers in JSON anyway.
+# These run until they are ended, lead a person through something, write files of known names, or always answer in JSON.
 WITHOUT = {
     "run", "archive", "bench", "dashboard", "notify", "setup", "config init", "config migrate", "samples", "bench-ctl",
 }  # fmt: skip
@@ -183,7 +183,7 @@ def test_a_path_that_is_too_long_for_its_line_is_shown_whole_by_a_check(tmp_path
     assert str(records) in said
 
 
-# The last is longer than what Python gathers before it writes.
+# The last answer is longer than Python's buffer.
 @pytest.mark.parametrize(
     "words",
     ["--version", "config check FILE", "config check FILE --json", "gain --lat 45", "gain --lat-range 0:65:1 --json"],

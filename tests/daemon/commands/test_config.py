@@ -63,7 +63,7 @@ def test_check_reads_the_weather_file_as_a_run_does(heliocube, tmp_path):
     assert (code, err.count("\n")) == (2, 2)
     assert f"simulation.weather: weather file {weather} is empty" in err
     weather.unlink()
-    # To open it would wait for a writer for ever.
+    # Opening it would wait forever for a writer.
     os.mkfifo(weather)
     code, _, err = heliocube("config", "check", path)
     assert (code, err.count("\n")) == (2, 2)
@@ -133,7 +133,7 @@ def test_check_lists_everything_on_standard_error_without_a_traceback(heliocube,
 
 def test_check_warns_of_addresses_that_are_not_on_this_machine(heliocube, tmp_path):
     path = tmp_path / "heliocube.toml"
-    # Nobody has these (RFC 5737).
+    # No machine has these addresses (RFC 5737).
     path.write_text(
         "[bridge]\ninsecure = true\nlisten = '198.51.100.1:20571'\n[api]\nlisten = '198.51.100.2:20572'\n"
         "[sunspec]\nlisten = '198.51.100.3:5020'\n"
@@ -254,7 +254,7 @@ def test_a_store_that_cannot_be_made_is_a_problem(heliocube, tmp_path):
 
 
 def test_the_store_of_a_unit_s_file_without_a_folder_is_where_its_unit_keeps_it(heliocube, tmp_path, monkeypatch):
-    """Whoever looks as the service's user may not write beside the file, and the unit does not either."""
+    """The service's user may not write beside the file; the unit does not either, and keeps the store elsewhere."""
     path, kept = tmp_path / "etc" / "east.toml", tmp_path / "lib" / "east"
     monkeypatch.setattr("daemon.store.place.OF_THE_UNITS", kept.parent)
     kept.mkdir(parents=True)

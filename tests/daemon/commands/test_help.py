@@ -19,7 +19,7 @@ COMMANDS = dict(commands(get_command(app)))
 
 
 def words(text):
-    """The text without the lines, boxes and breaks of its setting."""
+    """The words of a text, without line breaks and boxes."""
     return " ".join(re.findall(r"[^\s│╭╮╰╯─]+", text))
 
 

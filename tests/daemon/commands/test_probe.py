@@ -1,4 +1,4 @@
-"""`heliocube probe`: where it is told of the instruments."""
+"""`heliocube probe`: how it is told about the instruments."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What is wrong on the command line is refused before anything is loaded that only the work needs."""
+"""Mistakes on the command line are refused before anything is loaded that only the work needs."""
 
 import json
 import os
@@ -9,7 +9,7 @@ import pytest
 
 from tests.support import PATIENCE_S
 
-# Half a second each on a quick machine, several on a Raspberry Pi.
+# Loading each takes half a second on a quick machine, several on a Raspberry Pi.
 HEAVY = ("matplotlib", "pandas", "pvlib", "pyarrow", "scipy")
 IN_ONE_PROCESS = """
 import contextlib, functools, io, json, sys
@@ -129,7 +129,7 @@ WRONG = {
 
 @pytest.fixture(scope="module")
 def refused(tmp_path_factory):
-    """What each of the commands says, and what it has loaded by then, by its words."""
+    """What each of the commands says, and which modules it has loaded by then, by its words."""
     folder = tmp_path_factory.mktemp("refused")
     (folder / "file").write_text("mine")
     (folder / "home.toml").write_text(

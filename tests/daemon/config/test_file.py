@@ -328,7 +328,7 @@ def walk(section, path=""):
 
 
 def entries(text):
-    """Every key of a commented file with the comment above it; keys behind a # count."""
+    """Every key of a commented file with the comment above it; keys that are commented out count too."""
     found, section, comment = {}, "", []
     for line in text.splitlines():
         if header := re.fullmatch(r"\[([a-z_.]+)\]", line):
@@ -356,7 +356,7 @@ def test_the_commented_file_has_every_key_and_section_with_a_comment():
 
 def test_what_stands_behind_a_hash_is_a_working_example(load, tmp_path):
     text = re.sub(r"(?m)^#([a-z][a-z0-9_]* = )", r"\1", example("both"))
-    # Two examples stand only with the switch that they are for.
+    # Two examples are valid only with the switch that they belong to.
     found = load(text.replace("\nenabled = false", "\nenabled = true").replace("\ntls = false", "\ntls = true"))
     assert found.simulation.start_utc is not None
     assert found.bridge.key_file == tmp_path / "bridge.key"

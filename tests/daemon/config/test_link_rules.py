@@ -1,4 +1,4 @@
-"""Rules between the keys of what others reach."""
+"""Rules between the keys of the interfaces that others reach."""
 
 import pytest
 

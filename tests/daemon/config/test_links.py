@@ -1,4 +1,4 @@
-"""Names of hosts in what links the service to the world."""
+"""Names of hosts in the settings that link the service to the world."""
 
 import pytest
 

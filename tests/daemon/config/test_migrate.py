@@ -1,4 +1,4 @@
-"""An older file in today's form: what it means stays, comments stay, the old one stays beside it."""
+"""An older file in today's form: its meaning stays, comments stay, the old file stays beside it."""
 
 import os
 import stat

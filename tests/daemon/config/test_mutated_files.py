@@ -1,4 +1,4 @@
-"""Whatever stands in a file, there is one list of what is wrong with it, soon: seeded mutations of good files."""
+"""Whatever is in a file, the list of its mistakes comes soon: seeded mutations of good files."""
 
 import os
 import sys
@@ -18,8 +18,8 @@ from daemon.cube.calibration import read_calibration
 
 pytestmark = pytest.mark.slow
 
-# A second of the process' own time, and as much again for each other thing a machine does: what it guards against took
-# minutes.
+# One second of the process' own time, and as much again for whatever else the machine does. The defects that this limit
+# guards against took minutes.
 WITHIN_CPU_S = 5.0
 FILES = 160
 TRACKERS = """

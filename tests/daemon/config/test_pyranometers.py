@@ -26,7 +26,7 @@ MISTAKES = {
         'instruments.cube.east.serial = 7: cannot be checked: a sensor of make "apogee" does not report it;'
         " leave it out"
     ),
-    # The map is that of another face.
+    # The map belongs to another face.
     "make = 'apogee'\n[instruments.cube.east]\nserial = 7\n[instruments.cube.zenith]\nmake = 'map'\nserial = 9\n"
     "[instruments.cube.map]\nserial_register = 40": (
         'instruments.cube.east.serial = 7: cannot be checked: a sensor of make "apogee" does not report it;'

@@ -1,4 +1,4 @@
-"""The group of trackers in the file: what is read of it, and what is told where it cannot be one."""
+"""The group of trackers in the file: how it is read, and what is said where it cannot be one."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Rules between keys that hold for some processes only, or to a limit that another part sets."""
+"""Rules between keys that hold for some processes only, or that refer to a limit of another part."""
 
 import pytest
 
@@ -92,7 +92,7 @@ SLEW = "[instruments.positioner]\nposition_unit = 'deg'\n[instruments.positioner
             SLEW.format(13.05),
             "motion.tolerance_deg = 0.8 (default): is too little: by the steps of the positioner axis B",
         ),
-        # Where no half unit of the inside is as much, the limit may be.
+        # Inside the limits, half a unit is less than this everywhere; at the limit itself the error may be more.
         (
             "[limits]\nb_max_deg = 85\n[safety]\nnight_b_deg = 80\nstow_b_deg = 80\n[motion]\ntolerance_deg = 0.4\n",
             "motion.tolerance_deg = 0.4: is too little: by the steps of the positioner axis B",
@@ -115,7 +115,7 @@ def test_moves_have_the_tolerance_that_the_drive_needs_to_arrive_anywhere(proble
     assert message in problem(text)
 
 
-# Flat is nearly retracted there, and the low end switch beyond it.
+# At flat the actuator is nearly retracted, and the low end switch is beyond flat.
 LOWERED = "[instruments.positioner.b_axis]\nsense = 'lowers'\napex_deg = 130.0\nlow_deg = {}\n"
 
 

@@ -33,7 +33,7 @@ def settings_of(channels, tests):
 
 
 def qualities(channels, tests, spoil, parallel=()):
-    """Return the qualities of two scans by a switch that `spoil` has done something to."""
+    """Return the qualities of two scans through a switch that `spoil` has changed."""
     settings = settings_of(channels, tests)
     volts = {channel: 1e-3 * FACES_MV[name] for name, channel in channels.items()}
     volts |= dict.fromkeys(tests, 0.0) | dict.fromkeys(parallel, 1e-3 * FACES_MV["zenith"])

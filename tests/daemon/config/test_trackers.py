@@ -1,4 +1,4 @@
-"""Several trackers in one file: what holds for each, and what is told of a table that is wrong."""
+"""Several trackers in one file: what holds for each, and what is said about a table that is wrong."""
 
 import textwrap
 

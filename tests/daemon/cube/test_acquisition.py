@@ -27,7 +27,7 @@ DAY, NIGHT = 30.0, -20.0
 
 
 class Rig:
-    """An acquisition with its instruments in hand; voltages [mV] by input."""
+    """An acquisition whose instruments a test can reach; voltages [mV] by input."""
 
     def __init__(self, loop, settings, latency_s, sun_deg):
         self.mv = {0: 30.0, 1: 41.0, 2: 6.0, 3: 47.0, 7: 0.0}
@@ -81,7 +81,7 @@ def run():
             async def beside():
                 working = asyncio.create_task(rig.acquisition.run())
                 try:
-                    # Virtual: what never comes is seen at once.
+                    # In virtual time an event that never comes is known at once.
                     async with asyncio.timeout(6000):
                         await scenario(rig)
                 finally:
@@ -187,7 +187,7 @@ def test_without_the_correction_nothing_is_learnt_of_the_dark(run):
         await scans(rig, 300)
 
     rig = run(scenario, sun_deg=NIGHT, dark_correction=False)
-    # With it, an e-th would be left of them.
+    # With the correction, 1/e of these 2 W/m2 would be left.
     assert rig.scans[-1].east.irradiance_w_m2 == pytest.approx(2.0, abs=0.1)
 
 

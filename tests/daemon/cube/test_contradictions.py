@@ -100,7 +100,7 @@ def test_two_that_are_swapped_are_both_found_and_asked_to_be_in_order():
     after(contradictions, 5, swapped)
     assert contradictions.agrees(2, swapped)
     assert contradictions.agrees(3, swapped)
-    # East and south could as well be swapped under this sun: that they agree says little of their order.
+    # Under this sun east and south might as well be swapped: that they agree says little about their order.
     assert not contradictions.agrees(0, [SWAPPED, SWAPPED, NONE, NONE])
     assert contradictions.agrees(0, [ODD, SWAPPED, NONE, NONE])
 
@@ -113,7 +113,7 @@ def test_what_nobody_can_be_accused_of_is_said_of_all_at_the_second_look():
     torn = [TORN] * 4
     assert after(contradictions, 7, **TURNED) == [SOUND] * 5 + [torn] * 2
     assert not contradictions.agrees(0, torn)
-    # One look that agrees begins the count anew.
+    # A single look that agrees starts the count anew.
     after(contradictions, 5, torn)
     assert contradictions.agrees(0, torn)
     assert after(contradictions, 6, torn, **TURNED)[-4:] == [SOUND] * 4
@@ -142,7 +142,7 @@ def test_a_face_that_only_looked_frozen_beside_another_in_the_shade_is_acquitted
     shaded = {"share": (1.0, 0.3, 1.0, 1.0)}
     assert after(contradictions, 1, [NONE, NONE, FROZEN, NONE], **shaded) == [[NONE, ODD, NONE, NONE]]
     assert contradictions.acquitted == 2
-    # Once the right one is known, or the frozen one is the right one, nobody else is sought.
+    # Once the wrong face is known, or if it is the frozen one itself, no other is sought.
     after(contradictions, 5, [NONE, ODD, NONE, NONE], **shaded)
     assert contradictions.acquitted is None
     assert after(contradictions, 5, [NONE, FROZEN, NONE, NONE], **shaded)[-1] == SOUND

@@ -18,7 +18,7 @@ DECEMBER_UTC_S = MORNING_UTC_S - 180 * 86400.0
 
 @pytest.mark.parametrize(("face", "at_w_m2"), [(0, 90.0), (0, 300.0), (1, 120.0), (1, 450.0), (3, 250.0), (3, 600.0)])
 def test_a_frozen_face_is_found_within_the_hour_and_used_again_when_it_follows_the_light(face, at_w_m2):
-    # The sun leaves the east face at noon; the south face is judged beside one that the sun reaches for hours.
+    # The sun leaves the east face at noon; the south face is judged while the sun reaches another face for hours.
     day = WatchedDay(MORNING_UTC_S + {0: -3600.0, 1: 9000.0, 3: 0.0}[face])
     assert day.minutes(40) == [None] * 4
     found = day.minutes(60, frozen=face, at_w_m2=at_w_m2)
@@ -63,7 +63,7 @@ def test_a_face_is_accused_by_the_third_look_at_five_minutes_and_forgiven_after_
 
 
 def test_a_face_that_is_found_wrong_again_within_a_day_has_to_agree_for_twice_as_long():
-    # Without the half hour, which has to agree as well.
+    # With the east face at azimuth 60 deg the comparison over half an hour is off; it would have to agree as well.
     day = WatchedDay(MORNING_UTC_S, east=CubeSettings().east.model_copy(update={"azimuth_deg": 60.0}))
     agreed = []
     for gap_hours in (0, 0, 0, 25):
@@ -104,7 +104,7 @@ def test_a_face_that_has_to_follow_the_light_does_so_although_it_reads_the_same_
 def test_looks_that_accuse_a_face_count_only_without_one_that_agrees_between_them():
     day = WatchedDay(MORNING_UTC_S)
     for _ in range(5):
-        # After a gap one look holds the first minute.
+        # After a gap one look sees the first minute only.
         day.clock.utc_s += 600.0
         day.minutes(1, frozen=3, at_w_m2=9000.0)
         assert day.minutes(9) == [None] * 4
@@ -233,7 +233,7 @@ def test_a_face_that_jumps_for_a_minute_now_and_then_is_named_and_no_other_is(fa
     day = WatchedDay(DECEMBER_UTC_S)
     day.in_cloud_w_m2 = 750.0
     for _ in range(4):
-        # Half of the jump in the one minute, half in the next.
+        # The jump is spread over two minutes, half in each.
         day.minutes(9.5)
         assert set(day.doubted()) <= {face}
         day.minutes(1, frozen=face, at_w_m2=at_w_m2)
@@ -246,7 +246,7 @@ def test_a_face_that_jumps_for_a_minute_now_and_then_is_named_and_no_other_is(fa
 
 @pytest.mark.parametrize(("hours", "share"), [(0.0, 0.1), (2.25, 1.0)])
 def test_jumps_that_do_not_tell_their_face_accuse_no_other(hours, share):
-    # In dim light they are small, and the sun of a winter noon reaches one other face only.
+    # In dim light jumps are small, and the sun of a winter noon reaches only one other face.
     day = WatchedDay(DECEMBER_UTC_S + 3600.0 * hours)
     day.in_cloud_w_m2 = 750.0
     day.share = [share] * 4

@@ -1,4 +1,4 @@
-"""A cube whose driver gives what is no reading."""
+"""A cube whose driver returns something that is not a reading."""
 
 import asyncio
 import math
@@ -17,7 +17,7 @@ GOOD = CubeReading(FACE, FACE, FACE, FACE, "V")
 
 
 class Answering:
-    """A driver that answers with what a test wants: an error is raised."""
+    """A driver that gives the answer of a test; an error is raised."""
 
     def __init__(self, answer):
         self.answer = answer

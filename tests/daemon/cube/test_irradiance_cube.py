@@ -1,4 +1,4 @@
-"""The cube's role on sensors that tell irradiances: no multiplexer, no voltmeter, no gains."""
+"""The cube's role on sensors that report irradiances: no multiplexer, no voltmeter, no gains."""
 
 import asyncio
 import math
@@ -25,7 +25,7 @@ SILENT = "the zenith sensor does not answer"
 
 
 class Pyranometers:
-    """Four of them; each tells an irradiance [W/m2], or why it does not."""
+    """Four pyranometers; each reports an irradiance [W/m2], or why it does not."""
 
     def __init__(self, clock):
         self._clock = clock
@@ -59,7 +59,7 @@ class Pyranometers:
 
 @pytest.fixture
 def scan_of():
-    """Return the last of some scans with these faces."""
+    """Return a function that makes scans with these faces, and returns the last one."""
 
     def scan(count=1, **changes):
         with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
@@ -133,7 +133,7 @@ def test_values_in_steps_may_stand_still_for_a_while_but_not_by_day_for_ever(sca
 
 @pytest.fixture
 def alarmed():
-    """Run a scenario with a cube, its alarms, and what scans once and returns the alarms that are on then."""
+    """Run a scenario with a cube, its alarms, and a function that scans once and returns the active alarms."""
 
     def run(scenario):
         with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:

@@ -1,4 +1,4 @@
-"""A face with a loose contact in measured weather: the sound ones beside it are believed."""
+"""A face with a loose contact in measured weather: the sound faces beside it are believed."""
 
 from datetime import UTC, datetime
 

@@ -1,4 +1,4 @@
-"""A face that lies, or is not read, is said on the tracker's machine, since when, and as long as it is so."""
+"""A face that lies, or is not read, is reported on the tracker's machine, since when, and as long as it lasts."""
 
 import math
 
@@ -15,7 +15,7 @@ LOST = GOOD._replace(irradiance_w_m2=math.nan, quality=Quality.OVER_RANGE)
 
 
 class Hand:
-    """A clock that a scan puts on by 6 s."""
+    """A clock that each scan advances by 6 s."""
 
     now_s = 0.0
 
@@ -37,7 +37,7 @@ def alarms(clock):
 
 
 def listening(alarms, clock, faces):
-    """Return what hands in scans and returns the texts that are on then."""
+    """Return a function that hands in scans and returns the texts of the active alarms."""
     number = iter(range(1000))
 
     def scans(count, **faces_now):

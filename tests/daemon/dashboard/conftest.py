@@ -7,7 +7,7 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def heard():
-    """A signal that has ended what is served is heard again: the process of the tests goes on."""
+    """Let signals act again that have ended a dashboard: the process of the tests goes on."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     yield
     for number, handler in before.items():

@@ -1,4 +1,4 @@
-"""Two services as far as the dashboard knows one, each a stand-in that speaks HTTP; the dashboard, and a browser."""
+"""Two stand-ins for services, as far as the dashboard knows them, that speak HTTP; the dashboard; and a browser."""
 
 import asyncio
 import gzip
@@ -74,7 +74,7 @@ class House:
         reply = self.services[f"{request.url.host}:{request.url.port}"].answer(request)
         if not reply.is_stream_consumed:
             return reply
-        # What comes from a network has not been read before.
+        # A reply from a network has not been read in advance.
         return httpx.Response(reply.status_code, headers=reply.headers, stream=httpx.ByteStream(reply.content))
 
     async def login(self, token=TOKEN, by="ana"):

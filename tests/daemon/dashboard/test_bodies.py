@@ -1,4 +1,4 @@
-"""What comes with an order: what cannot be meant is refused, and what is merely odd is for the service to judge."""
+"""What comes with an order: nonsense is refused, and what is merely odd is left for the service to judge."""
 
 import math
 import sys
@@ -63,7 +63,7 @@ def test_a_body_that_is_read_but_too_deep_to_hand_on_is_refused(monkeypatch):
         await house.login()
         monkeypatch.setattr(house.services[NAMES[0]], "answer", lambda _: httpx.Response(200, json={"text": "done"}))
         found = set()
-        # How deep a body can be read differs by version; from 3.13 on any that is not too long.
+        # How deeply nested a body can be depends on Python's version; from 3.13 on any depth within the allowed length.
         for deep in (*range(850, 1000), *range(1400, 1550)):
             body = f'{{"service": "{NAMES[0]}", "name": "stop", "why": {"[" * deep}{"]" * deep}}}'
             found.add((await house.browser.post("/command", content=body)).status_code)

@@ -1,4 +1,4 @@
-"""The dashboard's places: whoever does not read, or waits for a service that hangs, keeps nobody out."""
+"""The dashboard's places: clients that do not read, or wait for a service that hangs, keep nobody out."""
 
 import asyncio
 import socket
@@ -24,7 +24,7 @@ def _few_places(monkeypatch):
 
 @asynccontextmanager
 async def answering(answer):
-    """Give the address of a service that answers so; its last answers end with it."""
+    """Give the address of a service that answers so; its last answers end with the context."""
     answers = set()
 
     async def noted(reader, writer):
@@ -33,13 +33,13 @@ async def answering(answer):
 
     async with await asyncio.start_server(noted, "127.0.0.1", 0) as server:
         yield "{}:{}".format(*server.sockets[0].getsockname())
-    # One whose dashboard has gone before it asked has nothing to read.
+    # A connection that the dashboard closed before asking has nothing to read.
     await asyncio.gather(*answers, return_exceptions=True)
 
 
 @asynccontextmanager
 async def crowded(content, answer):
-    """Give the address of a dashboard that is full of those who send something and read nothing."""
+    """Give the address of a dashboard full of clients that send something and read nothing."""
     async with AsyncExitStack() as crowd:
         service = await crowd.enter_async_context(answering(answer))
         address = await crowd.enter_async_context(served(service))
@@ -51,7 +51,7 @@ async def crowded(content, answer):
             await loop.sock_connect(silent, address)
             with suppress(ConnectionError):
                 await loop.sock_sendall(silent, content.format(service).encode())
-            # Until its answer gets no further.
+            # Until its answer fills the buffers.
             await asyncio.sleep(0.05)
         yield address
 
@@ -70,7 +70,7 @@ async def page(address):
 
 
 async def much(reader, writer):
-    """Answer at once."""
+    """Answer at once, with more than fits into the buffers."""
     if b"/api/sun" in await reader.readuntil(b"\r\n\r\n"):
         writer.write(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\nConnection: close\r\n\r\n" % len(ANSWER) + ANSWER)
     with suppress(ConnectionError):
@@ -79,7 +79,7 @@ async def much(reader, writer):
 
 
 async def nothing(reader, writer):
-    """Answer never."""
+    """Never answer."""
     await reader.read()
     writer.close()
 

@@ -196,7 +196,7 @@ def test_stow_for_all_is_not_asked_of_the_process_of_a_cube_alone_while_it_is_kn
             cube.ends.set()
             while not any('"up": false' in message for message in await listener.next()):
                 pass
-        # Whatever comes back there may have a tracker.
+        # A service that comes back may have a tracker.
         found = (await house.browser.post("/stow-all", json={})).json()["results"]
         assert [each["status"] for each in found] == [200, 502]
         following.cancel()

@@ -1,4 +1,4 @@
-"""What answers in the place of a service may have no end: the dashboard reads little of it."""
+"""The answer of an impostor in place of a service may have no end: the dashboard reads little of it."""
 
 import asyncio
 

@@ -1,4 +1,4 @@
-"""A browser that waits for news, and is gone in the instant in which they come."""
+"""A browser that waits for news, and disconnects at the instant when they come."""
 
 import asyncio
 

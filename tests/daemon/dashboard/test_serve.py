@@ -1,4 +1,4 @@
-"""The dashboard's port: what does not get on is closed, and keeps nobody out."""
+"""The dashboard's port: connections that do not get on are closed, and keep nobody out."""
 
 import asyncio
 import json
@@ -31,7 +31,7 @@ KEPT = b'HTTP/1.1 200 OK\r\nContent-Length: 16\r\n\r\n{"text": "done"}'
 
 
 async def statuses(answer, name, times=1):
-    """Return those of an order that is given some times, to a service for which `answer` answers."""
+    """Return the status codes of an order that is given some times, to a service that `answer` plays."""
     async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
         service = "{}:{}".format(*server.sockets[0].getsockname())
         async with served(service) as address:
@@ -150,7 +150,7 @@ def test_one_far_address_has_half_of_the_places_for_pages():
 
         held = []
         async with served() as address:
-            # Whoever asks for the head alone opens no page.
+            # A request for the head alone opens no page.
             assert [await listen("127.0.0.1", "HEAD") for _ in range(64)] == [200] * 64
             assert [await listen("192.0.2.7") for _ in range(32)] == [200] * 32
             assert await listen("192.0.2.7") == 503
@@ -259,7 +259,7 @@ def test_an_order_that_was_given_up_is_not_sent_on_once_the_network_is_back_unle
 def test_no_order_meets_the_end_of_a_connection_that_the_service_no_longer_keeps(name):
     async def scenario():
         async def answer(reader, writer):
-            """Keep the connection for a while, as HTTP does, and end it when the next request is under way."""
+            """Keep the connection for a while, as HTTP allows, and close it while the next request is under way."""
             with suppress(asyncio.IncompleteReadError):
                 await reader.readuntil(b"\r\n\r\n")
                 writer.write(KEPT)
@@ -292,12 +292,12 @@ def test_however_many_browsers_ask_at_once_it_needs_no_more_threads_than_its_uni
             await asyncio.gather(*(browse("http://{}:{}".format(*address)) for _ in range(8)))
 
     asyncio.run(scenario())
-    # The process itself, the one that waits for its parent's end, and those that look up names.
+    # The six are the process itself, the thread that waits for its parent's end, and those that look up names.
     assert most <= allowed - 6
 
 
 async def page_told():
-    """Return what the stream's first words say of the page."""
+    """Return what the first message of the stream says of the page."""
     async with served() as address:
         reader, writer = await asyncio.open_connection(*address)
         writer.write(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
@@ -319,7 +319,7 @@ def test_an_open_page_hears_that_its_files_are_others_though_the_release_has_the
 @pytest.mark.parametrize(
     ("listen", "why"),
     [
-        # RFC 5737: of nobody's machine.
+        # RFC 5737: no machine has this address.
         (
             "192.0.2.1:20574",
             "it is not an address of this machine now; if it is to come, start the dashboard again then",

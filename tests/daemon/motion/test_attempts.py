@@ -1,4 +1,4 @@
-"""A move that is refused or fails: how often it is tried, what ends the tries, and when it is tried anew."""
+"""A move that is refused or fails: how often it is tried, what ends the tries, and when they begin anew."""
 
 import asyncio
 import itertools
@@ -22,7 +22,7 @@ from tests.support.motion import (
 )
 from tests.support.phases import at_rest, now, quiet
 
-# Hours of scans are no business of attempts.
+# Attempts do not depend on scans: over hours, few will do.
 FEW_SCANS = {"cube": {"scan_every_s": 60}, "safety": {"scan_stale_s": 130, "fallback_after_s": 600}}
 
 
@@ -143,7 +143,7 @@ def test_a_stow_that_waits_to_be_tried_again_is_forgotten_with_its_reason(run_ri
         lose(rig, monkeypatch, A_PACKET, B_PACKET)
         await operator(rig).stow("storm")
         await rig.until(lambda: "move-failed" in alarms(rig), 30, "the alarm")
-        # The third try waits for the end of two minutes by then.
+        # By then the third try waits for the end of two minutes.
         await asyncio.sleep(140)
         await operator(rig).auto("it is over")
         assert rig.control.mode is Mode.TRACKING

@@ -10,7 +10,7 @@ from tests.support.phases import at_rest, tracking
 
 
 async def between(rig, monkeypatch):
-    """Give a goto and return when A has its target and B has not; with what has been sent since."""
+    """Give a goto, and return when A has its target and B has not: with the packets sent since, and the goto's task."""
     await tracking(rig)
     await at_rest(rig)
     sent = commands_sent(rig, monkeypatch)
@@ -44,7 +44,7 @@ def test_neither_axis_goes_on(run_rig, monkeypatch, what, ends_s):
         await asyncio.sleep(60.0)
         assert rig.truth() == stands
         assert sent[-1][1].startswith(STOP_PACKET)
-        # Nothing tells a driver of a sleep: its second target goes out, and the stop soon behind it.
+        # A driver does not notice a sleep: its second target goes out, and the stop soon after it.
         assert len(targets(sent)) == (1 if what is stop else 2)
 
     run_rig(scenario)

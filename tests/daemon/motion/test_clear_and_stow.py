@@ -1,4 +1,4 @@
-"""A clear that takes its time: a stow goes before it where nothing but the wait hinders it."""
+"""A clear that takes its time: if only the wait for it hinders a stow, the stow goes first."""
 
 import asyncio
 

@@ -1,4 +1,4 @@
-"""A stop that is not obeyed: when it is tried again, after which time it is told, and what is no deafness."""
+"""A stop that is not obeyed: when it is tried again, after which time it is told, and what is not deafness."""
 
 import asyncio
 import itertools
@@ -101,7 +101,7 @@ class CoarseSettings(PositionerSettings):
 
 
 class CoarsePositioner(HandPositioner):
-    """Turns at 2 deg/s like the other, and tells whole degrees only: from one look to the next it may seem to stand."""
+    """Turns at 2 deg/s like the other, but reports whole degrees: between two looks it may seem to stand."""
 
     async def read_telemetry(self):
         seen = await super().read_telemetry()

@@ -1,4 +1,4 @@
-"""At its end the service halts what moves, and says of nothing that it stands unless telemetry has shown it."""
+"""At its end the service halts what moves, and says that it stands only if telemetry has shown it."""
 
 import asyncio
 
@@ -46,7 +46,7 @@ def test_what_stands_is_looked_at_once_more():
 
 
 class SlowPositioner(HandPositioner):
-    """The same, which takes a while to tell."""
+    """The same, but each reading of telemetry takes a while."""
 
     async def read_telemetry(self):
         await asyncio.sleep(0.2)

@@ -82,7 +82,7 @@ def test_a_restart_that_comes_with_the_motion_is_a_doubt_and_no_incident(was_bef
 def test_a_restart_explains_neither_own_tracking_nor_what_goes_on_moving(fields):
     async def scenario(rig):
         await asleep(rig)
-        # Not in the instant of a look: restart and motion are to be seen by the same one.
+        # Between two looks, so that the same look sees restart and motion.
         await rig.until(lambda: rig.clock.monotonic() - rig.motion.telemetry.time_monotonic_s > 0.1)
         halt = rig.unit.halt
 

@@ -1,4 +1,4 @@
-"""What no look lets pass: motion that nobody ordered, a jump, a fault; when it is stopped, inquired into and told."""
+"""What every look checks: motion that nobody ordered, jumps and faults; when it is stopped, inquired into and told."""
 
 import asyncio
 

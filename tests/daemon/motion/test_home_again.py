@@ -1,4 +1,4 @@
-"""Count and end switch contradict each other: the next reference run leaves the switch first, and finds out which."""
+"""Count and end switch contradict each other: the next reference run leaves the switch, and finds the wrong one."""
 
 import asyncio
 
@@ -41,7 +41,7 @@ async def slipped_on_its_way(rig, axis):
 
 
 async def stuck_on_its_way(rig):
-    """Let B's end switch close, and stay closed, when B has gone a degree towards it, and return where B stands."""
+    """Let B's end switch stick closed when B has gone a degree towards it; return B's true angle afterwards."""
     began_deg = rig.truth().b_deg
     rig.motion.home()
     await rig.until(lambda: rig.truth().b_deg < began_deg - 1.0, 200, "axis B on its way")

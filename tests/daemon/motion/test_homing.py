@@ -1,4 +1,4 @@
-"""Reference runs on the whole rig, asked for or not: what they end, what they leave, and when none begins."""
+"""Reference runs on the whole rig, requested or not: what they end, what they leave, and when none begins."""
 
 import asyncio
 
@@ -156,7 +156,7 @@ def test_no_reference_run_begins_after_motion_that_nobody_ordered(run_rig, monke
             drive_b(rig, 85.0)
         else:
             drive_b(rig, 85.0)
-            # Somebody asks before the next look.
+            # The run is requested before the next look.
             await asyncio.sleep(0.4)
             rig.motion.home()
         await asyncio.sleep(20)

@@ -1,4 +1,4 @@
-"""A count that jumps, from the bytes on the wire to the rule of motion: a jump is told as one, and no motion is."""
+"""A count that jumps, from the bytes on the wire to the rule of motion: it is reported as a jump, not as motion."""
 
 import asyncio
 from dataclasses import replace
@@ -41,7 +41,7 @@ def turn(a_mm, b_mm):
 
 
 def strays(screens, cut):
-    """Return what is told of a unit that prints these, where each is read in two pieces and looked at after each."""
+    """Return the strays of a unit that prints these screens; each is read in two pieces, with a look after each."""
     clock = [STARTS_S]
     stream, table = TokenStream(), FieldTable()
     unit = PositionerWatch(lambda: clock[0], {"a": A, "b": B}, 2.0, None)
@@ -81,7 +81,7 @@ def test_what_moves_right_after_a_jump_is_told(moves):
 
 
 class LatePositioner(HandPositioner):
-    """One whose answer to every third look takes three seconds, and shows where it stands by then."""
+    """Answers every third look after three seconds, with where it stands by then."""
 
     async def read_telemetry(self):
         asked_s = self._clock.monotonic()

@@ -1,4 +1,4 @@
-"""The link to the positioner, with one in hand: what is forgotten at its loss, and compared when it is back."""
+"""The link to a hand-driven positioner: what is forgotten when it is lost, and compared when it is back."""
 
 import asyncio
 import logging

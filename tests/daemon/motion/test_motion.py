@@ -1,4 +1,4 @@
-"""The owner of the positioner, door by door, with a positioner in hand: what is taken, refused, forgiven and told."""
+"""Motion, call by call, with a hand-driven positioner: what is taken, refused, forgiven and told."""
 
 import asyncio
 import math

@@ -120,7 +120,7 @@ class WholeDegrees(PositionerSettings):
 
 
 def creep(deg_per_s, start_deg, target_deg):
-    """Return the verdicts on a rotator of whole degrees that goes on at this speed, second by second."""
+    """Return the verdicts, second by second, on a rotator of whole degrees that goes on at this speed."""
     move = MoveWatch(
         Target(target_deg, 60.0, "test"),
         Pose(0.0, 0.0, start_deg, 60.0, moving=False),

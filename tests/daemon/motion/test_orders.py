@@ -126,7 +126,7 @@ def test_a_stop_that_is_given_to_motion_itself_forgets_the_target(run_rig):
         rig.control.hold("so that control orders nothing")
         await at_rest(rig)
         rig.motion.order(Target(-20, 70, "test"))
-        # Taken back before anything has taken it up.
+        # The order is taken back before anything has begun to carry it out.
         await rig.motion.stop()
         assert await moves_for(rig, 10) == 0
         assert rig.motion.target is None

@@ -11,15 +11,15 @@ from drivers.positioners.pozsol.wire import Field
 from tests.support.motion import A_PACKET, B_PACKET, commands_sent, drive, lose
 from tests.support.phases import now, quiet
 
-# Past the telling after an hour; the next comes after six (tests/daemon/base/test_recurrence.py has the whole day).
+# Longer than the report after an hour; the next comes after six (tests/daemon/base/test_recurrence.py has a whole day).
 LONG_S = 1.5 * 3600.0
-# Less than a line with each decision.
+# Fewer lines than one for each decision.
 MOST = 16
 # The log of a healthy day: one line per decision, and one per mode.
 ORDINARY = ("moving", "staying")
 
 
-# So that a day of looks at rest is soon over; what is told does not depend on it.
+# So that hours of looks at rest are soon over; the lines do not depend on it.
 SELDOM = Polling(idle_s=5.0)
 
 

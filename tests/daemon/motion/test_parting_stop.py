@@ -1,4 +1,4 @@
-"""A link that is given up while an axis may be moving: one stop goes out first, for the unit may yet hear it."""
+"""A link that is given up while an axis may be moving: one stop goes out first, for the unit may still hear it."""
 
 import asyncio
 
@@ -16,7 +16,7 @@ def test_an_axis_stands_soon_after_its_unit_has_fallen_silent(run_rig):
         await under_way(rig)
         rig.cables.positioner.silent = True
         await rig.until(lambda: not rig.motion.connected, 3.0, "the loss")
-        # The motor runs out for a fraction of a second.
+        # The motor runs out for a fraction of a second: wait for that.
         await asyncio.sleep(1.0)
         stands = rig.truth()
         await asyncio.sleep(60.0)

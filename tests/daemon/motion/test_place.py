@@ -1,4 +1,4 @@
-"""Where the axes stood before a restart of the service is known to the next reference run."""
+"""The next reference run knows where the axes stood before a restart of the service."""
 
 import asyncio
 import json
@@ -19,7 +19,7 @@ async def stopped_where_it_began(rig):
 
 
 async def homed_after_its_count_was_lost(rig):
-    """Let the unit restart and lose its count before the service looks, and B's switch stick on the reference run."""
+    """Let the unit restart and lose its count unseen by the service, and B's switch stick on the reference run."""
     rig.unit.power_cycle(rig.clock.monotonic())
     await rig.until(lambda: rig.motion.doubt, 60, "the mark of the restart")
     await stuck_on_its_way(rig)
@@ -27,7 +27,7 @@ async def homed_after_its_count_was_lost(rig):
 
 @pytest.fixture
 def kept(run_rig, tmp_path, monkeypatch):
-    """The folder of a service that ended while its axes stood where those of the next one begin."""
+    """The folder of a service that ended with its axes where those of the next service begin."""
     monkeypatch.setattr(ServiceRig, "begins_anew", False)
     run_rig(stopped_where_it_began, store={"directory": tmp_path})
     (tmp_path / "operator.json").unlink()
@@ -63,7 +63,7 @@ def test_the_place_follows_the_axes_and_is_not_written_while_they_rest(run_rig, 
 
 
 def rested_elsewhere(kept):
-    """Let B have rested 50 units from where it begins now."""
+    """Change the record of where B rested: 50 units from where it begins now."""
     places = json.loads((kept / FILE_NAME).read_text())
     (kept / FILE_NAME).write_text(json.dumps({**places, "b": places["b"] - 50.0}))
 

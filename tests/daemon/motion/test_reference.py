@@ -1,4 +1,4 @@
-"""What is in doubt about the reference, in words."""
+"""Why the reference is in doubt, in words."""
 
 import asyncio
 from random import Random

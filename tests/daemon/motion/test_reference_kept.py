@@ -1,4 +1,4 @@
-"""Doubts about the reference: what raises them, who may end them, and what they outlive."""
+"""Doubts about the reference: what raises them, who may end them, and what they survive."""
 
 import asyncio
 import json
@@ -167,7 +167,7 @@ def test_doubts_and_incidents_outlive_the_service(run_rig, tmp_path):
         await quiet(rig)
         rig.unit.power_cycle(now(rig))
         for _ in range(2):
-            # The unit mislays the first packet after its restart.
+            # The unit loses the first packet after its restart: send it again.
             drive_b(rig, 85.0)
         await rig.until(lambda: rig.motion.unexplained and rig.motion.doubt, 30, "both")
         await asyncio.sleep(10)

@@ -1,4 +1,4 @@
-"""One reference run from its order to its end, and what a clear forgives, with a positioner in hand."""
+"""One reference run from its order to its end, and what a clear forgives, with a hand-driven positioner."""
 
 import asyncio
 

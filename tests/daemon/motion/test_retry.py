@@ -1,4 +1,4 @@
-"""When what failed is tried again."""
+"""When a failed move is tried again."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What moves without an order, or against a stop, is stopped, told, and blocks until a person has looked."""
+"""Motion without an order, or against a stop, is stopped, told, and blocks the tracker until a person has looked."""
 
 import asyncio
 import logging
@@ -252,7 +252,7 @@ def test_motion_of_its_own_that_was_seen_is_not_forgotten_with_the_link(run_rig,
         rig.motion.order(Target(40, 60, "test"))
         await rig.until(lambda: rig.motion.target is not None, 3, "the move")
         await asyncio.sleep(5)
-        # It does not hear the stop, goes on, and is turned round by its own tracking.
+        # The unit does not hear the stop, goes on, and its own tracking turns it round.
         rig.unit.inject("deaf", rig.clock.monotonic())
         rig.motion.rest()
         await asyncio.sleep(1)

@@ -1,4 +1,4 @@
-"""One move from its order to its end, with a positioner in hand: attempts, pauses and outcomes."""
+"""One move from its order to its end, with a hand-driven positioner: attempts, pauses and outcomes."""
 
 import asyncio
 import itertools
@@ -13,7 +13,7 @@ from tests.support.hand_positioner import START_UTC_S, run_motion
 
 
 def times_of(rig, name):
-    """Record when the unit is asked for something, from now on [s]."""
+    """Record the times of a call to the unit, from now on [s]."""
     at_s, call = [], getattr(rig.unit, name)
 
     async def timed(*what, **named):

@@ -1,4 +1,4 @@
-"""At the end of the whole service nothing moves on, and nothing is said to stand that was not seen to."""
+"""At the end of the whole service nothing moves on, and nothing is said to stand unless telemetry has shown it."""
 
 import asyncio
 import logging
@@ -12,7 +12,7 @@ from tests.support.phases import at_rest, now, quiet
 
 
 def ended(run_rig, caplog, act):
-    """Run until `act` is over, and return what was said about motion at the end, and whether it moves."""
+    """Run until `act` is over, and return what was logged about motion at the end, and whether it moves."""
 
     async def scenario(rig):
         await quiet(rig)

@@ -1,4 +1,4 @@
-"""What the service makes of what the unit says while it stands: its setup, its pose, its motor currents."""
+"""What the service concludes from a standing unit's telemetry: its setup, its pose, its motor currents."""
 
 import asyncio
 from dataclasses import replace
@@ -96,7 +96,7 @@ def test_motor_currents_that_last_are_an_alarm(run_rig, fields, words):
         await asyncio.sleep(3700)
         assert not alarms(rig)
 
-    # An hour of scans is no business of the motors.
+    # Motors do not depend on scans: over an hour, few will do.
     run_rig(scenario, cube={"scan_every_s": 60}, safety={"scan_stale_s": 130, "fallback_after_s": 600})
 
 

@@ -25,7 +25,7 @@ def test_what_an_axis_makes_up_after_its_arrival_is_no_part_of_the_next_way():
 
 
 def at(time_s, a=50.0, b=280.0, to_a=None, to_b=None):
-    """Return a look; ten of the drive's millimetres are a degree."""
+    """Return a look; 10 mm of the drive are a degree."""
     return Telemetry(time_s, a / 10, b / 10, a, b, a if to_a is None else to_a, b if to_b is None else to_b)
 
 

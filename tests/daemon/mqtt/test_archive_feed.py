@@ -27,7 +27,7 @@ KEPT = "lab/roof/records/kept"
 
 
 class HandLink:
-    """A link to an archive that answers each page as the test says; `kept` has what it has confirmed."""
+    """A link to an archive that gives the answers of a test; `kept` has the records that it has confirmed."""
 
     connected = True
     most_bytes = math.inf
@@ -46,7 +46,7 @@ class HandLink:
         self.troubles[subject] = sentence
 
     def send_now(self, message):
-        """Answer as said, None for not at all, and once nothing more is said confirm the page."""
+        """Give the next answer of the test, or none for None; confirm the page when no answers are left."""
         page = json.loads(message.payload)
         self.pages.append(page)
         run, through = page["run"]["id"], page["through"]
@@ -60,7 +60,7 @@ class HandLink:
 
 
 class Service:
-    """A store and its feed; records are kept by one run after the other."""
+    """A store and its feed; the runs that keep records follow one another."""
 
     def __init__(self, folder, link):
         self.folder = folder
@@ -70,7 +70,7 @@ class Service:
         self.feed.alarm_by(self.alarms.__setitem__)
 
     def keep(self, *records, run=None):
-        """Have records kept by one run of the service, from its beginning to its end."""
+        """Keep records by one run of the service, from its beginning to its end."""
         store = Store(self.folder, 60.0, 400, run or origin(), self.clock, print)
         for record in records:
             store.keep(record)
@@ -256,7 +256,7 @@ def test_a_run_that_nothing_sound_is_known_of_is_told_and_all_others_go_on(tmp_p
 
 
 def rubbish(path):
-    """Pages in the middle that nobody writes to any more."""
+    """Overwrite pages in the middle, which nobody writes to any more."""
     with closing(sqlite3.connect(path)) as store:
         store.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     whole = bytearray(path.read_bytes())
@@ -284,7 +284,7 @@ def test_a_store_that_is_damaged_further_on_is_told_and_ends_nothing(tmp_path):
 def test_an_hour_without_an_archive_is_an_alarm_and_the_records_wait_where_they_are(tmp_path, free_udp_port):
     async def scenario():
         clock = LoopClock(asyncio.get_running_loop().time, T0)
-        # Nothing listens there.
+        # No broker listens there.
         sender = Sender(tmp_path, free_udp_port, clock=clock)
         sender.keep(*(pose(n) for n in range(3)))
         sender.store.close()

@@ -1,4 +1,4 @@
-"""What cannot work: one clear sentence in the log, in the state and as an event, and the service tracks on."""
+"""Settings that cannot work: one clear sentence in the log, in the state and as an event, and the service tracks on."""
 
 import asyncio
 import os
@@ -25,7 +25,7 @@ def broker_rig(port, role=Role.BOTH, **sections):
 
 
 def told(rig):
-    """Return what the state shows of the link."""
+    """Return what the state says about the link."""
     status = rig.mqtt.status
     return [*([] if status.connected else [status.down_why]), *status.troubles]
 

@@ -1,4 +1,4 @@
-"""A command is carried out once, when it is given, and a flood of them costs neither log nor telemetry."""
+"""A command is carried out once, when it is given, and a flood of commands slows neither log nor telemetry."""
 
 import asyncio
 import json
@@ -88,7 +88,7 @@ def test_a_flood_of_commands_is_answered_and_logged_within_bounds_and_a_stop_amo
                 await until(lambda: not rig.mqtt._commands._running, "the end of the commands")
                 await until(lambda: rig.mqtt.status.waiting == 0, "all replies")
             replies = lab.on(f"{BASE}/reply")
-            # Of each of two kinds 50 are answered at once and ten in a second: a slow machine hears more.
+            # Of each of the two kinds 50 are answered at once, and then ten a second: a slow machine hears more.
             assert 20 <= len(replies) <= 110 + 22 * (time.monotonic() - began_s)
             refused = [line for line in log_lines() if "over MQTT" in line.getMessage()]
             assert 1 <= len(refused) <= 8
@@ -123,7 +123,7 @@ def test_answers_do_not_push_out_telemetry_and_keep_their_place_among_it():
 
 
 class Watch:
-    """A clock in hand."""
+    """A clock that a test sets."""
 
     now_s = 1000.0
     ahead_s = 0.0
@@ -136,7 +136,7 @@ class Watch:
 
 
 class Given:
-    """Dates on a clock in hand; what it says of one command."""
+    """Dates on a clock that a test sets, and the verdict on one command."""
 
     def __init__(self, **settings):
         self.clock = Watch()
@@ -229,7 +229,7 @@ def test_dated_wishes_that_flood_leave_room_for_what_makes_things_safe():
 
 def test_a_command_that_is_refused_because_others_are_carried_out_may_be_given_again_with_its_date():
     class Slow:
-        """Carries commands out when it is told to."""
+        """Carries a command out only when it is set free."""
 
         def __init__(self):
             self.free = asyncio.Event()

@@ -1,4 +1,4 @@
-"""One connection to a broker, where even its name is not told."""
+"""One connection to a broker: a name server that does not answer, messages that are too long."""
 
 import asyncio
 import socket
@@ -48,7 +48,7 @@ def test_a_broker_is_told_how_long_a_message_may_be_and_a_longer_one_is_not_read
         said.append(await reader.read(4096))
         writer.write(b"\x20\x03\0\0\0" if modern else b"\x20\x02\0\0")
         await reader.read(4096)
-        # A message of 256 MiB, and the first 8 MiB of it.
+        # The head of a message of 256 MiB, and its first 8 MiB.
         writer.write(b"\x30\xff\xff\xff\x7f\0\x01t" + (b"\0" if modern else b""))
         try:
             for _ in range(8):

@@ -1,4 +1,4 @@
-"""Home Assistant's view: what appears, that it is well-formed, and that nothing stays behind."""
+"""Home Assistant's view: which entities appear, that they are well-formed, and that none stays behind."""
 
 import asyncio
 import json
@@ -129,7 +129,7 @@ def test_every_template_finds_its_value_in_the_state_and_every_button_is_a_comma
                 first = await lab.until("heliocube/tracker/state")
                 components = found["components"]
                 for component in components.values():
-                    # What has a topic of its own is not read from the state.
+                    # A component with a topic of its own is not read from the state.
                     if "state_topic" in component:
                         continue
                     for path in re.findall(r"value_json((?:\.\w+)+)", component.get("value_template", "")):

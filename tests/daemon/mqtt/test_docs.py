@@ -1,4 +1,4 @@
-"""docs/mqtt.md says what is done."""
+"""The service does what docs/mqtt.md says."""
 
 import re
 

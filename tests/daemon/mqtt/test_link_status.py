@@ -1,4 +1,4 @@
-"""The link as a monitor and a person at the terminal see it."""
+"""The link as a monitoring system and a person at the terminal see it."""
 
 import asyncio
 import io

@@ -24,7 +24,7 @@ CONNECT, PUBLISH, SUBSCRIBE, PING = 1, 3, 8, 12
 
 
 class ScriptedBroker:
-    """Says what MQTT 3.1.1 asks for, and ends each connection after as long as the test wants."""
+    """Answers as MQTT 3.1.1 asks for, and ends each connection after as long as the test wants."""
 
     def __init__(self, lifetimes_s, says_at_birth=b""):
         self._lifetimes_s = iter(lifetimes_s)
@@ -46,7 +46,7 @@ class ScriptedBroker:
                 while True:
                     kind, body = await _packet(reader)
                     if kind == CONNECT and body[6] == 5:
-                        # As the standard of 3.1.1 wants it for a version that it does not know.
+                        # As MQTT 3.1.1 demands for a protocol version that the broker does not know.
                         writer.write(b"\x20\x02\x00\x01")
                         return
                     if kind == CONNECT:
@@ -100,7 +100,7 @@ def link_to(port, bus, loop, **mqtt):
 
 
 def delays_after(lifetimes_s):
-    """Return the delays between each end of a connection and the next one."""
+    """Return the delays between the end of each connection and the next one."""
     bound = bound_socket()
 
     async def scenario():
@@ -153,7 +153,7 @@ def test_hours_without_a_broker_cost_no_memory_and_few_lines(caplog):
             for _ in range(12):
                 link.send(Message("heliocube/tracker/scan", b"x" * 700))
             await asyncio.sleep(60)
-        # What only waits to be collected is no cost.
+        # Garbage that waits to be collected does not count.
         gc.collect()
         grown = tracemalloc.get_traced_memory()[0] - before
         tracemalloc.stop()
@@ -175,7 +175,7 @@ def test_a_failure_that_nobody_has_foreseen_is_a_lost_link_and_told_once(caplog)
     caplog.set_level(logging.INFO, "heliocube")
 
     async def scenario():
-        # Of such a name the resolver raises a UnicodeError; the configuration refuses it.
+        # The resolver raises a UnicodeError for such a name; the configuration refuses it.
         settings = settings_for(1).mqtt.model_copy(update={"host": "broker..lan"})
         clock = LoopClock(asyncio.get_running_loop().time, 1.6e9)
         link = Link(settings, Topics("heliocube", "tracker"), clock, Random(1), Bus().publish, 1.0)
@@ -197,7 +197,7 @@ def test_control_decides_in_the_same_rhythm_for_hours_with_and_without_a_broker(
     bound = bound_socket()
     port = bound.getsockname()[1]
     bound.close()
-    # Fewer scans make hours short.
+    # With fewer scans, hours are simulated quickly.
     settings = settings_for(port, cube={"scan_every_s": 60}, safety={"scan_stale_s": 130})
 
     def decisions(enabled):

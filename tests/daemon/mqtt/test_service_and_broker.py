@@ -1,4 +1,4 @@
-"""The service and a broker, as those who listen there see it."""
+"""The service and a broker, as other clients see them."""
 
 import asyncio
 
@@ -210,7 +210,7 @@ def test_a_hung_broker_is_noticed_and_let_go(broker, scaled):
                 broker.go_on()
             await until(lambda: rig.mqtt.status.connected, "the way back")
             async with observer(broker.port) as late:
-                # Meanwhile the broker has published the will of the connection that it slept through.
+                # Meanwhile the broker has published the will of the old connection, whose end it has missed.
                 await asyncio.sleep(3 * SPEED)
                 assert late.on(f"{BASE}/status")[-1].payload == b"online"
 
@@ -227,7 +227,7 @@ def test_a_hung_broker_is_noticed_by_its_silence_when_there_is_nothing_to_send(b
             broker.hang()
             try:
                 async with asyncio.timeout(60.0 * SPEED):
-                    # What is shown at once, and not only when such a connection has been closed too.
+                    # The loss is shown at once, and not only when the connection has been closed too.
                     while rig.mqtt.status.connected:  # noqa: ASYNC110 - nothing tells of it
                         await asyncio.sleep(0.0)
                 assert rig.mqtt.status.down_why == f"127.0.0.1:{broker.port} does not answer any more"

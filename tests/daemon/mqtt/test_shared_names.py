@@ -1,4 +1,4 @@
-"""Services on one broker whose names are alike, or the same by mistake."""
+"""Services on one broker whose names are similar, or the same by mistake."""
 
 import asyncio
 

@@ -1,4 +1,4 @@
-"""When a notice is held back, and what is told together afterwards."""
+"""When notices are held back, and how they are told together afterwards."""
 
 import json
 from datetime import time

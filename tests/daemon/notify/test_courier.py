@@ -1,4 +1,4 @@
-"""Alarms on their way to people, by apprise's own ways, to a server of the standard library."""
+"""Alarms on their way to people, through apprise itself, to a server of the standard library."""
 
 import asyncio
 import contextlib
@@ -39,7 +39,7 @@ class HandClock:
 
 
 class Lab:
-    """A service's /api/state, ways to people, and a heartbeat, all on one port; what they get is kept."""
+    """A service's /api/state, ways to people, and a heartbeat, all on one port; what they receive is kept."""
 
     def __init__(self):
         self.alarms, self.up, self.taking = [], True, True
@@ -77,7 +77,7 @@ class Lab:
 
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self.address = f"127.0.0.1:{self.server.server_port}"
-        # Whoever ends it waits for its next look.
+        # Ending the server takes until its next look.
         self.thread = threading.Thread(target=self.server.serve_forever, args=(0.02,), daemon=True)
         self.thread.start()
 
@@ -117,7 +117,7 @@ class Lab:
 
 
 class Way:
-    """A way to somebody, which takes what it is given once it is free."""
+    """A way to a person, which takes a message only while it is free."""
 
     def __init__(self, name):
         self.name, self.told, self.free = name, [], asyncio.Event()
@@ -137,7 +137,7 @@ def test_it_looks_every_so_many_seconds_until_it_is_ended():
 
         def note():
             looked_s.append(loop.time())
-            # What does not wait would never let time pass.
+            # A courier that does not wait would never let virtual time pass.
             assert len(looked_s) < 10
 
         async with httpx.AsyncClient(trust_env=False) as client:
@@ -159,7 +159,7 @@ def lab():
 
 @pytest.fixture
 def told(lab, tmp_path):
-    """Run a scenario with a courier of some settings and a clock set by hand."""
+    """Run a scenario with a courier of some settings and a clock that a test sets."""
 
     def run(scenario, **settings):
         people = tmp_path / "people"

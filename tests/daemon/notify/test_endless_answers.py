@@ -1,4 +1,4 @@
-"""What answers in the place of a service, or of the heartbeat, may have no end: little of it is read."""
+"""The answer of an impostor in place of a service or the heartbeat may have no end: little of it is read."""
 
 import asyncio
 

@@ -1,4 +1,4 @@
-"""The address of the heartbeat may be out of reach in many ways, and each is told as what it is."""
+"""The address of the heartbeat may be out of reach in many ways; each is reported as what it is."""
 
 import asyncio
 import contextlib
@@ -14,7 +14,7 @@ from tests.support.broker import CERTIFICATES
 
 
 def told_of_server(certificate):
-    """Return what is told of a server with a certificate, or without TLS, asked by https."""
+    """Return what is reported about a server with this certificate, or without TLS, asked by https."""
     context = None
     if certificate is not None:
         context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
@@ -52,5 +52,5 @@ def test_a_certificate_that_is_not_accepted_is_told_as_such(monkeypatch, trusted
 def test_a_name_that_is_not_known_and_a_port_where_nothing_listens_are_told_apart():
     assert asyncio.run(beat("http://nowhere.invalid/ping")) == "its name cannot be resolved"
     assert asyncio.run(beat(f"http://127.0.0.1:{free_port()}/ping")) == "nothing listens there"
-    # Where localhost is two addresses both are tried.
+    # Where localhost has two addresses, both are tried.
     assert asyncio.run(beat(f"http://localhost:{free_port()}/ping")) == "nothing listens there"

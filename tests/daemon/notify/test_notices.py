@@ -1,4 +1,4 @@
-"""What a watch over a service makes of its answers."""
+"""The notices that a watch over a service makes from its answers."""
 
 import pytest
 

@@ -74,7 +74,7 @@ def test_a_try_that_does_not_reach_everybody_ends_with_4(lab, tmp_path):
 
 
 class Hung:
-    """What takes a message only once it is set free, or much later; how many it was given, and has taken."""
+    """Takes a message only when it is set free, or much later; counts the messages that it was given and has taken."""
 
     def __init__(self):
         self.calls, self.taken, self.free = 0, 0, threading.Event()
@@ -86,7 +86,7 @@ class Hung:
         return True
 
 
-# apprise knows a way for good.
+# apprise keeps a registered way for good: so the way stays, and each test puts a new object here.
 HANGING = [Hung()]
 
 

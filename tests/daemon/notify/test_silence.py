@@ -1,4 +1,4 @@
-"""A service that does not answer, or in whose place something else answers, is told to people too."""
+"""People are also told of a service that does not answer, or in whose place something else answers."""
 
 import asyncio
 import json

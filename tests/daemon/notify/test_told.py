@@ -1,4 +1,4 @@
-"""What was told of is kept on disk, which is often a card that wears."""
+"""The record of what people were told, on a disk that is often a card that wears."""
 
 from daemon.base.state import StateFolder
 from daemon.notify.told import FILE_NAME, ToldFile, ToldService

@@ -57,12 +57,12 @@ def test_under_an_even_sky_what_would_lie_flat_gains_over_what_follows_the_sun_a
     async def scenario(rig):
         await most_of_an_hour(rig)
         own, shadow = state_json(rig.see(Recent()))["received"], seen(rig)
-        # Both lie in the same light, and the one in the shadow is the best there is.
+        # Both are in the same light, and the law in the shadow is the best one here.
         assert shadow["received"]["actual_kwh_m2"] == pytest.approx(own["best_kwh_m2"], rel=0.02)
         assert shadow["gain"] == pytest.approx(own["best_kwh_m2"] / own["actual_kwh_m2"] - 1.0, abs=0.02)
         assert shadow["gain"] > 0.05
         assert shadow["law"] == "flat"
-        # It has lain flat from the start.
+        # The law in the shadow has stayed flat from the start.
         assert shadow["moves"] == 0
         assert shadow["active_moves"] >= 5
 
@@ -84,7 +84,7 @@ def test_two_laws_that_say_the_same_gain_nothing_over_each_other(run_rig):
 def test_its_moves_are_to_last_until_sunset_too(run_rig):
     async def scenario(rig):
         await most_of_an_hour(rig)
-        # At ten o'clock half of six, and the fourth at five to eleven.
+        # At ten o'clock half of the six moves are due, and the fourth at 10:55.
         assert seen(rig)["moves"] == 3
 
     law, motion = {"driver": "mu-prime", "shadow": "chronometric"}, {"moves_per_day": 6}
@@ -139,7 +139,7 @@ def test_moves_without_the_cube_past_midnight_are_those_of_the_new_day_and_of_bo
         assert shadow["failed_why"] is None
         assert shadow["active_moves"] == used.moves
         assert shadow["active_travelled_deg"] == pytest.approx(used.travelled_deg)
-        # It would have followed the sun by the clock as well.
+        # The law in the shadow would have followed the sun by the clock as well.
         assert shadow["moves"] == used.moves
         assert shadow["travelled_deg"] == pytest.approx(used.travelled_deg)
 

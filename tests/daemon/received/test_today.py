@@ -1,4 +1,4 @@
-"""What the tracker has gained today, by the light that the faces show."""
+"""What the tracker has gained today, by the light on the faces."""
 
 import asyncio
 import json
@@ -45,7 +45,7 @@ def feed(counted, light, seconds, begin_s=0.0, where=FLAT, bad=()):
 
 
 def even(diffuse_w_m2):
-    """Return what the faces show of a uniform sky over ground of albedo 0.2."""
+    """Return what the faces read under a uniform sky over ground of albedo 0.2."""
     vertical = diffuse_w_m2 * (0.5 + 0.2 * 0.5)
     return (vertical, vertical, vertical, diffuse_w_m2)
 
@@ -96,7 +96,7 @@ def test_it_outlives_a_restart_and_ends_with_the_solar_day(tmp_path):
 
 
 def test_many_trackers_book_the_day_that_has_ended_one_after_the_other(tmp_path):
-    """A booking that came for all with one scan would hold the loop for half a second with 500 of them."""
+    """If all trackers booked at one scan, 500 of them would hold up the loop for half a second."""
     wait_s = 60.0 * 5 / 10
 
     def kept():
@@ -122,7 +122,7 @@ def test_many_trackers_book_the_day_that_has_ended_one_after_the_other(tmp_path)
         runner.run(scenario())
 
 
-# No calendar goes so far as the second one: it could be kept and never be shown.
+# No calendar goes as far as the second time: it could be kept and never be shown.
 @pytest.mark.parametrize("more", ['"known_s": -3', '"known_s": 3, "since_utc_s": 1e18'])
 def test_a_file_that_cannot_be_read_is_said_and_counted_anew(tmp_path, caplog, more):
     (tmp_path / "received.json").write_text(f'{{"day": 1, {more}}}')

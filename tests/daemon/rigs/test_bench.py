@@ -1,4 +1,4 @@
-"""The bench in this process, on what no command line brings about in a short time."""
+"""The bench in this process: cases that no command line brings about in a short time."""
 
 import asyncio
 import os
@@ -74,7 +74,7 @@ def test_a_weather_file_that_has_ended_under_a_bench_ends_it_in_a_sentence(tmp_p
 
 
 def on_a_bench(tmp_path, work, driver="multiplexed", weather=None, at_utc_s=NOON_UTC_S):
-    """Return what `work` returns, which is given a way to ask a bench, and its ports."""
+    """Return the result of `work`, which gets a function that asks a bench, and its ports."""
     settings = Settings.model_validate({"instruments": {"cube": {"driver": driver}}})
     sky = weather or GeneratedWeather("clear", settings.site.place(), 1)
 

@@ -1,4 +1,4 @@
-"""Holes in measured weather: an hour is bridged, a night is dark, and what is missing by day is missing data."""
+"""Holes in measured weather: an hour is bridged, a night is dark, and longer holes by day are missing data."""
 
 import csv
 import math
@@ -25,7 +25,7 @@ MIDNIGHT = datetime(2022, 6, 14, tzinfo=UTC).timestamp()
 
 @pytest.fixture
 def gaps(tmp_path):
-    """A day without its night, with a hole of 55 min, one of 77 min, and a value that cannot be."""
+    """A day without its night, with a hole of 55 min, one of 77 min, and an impossible value."""
     path, lines = tmp_path / "gaps.csv", ["time,ghi,dni,dhi"]
     for minute in range(3 * 60, 21 * 60):
         if not (7 * 60 < minute < 7 * 60 + 55 or 11 * 60 < minute < 12 * 60 + 17):

@@ -21,7 +21,7 @@ def bright(_now_s):
 
 
 class Gateway(InMemoryModbus):
-    """The way through a gateway, which answers itself where a sensor does not."""
+    """A gateway, which answers itself where a sensor does not."""
 
     async def exchange(self, request, within_s):
         try:
@@ -31,7 +31,7 @@ class Gateway(InMemoryModbus):
 
 
 class Bus:
-    """A line of simulated sensors, and what the probe has said of it."""
+    """A line of simulated sensors, and what the probe has said about it."""
 
     path = InMemoryModbus
 
@@ -133,7 +133,7 @@ def test_a_sensor_that_is_silent_when_its_error_is_to_be_cleared_is_named():
 
 
 class Person:
-    """Connects one sensor after another, switches it off and on when asked to, and answers as the test says."""
+    """Connects one sensor after another, switches it off and on when asked, and gives the answers of a test."""
 
     def __init__(self, bus, sensors, **answers):
         self.bus, self.sensors, self.answers = bus, iter(sensors), answers

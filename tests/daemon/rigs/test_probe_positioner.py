@@ -142,14 +142,14 @@ def test_nothing_more_is_moved_once_a_button_is_pressed_at_the_unit(positioner_h
 
     async def scene():
         now = asyncio.get_running_loop().time
-        # The unit tells of its buttons every 3.24 s, which a slow machine makes more of: this way takes far longer.
+        # The unit reports its buttons every 3.24 s, or more seldom on a slow machine: this move takes far longer.
         slow = Setup(drive=AxisDrive(speed_mm_s=0.2, acceleration_mm_s2=10.0, run_out_s=0.01))
         async with positioner_host(slow) as host:
 
             async def press():
                 if when == "on the way":
                     await call_until(0.02, lambda: host.core.truth(now()).a_deg >= 0.1)
-                    # Just after the unit has told of its buttons: it stands by the press long before it tells again.
+                    # Press just after a report of the buttons: the unit stops by the press long before its next report.
                     before = told["<"]
                     await call_until(0.02, lambda: told["<"] > before)
                 host.core.inject("buttons_both", now())

@@ -159,7 +159,7 @@ def test_a_loss_in_the_middle_of_a_move_ends_in_a_stop_a_look_and_a_new_target(r
                 rig.motion.outage.reason
             )
         moves, stops = len(rig.of(Move)), rig.rotator.received["stop"]
-        # A rotator goes on to its last target whatever becomes of its client.
+        # A rotator goes on to its last target even without its client.
         await asyncio.sleep(30.0)
         assert rig.stands_within(45.0, 80.0)
         rig.rotator.turn(150.0, 45.0, rig.clock.monotonic())
@@ -243,7 +243,7 @@ def test_one_without_a_stop_is_sent_to_where_it_is(run_rotator):
 
 def test_one_that_cannot_be_stowed_moves_nowhere_and_says_why_in_a_sentence(run_rotator):
     async def scenario(rig):
-        # Nothing is set, so the range is what rotctld says; the wish for stow changes nothing.
+        # No range is set, so rotctld's own counts; wanting to stow changes nothing.
         await rig.until_mode(Mode.FAULT, 30)
         sentence = alarms(rig)["positioner-setup"]
         assert sentence.startswith("the stow position A 0, B 90 deg lies at azimuth ")

@@ -1,4 +1,4 @@
-"""The simulated positioner is built as the configuration says, and the driver of the same configuration moves it."""
+"""The simulated positioner is built from the configuration, and the driver of the same configuration moves it."""
 
 import asyncio
 
@@ -105,7 +105,7 @@ def test_a_triangle_that_opens_too_far_is_refused_in_either_sense():
 def test_a_geometry_that_cannot_be_is_one_sentence():
     clock = LoopClock(lambda: 0.0, 1.7e9)
     settings = settings_of({"position_unit": "deg"})
-    # The check of a file lets no such drive pass.
+    # The check of a file refuses such a drive: so it is put in here.
     own = settings.instruments.positioner
     own = own.model_copy(update={"a_axis": own.a_axis.model_copy(update={"low_deg": 80.0})})
     settings = settings.model_copy(update={"instruments": settings.instruments.model_copy(update={"positioner": own})})

@@ -1,4 +1,4 @@
-"""A stranger's package in a folder of its own: a positioner and a law, installed by its entry points alone."""
+"""A third party's package in a folder of its own: a positioner and a law, installed by its entry points alone."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""Acknowledging an alarm, over the doors that people use."""
+"""Acknowledging an alarm, by every way that people use."""
 
 import asyncio
 import json
@@ -14,7 +14,7 @@ __all__ = ["serve"]
 
 
 async def blown(rig, call_http):
-    """Stop the tracker and let the wind rise: stow is wanted, and cannot be."""
+    """Stop the tracker and let the wind rise: stow is wanted and not possible."""
     await under_way(rig)
     await call_http.post("stop", b'{"by": "ana"}')
     rig.wind_m_s = 20.0
@@ -149,7 +149,7 @@ def test_whoever_clears_has_looked_at_what_waits_for_a_person_and_at_nothing_els
     async def scenario(rig, call_http):
         await under_way(rig)
         alarms = rig.tracker.alarms
-        # Motion and control set theirs at every look: these two are set by neither here.
+        # Motion and control set their alarms at every look; here neither sets these two.
         alarms.set("driver-hung", "it hangs")
         alarms.set("move-failed", "stalled")
         alarms.set("move-failed", None)

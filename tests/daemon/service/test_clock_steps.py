@@ -135,7 +135,7 @@ WRONG_START = (
 def test_a_start_before_the_last_one_is_a_clock_in_doubt_and_the_start_after_it_is_believed(
     run_rig, tmp_path, monkeypatch, lasts
 ):
-    """As without a battery before the network is there; what is simulated begins again as often as one likes."""
+    """So starts a machine without a clock battery until the network is there. Simulated time may begin at will."""
     monkeypatch.setattr(ServiceRig, "clock_lasts", lasts)
     year_later = Started(started_utc_s=1.7e9)
     started_in(StateFolder(tmp_path)).save(year_later)
@@ -145,7 +145,7 @@ def test_a_start_before_the_last_one_is_a_clock_in_doubt_and_the_start_after_it_
         told = [alarm.text for alarm in rig.tracker.alarms.active if alarm.name == "clock"]
         assert told == ([WRONG_START] if lasts else [])
         assert bool(rig.of(Move)) != lasts
-        # Where it is set by hand, it shows neither the time of this start nor that of the last one.
+        # A clock that is set by hand shows neither the time of this start nor that of the last one.
         rig.clock.step_s = 3.5e7
         await asyncio.sleep(60)
         assert [alarm.text for alarm in rig.tracker.alarms.active if alarm.name == "clock"] == told or not lasts

@@ -139,7 +139,7 @@ def test_with_the_default_rhythm_it_tracks_again_within_15_s_of_an_instruments_r
         await tracking(rig)
         await asyncio.sleep(130)
         device = getattr(rig.cables, instrument)
-        # Another instant of the scan each time, and another one of the waits between tries.
+        # At another instant of the scan each time, and of the pauses between tries.
         for turn in range(5):
             device.link_up = False
             await asyncio.sleep(out_s + 0.9 * turn)
@@ -232,7 +232,7 @@ def test_two_bad_faces_are_both_named_with_what_is_wrong_and_since_when_at_every
         for door in (state["alarms"][0]["text"][:255], "\n".join(lines), *screens, notice.body):
             assert re.search(
                 r"the south and west faces read next to nothing while other faces are lit; not used since"
-                # Local time and a date where it is another one, in a terminal.
+                # In a terminal, times are local, with a date if that is another one.
                 r" [\d :(-]*10:1\d UTC\)? \(south\) and [\d :(-]*10:[34]\d UTC\)? \(west\)",
                 door,
             )

@@ -1,4 +1,4 @@
-"""A disk that is slow, full or gone: motion does not wait for it, and whoever commands is not left in the belief."""
+"""A disk that is slow, full or gone: motion does not wait for it, and who gives a command is told what is not kept."""
 
 import asyncio
 import itertools
@@ -31,7 +31,7 @@ def kept(directory):
 
 @pytest.fixture
 def stuck_disk(monkeypatch):
-    """Let the service's disk answer nothing before the event that is returned is set."""
+    """Let the service's disk take nothing until the returned event is set."""
     released = threading.Event()
 
     def replace(path, text):
@@ -50,7 +50,7 @@ def test_no_stop_and_no_stow_waits_for_the_disk(run_rig, stuck_disk, tmp_path, n
     async def scenario(rig):
         await under_way(rig)
         commands = operator(rig)
-        # The writing of this one is what a later command would have to wait for.
+        # A later command would have to wait until this hold is written.
         await commands.hold("first", "ana")
         asked_s = rig.clock.monotonic()
         answer = await getattr(commands, name)("a hand near the actuator", "ana")
@@ -88,7 +88,7 @@ def test_a_stop_is_kept_on_a_disk_that_has_become_full(serve, small_disk):
 
 def test_a_stop_that_a_full_disk_cannot_take_says_so_and_is_kept_when_there_is_room(serve, small_disk):
     filler = small_disk / "filler"
-    # From before the service could keep any room.
+    # Full before the service could reserve any room.
     fill(filler)
 
     async def scenario(rig, call):

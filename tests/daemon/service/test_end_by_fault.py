@@ -75,7 +75,7 @@ def test_a_process_that_stood_still_for_minutes_takes_no_driver_for_one_that_han
     async def scenario(rig):
         await quiet(rig)
         for _ in range(8):
-            # Each time at another moment between two checks.
+            # At another moment between two checks each time.
             await asyncio.sleep(31.17)
             asyncio.get_running_loop().skip(200.0)
             await asyncio.sleep(1.0)

@@ -1,4 +1,4 @@
-"""A contact that opens and closes all day: it is told as that, and not each time."""
+"""A contact that opens and closes all day: it is told as a bad contact, and not each time."""
 
 import asyncio
 import logging
@@ -40,7 +40,7 @@ def test_a_bad_contact_for_hours_is_told_in_few_lines_and_events(run_rig, caplog
         rig.records.clear()
         device = getattr(rig.cables, name)
         await flap(rig, device, for_s=2400.0)
-        # Seldom enough to be soon over, too often to pass for steady.
+        # Seldom enough for a quick simulation, too often to count as steady.
         await flap(rig, device, down_s=30.0, up_s=270.0, for_s=LONG_S - 2400.0)
         during = [event.text for event in rig.of(Event)]
         assert len(told(caplog)) <= MOST_LINES, "\n".join(told(caplog))
@@ -48,7 +48,7 @@ def test_a_bad_contact_for_hours_is_told_in_few_lines_and_events(run_rig, caplog
 
     with caplog.at_level(logging.INFO):
         load = {"driver": "chroma63600" if name == "load" else "none", "period_s": 25, "points": 10}
-        # Hours of scans are no business of a contact that is not the cube's.
+        # The contact is not the cube's, unless it is the voltmeter's: over hours, few scans will do.
         run_rig(scenario, **(CALM if name == "voltmeter" else CALMER), load=load)
 
 

@@ -1,4 +1,4 @@
-"""The service manager's watchdog is answered while the work goes on, and only then."""
+"""The service manager's watchdog is answered only while the work goes on."""
 
 import asyncio
 import contextlib
@@ -15,7 +15,7 @@ from sim_drivers.pozsol.setup import AxisDrive, Setup
 
 @pytest.fixture
 def manager(tmp_path):
-    """A service manager's socket and the notifier that talks to it; `heard` listens for a while."""
+    """A service manager's socket and the notifier that writes to it; `heard` listens for a while."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
         listening.bind(str(tmp_path / "notify"))
         listening.setblocking(False)

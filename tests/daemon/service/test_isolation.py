@@ -1,4 +1,4 @@
-"""Of many trackers three are broken, each in its own way: the others decide, move and stop as if they were alone."""
+"""Three of many trackers are broken, each in its own way: the others decide, move and stop as if they were alone."""
 
 import asyncio
 import json

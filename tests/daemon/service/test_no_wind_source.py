@@ -1,4 +1,4 @@
-"""Real instruments that nobody would stow in a storm."""
+"""Real instruments without anything that would stow them in a storm."""
 
 import asyncio
 from datetime import UTC, datetime

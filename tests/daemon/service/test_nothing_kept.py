@@ -1,4 +1,4 @@
-"""Real instruments, and no folder for what must outlive a restart: it is said at the start and at every stop."""
+"""Real instruments without a folder for what must survive a restart: it is said at the start and at every stop."""
 
 import asyncio
 from random import Random

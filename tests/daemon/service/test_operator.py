@@ -1,4 +1,4 @@
-"""An operator's commands, and whether the answers tell what the tracker truly did."""
+"""An operator's commands, and whether the answers say what the tracker truly did."""
 
 import asyncio
 import math
@@ -68,7 +68,7 @@ def test_a_stow_in_mid_move_stops_first_and_the_answer_tells_where_it_goes(run_r
     ("begin", "first"),
     [
         (lambda rig: rig.control.goto(30, 50, "test"), b"$."),
-        # The unit tells of a reference run up to three seconds after it was asked for one.
+        # The unit reports a reference run up to three seconds after the order.
         (lambda rig: rig.control.home(), b"$95"),
     ],
 )
@@ -209,7 +209,7 @@ def test_a_reference_run_that_ends_between_two_looks_is_done(run_rig):
         await at_rest(rig)
         await operator(rig).home("reference")
         await at_rest(rig)
-        # So fast a clock runs on for four seconds between two looks.
+        # At this speed four seconds of the clock pass between two looks.
         answer = await Operator(rig.tracker, 200.0).home("once more")
         assert (answer.done, answer.seen) == (True, "done")
         assert answer.text.startswith("standing at A ")

@@ -274,7 +274,7 @@ def test_a_stop_whose_answer_cannot_be_written_is_given_all_the_same(tmp_path):
 
 
 def _program(tmp_path, listener, *command, stdout=subprocess.PIPE, **environment):
-    """Give a command to what listens there, and return how the program ended."""
+    """Give a command to the listener, and return how the program ended."""
     config = _config(tmp_path, listener.getsockname()[1])
     return subprocess.run(
         [sys.executable, "-c", "from daemon.entry import main; main()", *command],

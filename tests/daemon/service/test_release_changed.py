@@ -1,4 +1,4 @@
-"""After a change of the release nothing moves by itself: it holds, or does what persons had asked for."""
+"""After a change of the release nothing moves by itself: the tracker holds, or does what persons had asked for."""
 
 import asyncio
 
@@ -14,14 +14,14 @@ CHANGED = "the program was changed from 0.1.0 to 0.2.0, and nobody has checked t
 
 @pytest.fixture
 def upgraded(run_rig, tmp_path, monkeypatch):
-    """Run a scenario on a rig whose program is another one than at its last start."""
+    """Run a scenario on a rig whose program has changed since its last start."""
     monkeypatch.setattr(ServiceRig, "hold_why", CHANGED)
     return lambda scenario: run_rig(scenario, store={"directory": tmp_path}, **FEWER_SCANS)
 
 
 @pytest.fixture
 def restarted(run_rig, tmp_path, monkeypatch):
-    """Run a scenario on the same rig, and the same program."""
+    """Run a scenario on the same rig, with the same program."""
 
     def run(scenario):
         monkeypatch.setattr(ServiceRig, "hold_why", None)

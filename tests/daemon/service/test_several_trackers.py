@@ -1,4 +1,4 @@
-"""Two trackers in one process: what befalls one, and what is asked of one, leaves the other alone."""
+"""Two trackers in one process: what happens to one, and what is asked of one, leaves the other alone."""
 
 import asyncio
 import json
@@ -68,7 +68,7 @@ def test_lines_of_the_log_say_whose_they_are(run_rig, caplog):
             await give(rig, "stop", why="both")
 
     try:
-        # What a file calls a bench's may be real: that nothing is kept of it is told.
+        # Instruments that a file calls a bench's may be real, so it is told that nothing is kept.
         run_rig(scenario, tracker=TWO, instruments={"bench": True})
     finally:
         logging.getLogger("heliocube").removeHandler(handler)
@@ -181,7 +181,7 @@ def test_the_state_names_each_tracker_and_a_single_one_is_at_the_top_too(run_rig
         assert list(found["trackers"]) == ["east", "west"]
         assert found["mode"] is found["tracker"] is None
         assert found["trackers"]["west"]["tracker"]["limits"]["a_max_deg"] == 20.0
-        # It has left the stow position by then.
+        # By then it has left the stow position.
         await asyncio.sleep(60)
         rig.wind_m_s = 20.0
         await give(rig, "stop", tracker="west", why="repair")
@@ -240,7 +240,7 @@ def test_a_driver_that_hangs_for_good_costs_its_own_tracker_and_not_the_service(
 def test_the_unit_allows_the_threads_of_as_many_trackers_as_a_file_may_have():
     unit = (ROOT / "deploy" / "heliocube-tracker.service").read_text()
     allowed = int(re.search(r"^TasksMax=(\d+)$", unit, re.MULTILINE)[1])
-    # Of each what it is sent, what it tells, its load, what is kept and its broker's name; and what they share.
+    # For each tracker two of its positioner, one each for its load, files and broker's name; and those that they share.
     assert allowed >= 5 * _MOST_TRACKERS + 32
 
 

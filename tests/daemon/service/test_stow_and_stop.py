@@ -1,4 +1,4 @@
-"""Wind stows, a person stops and holds, and no way to move goes past the limits, whatever is under way."""
+"""Wind stows, a person stops and holds, and no move goes past the limits, whatever is under way."""
 
 import asyncio
 import json
@@ -44,7 +44,7 @@ def test_a_hold_in_the_instant_of_a_gust_does_not_keep_the_stow_waiting(run_rig)
     async def scenario(rig):
         await quiet(rig)
         rig.wind_m_s = 20.0
-        # Before anybody else has looked at the wind.
+        # Before anything else has read the wind.
         await Operator(rig.tracker, 1.0).hold("a look", "ana")
         assert rig.mode is Mode.STOW
         assert rig.motion.target is not None
@@ -120,13 +120,13 @@ def test_a_unit_that_takes_no_target_after_its_restart_is_cleared_for_a_stow_and
         await quiet(rig)
         rig.unit.inject("a_hall_loss", rig.clock.monotonic())
         await rig.until(lambda: rig.motion.telemetry and rig.motion.telemetry.faults, 7200, "the fault", every_s=1.0)
-        # Whoever comes switches it off and on: the fault is gone, and the axis is disabled all the same.
+        # A person switches the unit off and on: the fault is gone, but the axis stays disabled.
         rig.unit.repair("a_hall_loss", rig.clock.monotonic())
         rig.unit.power_cycle(rig.clock.monotonic())
         await asyncio.sleep(60)
         rig.wind_m_s = 30.0
         assert abs(rig.motion.pose.a_deg) > 10.0
-        # It drove blind for some degrees, so by its count it is there before it truly is.
+        # The axis drove blind for some degrees, so its count arrives before it truly does.
         await rig.until(lambda: abs(rig.motion.pose.a_deg) < 1.0 and rig.truth().b_deg > 89.0, 300, "the stow")
         assert rig.mode is Mode.STOW
         assert "the positioner has restarted" in rig.motion.doubt
@@ -232,8 +232,7 @@ def test_nothing_outside_the_limits_gets_past_any_door(run_rig, target):
 def test_every_way_to_move_goes_through_one_guard(run_rig):
     """R24: in the service the only caller of the positioner's move and home commands is the runner of Motion.
 
-    `heliocube probe` and `heliocube setup` are commands of their own, run while the service is not, and hold to the
-    driver's limits.
+    `heliocube probe` and `heliocube setup` run only while the service does not, and keep to the driver's limits.
     """
 
     callers = {
@@ -272,7 +271,7 @@ def test_an_auto_that_was_given_before_what_it_would_end_ends_nothing(run_rig, a
         with pytest.raises(CommandError, match=r"given before what it would end, .* is .* by ana@lab since"):
             await auto(-2.0)
         assert getattr(rig.control.wishes, asked) is not None
-        # A program may date by the second.
+        # A program's times may be rounded to the second.
         await auto(-0.9)
         assert getattr(rig.control.wishes, asked) is None
 

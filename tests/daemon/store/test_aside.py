@@ -1,4 +1,4 @@
-"""A store that cannot be used keeps nobody from starting: it is moved aside, and a new one takes the records."""
+"""A store that cannot be used does not keep a service from starting: it is moved aside, and a new one is begun."""
 
 import os
 import random
@@ -54,7 +54,7 @@ def without_first_page(path):
 
 
 def with_rubbish_pages(path):
-    """Leave the first page, and of the others none."""
+    """Leave only the first page whole."""
     path.write_bytes(path.read_bytes()[:PAGE] + random.Random(1).randbytes(path.stat().st_size - PAGE))
 
 
@@ -135,7 +135,7 @@ def test_what_cannot_be_used_is_moved_aside_as_it_is_and_said_once(keep, tmp_pat
     store.close()
     (aside,) = stores_aside(path)
     assert aside.name.split(".")[0::2] == ["heliocube", kind]
-    # The two whose damage shows only when they are written to have got the beginning of a run.
+    # In these two the damage shows only at the first writing, after the beginning of a run was written.
     assert content(aside) == before or spoil in (with_rubbish_pages, without_a_table)
     assert alarms["store-aside"].startswith(f"{says} was moved aside as {aside}, and a new one begun: ")
     assert alarms.get("store-down") is None
@@ -201,7 +201,7 @@ def test_damage_that_is_found_while_writing_costs_no_record(keep, tmp_path):
     assert "damaged" in aside.name
     assert str(aside) in alarms["store-aside"]
     assert store.status.lost == 0
-    # What the damaged file had taken before that was seen is to be salvaged; everything since is in the new one.
+    # Records that the damaged file took before this was seen are left to a salvage; the new file has all later ones.
     with closing(open_for_reading(path)) as connection:
         kept = [row[0] for row in connection.execute("SELECT sequence FROM scans ORDER BY sequence")]
     assert kept == list(range(kept[0], 23_000))
@@ -220,7 +220,7 @@ def test_a_disk_that_damages_one_store_after_the_other_is_not_filled_with_them(k
         store.keep(scan(2 + n))
     until(lambda: store.status.waiting == 0)
     with closing(sqlite3.connect(path)) as connection:
-        # Out of the log into the file, where the damage will be.
+        # Move the records from the log into the file, which is going to be damaged.
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     spoil_in_place(path)
     for n in range(20_000):

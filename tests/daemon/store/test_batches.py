@@ -1,4 +1,4 @@
-"""Pages of a store's records: what comes out is what went in, and what is no page is refused in one sentence."""
+"""Pages of a store's records: what goes in comes out, and anything else is refused in one sentence."""
 
 import json
 import math

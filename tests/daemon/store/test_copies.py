@@ -25,7 +25,7 @@ DAY_S = 86400.0
 
 
 def made_older(folder):
-    """Make of a store one as the version before had it: without a table, and without a column of another."""
+    """Turn a store into one of the version before: without a table, and without a column of another."""
     with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
         connection.execute("DROP TABLE curves")
         connection.execute("ALTER TABLE runs DROP COLUMN tracker")

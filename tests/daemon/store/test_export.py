@@ -1,4 +1,4 @@
-"""What an export writes: the tables, in CSV and for pandas and pvlib, of which time, and from which store."""
+"""What an export writes: the tables, in CSV and for pandas and pvlib, for which time, and from which store."""
 
 import csv
 import json
@@ -69,7 +69,7 @@ def test_half_a_letter_in_one_text_keeps_no_other_record_out(keep, tmp_path):
 
 @pytest.mark.parametrize("latitude_deg", [48.7, -33.9])
 def test_a_pose_means_to_pvlib_what_it_means_here(keep, tmp_path, latitude_deg):
-    """Facing the sun by our angles, pvlib sees an angle of incidence of zero."""
+    """If our angles face the sun, pvlib computes an angle of incidence of zero."""
     azimuth_deg, elevation_deg = (150.0, 40.0) if latitude_deg > 0 else (20.0, 40.0)
     a_deg, b_deg = angles_from_direction(direction_from_azimuth(azimuth_deg, elevation_deg, latitude_deg))
     pose = Pose(T0, 1.0, float(a_deg), float(b_deg), moving=False)
@@ -83,7 +83,7 @@ def test_a_pose_means_to_pvlib_what_it_means_here(keep, tmp_path, latitude_deg):
 def test_what_the_store_does_not_know_of_a_scan_is_empty(keep, tmp_path):
     folder = keep(scan(0))
     with closing(sqlite3.connect(folder / "heliocube.sqlite")) as store, store:
-        # As an archive has a face that was read before 1970, and a page without a number.
+        # As an archive holds a face that was read before 1970, and a page without a number.
         store.execute("UPDATE scans SET east_time = NULL, sequence = NULL")
     for table_format in ("csv", "parquet"):
         export(folder, tmp_path / table_format, table_format, None, None, ["scans"])

@@ -1,4 +1,4 @@
-"""Records that cannot be written wait, and the tracker does the same as ever."""
+"""Records that cannot be written wait, and the tracker goes on as ever."""
 
 import asyncio
 import hashlib
@@ -33,7 +33,7 @@ def small_disk(tmp_path):
 
 
 class CountedClock(SystemClock):
-    """Knows when it has been asked often enough: the store asks it at each failure."""
+    """Sets `enough` when it has been asked so many times: the store asks it at each failure."""
 
     def __init__(self, enough):
         self.left, self.enough = enough, threading.Event()
@@ -124,7 +124,7 @@ def test_a_full_disk_does_not_stop_control_and_no_record_is_lost(run_rig, small_
 def test_tables_that_a_disk_does_not_take_are_one_sentence_and_leave_nothing(small_disk, form):
     def write():
         with TableWriter(small_disk / "out", form) as tables:
-            # Of chance, which Parquet cannot make smaller.
+            # Random text, which Parquet cannot compress.
             for number in range(100_000):
                 tables.write(Event(number, 0.0, "test", hashlib.sha256(b"%d" % number).hexdigest()))
 
@@ -134,7 +134,7 @@ def test_tables_that_a_disk_does_not_take_are_one_sentence_and_leave_nothing(sma
 
 
 def test_a_simulation_whose_tables_a_disk_does_not_take_is_one_sentence(small_disk, heliocube):
-    # What is left is full after minutes and not after hours.
+    # The room that is left is full after minutes and not after hours.
     filler = small_disk / "filler"
     filler.write_bytes(bytes(400 * 1024))
     code, _, err = heliocube("simulate", "--start", "2022-10-12T10:00", "--days", "0.3", "--out", small_disk / "out")

@@ -1,4 +1,4 @@
-"""One rule for all commands: results are looked at before the work, and nothing is overwritten unasked."""
+"""One rule for all commands: the place of results is checked before the work, and nothing is overwritten unasked."""
 
 import os
 

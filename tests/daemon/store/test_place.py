@@ -1,4 +1,4 @@
-"""Where a service keeps records and state if nobody has named a folder: beside its file, and nobody else's."""
+"""Where a service keeps records and state if no folder is named: beside its file, apart from any other service's."""
 
 from contextlib import ExitStack
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What is still there of a damaged store comes back, as it was, and the damaged file stays as it is."""
+"""Whatever is left of a damaged store comes back unchanged, and the damaged file stays as it is."""
 
 import json
 import os
@@ -74,7 +74,7 @@ def pages(count):
 
 
 def zeroed(content, rng):
-    # Behind the roots: a lost one costs its whole table, as record 25 says.
+    # Only pages after the roots: a lost root costs its whole table, as decision 25 says.
     number = rng.randrange(32, len(content) // PAGE)
     content[number * PAGE : (number + 8) * PAGE] = bytes(8 * PAGE)
     return content[: len(content) // PAGE * PAGE]
@@ -111,7 +111,7 @@ def test_what_can_be_read_is_salvaged_and_nothing_is_made_up(whole, tmp_path, sp
     assert found.read == found.added
     scans, true = table(tmp_path / "new", "scans"), table(whole, "scans")
     assert len(scans) >= at_least * SCANS
-    # A run is numbered anew; all else is as it was.
+    # A run gets a new number; all else is as it was.
     assert {row[1:] for row in scans} <= {row[1:] for row in true}
     poses = table(tmp_path / "new", "poses")
     assert len(poses) >= at_least * POSES * 0.9

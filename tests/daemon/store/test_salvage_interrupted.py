@@ -1,4 +1,4 @@
-"""A salvage that is broken off: by Ctrl-C, or by the connection of the terminal that is lost."""
+"""A salvage that is interrupted: by Ctrl-C, or by the loss of the terminal's connection."""
 
 import signal
 import sqlite3
@@ -25,7 +25,7 @@ def test_its_copy_of_the_store_does_not_stay(keep, tmp_path, by):
     into.mkdir()
     open_for_writing(into / FILE_NAME).close()
     with (tmp_path / "said").open("w") as said, closing(sqlite3.connect(into / FILE_NAME)) as service:
-        # What another process writes is waited for, and the copy is there meanwhile.
+        # The salvage waits for another process's writing, and its copy exists meanwhile.
         service.execute("BEGIN IMMEDIATE")
         command = ["store", "salvage", keep(scan()) / FILE_NAME, "--into", into]
         salvaging = forks.start(command, stdout=said, stderr=said)

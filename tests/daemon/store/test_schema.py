@@ -1,4 +1,4 @@
-"""The store's file to whoever may not read it, and to two connections of one process."""
+"""The store's file as a user sees it who may not read it, and as two connections of one process see it."""
 
 import os
 import subprocess
@@ -55,7 +55,7 @@ def test_a_store_that_is_opened_beside_a_reader_keeps_its_log_from_other_process
         store = open_for_writing(path)
     with closing(store):
         store.execute("INSERT INTO days (day) VALUES (1)")
-        # The last to close a store removes its log; another process takes itself for the last where no lock is held.
+        # Whoever closes a store last removes its log; if no lock is held, another process believes that it is the last.
         code = "import sqlite3, sys; c = sqlite3.connect(sys.argv[1]); c.execute('PRAGMA user_version'); c.close()"
         subprocess.run([sys.executable, "-c", code, path], check=True)
         assert path.with_name(f"{FILE_NAME}-wal").exists()

@@ -10,7 +10,7 @@ from daemon.store.settings_kept import FILE_NAME, tell_changes
 
 @pytest.fixture
 def started(tmp_path):
-    """Start with some settings; returns what was told."""
+    """Start with some settings; returns the events."""
 
     def start(settings):
         told = []

@@ -1,4 +1,4 @@
-"""What a store keeps: a record once, and the days that the newest leave room for."""
+"""What a store keeps: each record once, and as many days as the newest leave room for."""
 
 import queue
 import time
@@ -70,7 +70,7 @@ def test_after_one_record_from_the_future_the_oldest_days_still_give_way(tmp_pat
             assert time.monotonic() < deadline_s
             time.sleep(0.005)
     store.close()
-    # The day of the future is one of the three.
+    # One of the three days is in the future.
     assert count(tmp_path, "events") == 3
 
 
@@ -106,7 +106,7 @@ def test_a_file_that_is_removed_or_moved_while_in_use_costs_none_of_the_records_
 
 
 def test_a_place_that_the_disk_does_not_even_look_at_is_told_and_tried_again(tmp_path):
-    # As a folder that is closed to the service, or a disk that fails: what is there cannot be told.
+    # As with a folder that the service may not enter, or a disk that fails: nobody can say what is there.
     told, folder = queue.Queue(), tmp_path / ("x" * 300)
     store = Store(folder, 0.01, 3, ORIGIN, SystemClock(), print, lambda *alarm: told.put(alarm))
     store.keep(scan(0))

@@ -216,7 +216,7 @@ def test_a_place_that_cannot_hold_tables_is_one_sentence(tmp_path):
 
 
 def test_no_field_of_any_record_is_forgotten():
-    """Only each face's own monotonic time stays out: it is the scan's, less the difference of the two UTC times."""
+    """Only each face's own monotonic time is left out: it is the scan's, less the difference of the two UTC times."""
     left_out = {f"{name}.time_monotonic_s" for name in ("east", "south", "west", "zenith")}
     examples = {type(record): record for record in ALL}
     for kind, (_, columns) in COLUMNS.items():

@@ -131,7 +131,7 @@ NUMBERED = [
 
 
 def with_last_number(folder, head, row, above, last):
-    """A file whose last column has these numbers, and no end of its last line."""
+    """A file whose last column has these numbers, and whose last line has no end."""
     cells = [row] * bool(row)
     times = (f"2022-10-14T10:{minute:02}Z" for minute in range(60))
     return logged(

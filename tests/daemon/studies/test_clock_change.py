@@ -1,4 +1,4 @@
-"""Tables in local time: whose times go back by the hour that summer time ends with, and who name no zone."""
+"""Tables in local time: times that repeat an hour when summer time ends, and times without a zone."""
 
 import pytest
 

@@ -267,5 +267,5 @@ def test_a_row_of_readings_takes_no_more_memory_than_its_numbers(tmp_path):
     finally:
         tracemalloc.stop()
     assert len(rows) == count
-    # Five numbers of 8 bytes, and room for what grows.
+    # Five numbers of 8 bytes, and spare room in growing arrays.
     assert taken / count < 80

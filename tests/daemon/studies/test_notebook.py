@@ -30,7 +30,7 @@ def test_a_replay_keeps_nothing_from_the_collector():
     readings = heliocube.read_faces(heliocube.sample("mixed")).iloc[600:610]
     before = gc.get_freeze_count()
     heliocube.replay(readings, site=heliocube.Site(48.7176, 2.209, 156.0), law="flat")
-    # What was frozen before may have ended meanwhile.
+    # Frozen objects may have been freed meanwhile.
     assert gc.get_freeze_count() <= before
 
 

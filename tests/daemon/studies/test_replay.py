@@ -30,7 +30,7 @@ NOON = datetime(2022, 10, 12, 12, tzinfo=UTC).timestamp()
 
 
 def readings(times, dni=700.0, dhi=90.0):
-    """Return the lines of a file with what the faces read at these times."""
+    """Return the lines of a file with the faces' readings at these times."""
     light = sky("isotropic", sun_direction(np.array(times), *SITE), dni, dhi, 1360.0)
     faces = np.stack([light.irradiance_on(np.array(normal)) for normal in NORMALS], axis=-1)
     return [[iso_utc(at), *(f"{value:.2f}" for value in row)] for at, row in zip(times, faces, strict=True)]
@@ -44,7 +44,7 @@ def write(path, lines, header="time,east,south,west,zenith"):
 
 @pytest.fixture
 def heliocube(monkeypatch, capsys):
-    """Run the command in this process; returns its exit code and what it said."""
+    """Run the command in this process; returns its exit code and its output."""
 
     def run(*arguments):
         monkeypatch.setattr("sys.argv", ["heliocube", *map(str, arguments)])
@@ -58,7 +58,7 @@ def heliocube(monkeypatch, capsys):
 
 @pytest.fixture
 def replayed(heliocube, tmp_path):
-    """Replay lines by a law; returns the rows that came out."""
+    """Replay lines by a law; returns the rows of the result."""
 
     def run(lines, law, *more, name="faces.csv"):
         source, out = write(tmp_path / name, lines), tmp_path / "positions.csv"
@@ -99,7 +99,7 @@ def test_a_clear_hour_is_followed_at_any_cadence(replayed, law, every_s):
 
 @pytest.mark.parametrize("law", ["mu-prime", "optimal"])
 def test_it_stands_where_the_live_tracker_stood(run_rig, replayed, law):
-    # Decisions lie well away from the edges of the clouds, where one scan more turns the mean by degrees.
+    # Decisions lie well away from the edges of the clouds, where one scan more would turn the mean by degrees.
     rig = run_rig(half_an_hour, law={"name": law}, weather=Blinking(), start="2022-10-12T10:02")
     scans = rig.of(Scan)
     lines = [[iso_utc(scan.time_utc_s), *(f"{face.irradiance_w_m2}" for face in scan.faces)] for scan in scans]
@@ -109,7 +109,7 @@ def test_it_stands_where_the_live_tracker_stood(run_rig, replayed, law):
     moving = np.array([pose.time_utc_s for pose in poses if pose.moving])
     compared = 0
     for scan, row in zip(scans, found, strict=True):
-        # A decision may come a scan earlier or later: what counts is where a tracker at rest stands.
+        # A decision may come a scan earlier or later: only the pose of a tracker at rest is compared.
         if scan.time_utc_s < times[0] + 420 or (np.abs(moving - scan.time_utc_s) < 12).any():
             continue
         live = poses[int(np.searchsorted(times, scan.time_utc_s, side="right")) - 1]

@@ -1,4 +1,4 @@
-"""The reference sender reads a file strictly and sends it in the file's own rhythm."""
+"""The reference sender reads a file strictly and sends it in its own rhythm."""
 
 import asyncio
 import gzip

@@ -1,4 +1,4 @@
-"""Tables for people fit 80 columns, and are continued below on purpose where they do not."""
+"""Tables for people fit into 80 columns, and wider ones are continued below."""
 
 import pytest
 

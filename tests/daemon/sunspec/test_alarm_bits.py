@@ -16,7 +16,7 @@ def test_a_stow_that_fails_and_waits_to_be_tried_again_is_not_where_it_should_be
         for axis in "ab":
             rig.unit.inject(f"{axis}_ignores_targets", rig.clock.monotonic())
         if stopped:
-            # A person's own stow would end with the stop.
+            # A person's stow would end with the stop.
             rig.wind_m_s = 20.0
         else:
             rig.control.stow("storm")

@@ -55,7 +55,7 @@ async def ended(task):
 
 
 async def asked(port, data):
-    """Return what comes back before the device closes, or the first reply."""
+    """Return the first reply, or what comes before the device closes."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     try:
         writer.write(data)
@@ -100,7 +100,7 @@ def test_beyond_sixteen_clients_the_next_is_put_off_until_one_has_asked_nothing_
             await asyncio.sleep(6)
             writer.write(framing.begin(QUESTION))
             assert framing.feed(await reader.read(300)) is not None
-        # Each newcomer takes the place of one that is silent, and none that of the one that asks.
+        # Each newcomer replaces a silent connection, and none replaces the one that asks.
         newcomers = [await asyncio.open_connection("127.0.0.1", port) for _ in range(15)]
         for silent, _ in others[1:]:
             assert await silent.read() == b""

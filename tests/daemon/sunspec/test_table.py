@@ -1,4 +1,4 @@
-"""The registers on the rig under virtual time: what they say of it, and what a write does and may not do."""
+"""The registers on the rig under virtual time: what they say about it, and what a write does and may not do."""
 
 import asyncio
 
@@ -72,7 +72,7 @@ def test_the_units_that_mean_the_device_itself_on_tcp_are_answered(run_rig, unit
 def test_manual_is_a_goto_and_automatic_gives_back(run_rig):
     async def scenario(rig, control):
         at = (await control.models())[601][0] + 20
-        # The facts' pair: az 217.01, el 33.83 is A 30, B 40.
+        # Azimuth 217.01, elevation 33.83 is A 30, B 40.
         assert await control.write(at, [*int32(3383), *int32(21701), 1]) == 0
         await rig.until(lambda: rig.truth() == pytest.approx((30.0, 40.0), abs=0.8), 120, "the manual target")
         assert rig.mode is Mode.HOLD
@@ -212,7 +212,7 @@ def test_a_persons_stop_is_not_ended_from_the_control_room(run_rig):
         assert await control.write(at + 4, [0]) == 4
         assert await control.write(at, [*int32(3383), *int32(21701)]) == 0
         assert await control.write(at, [*int32(9000), *int32(18000), 1]) == 4
-        # Else a later mode that is written alone would move the tracker to where it was refused to go.
+        # Otherwise a mode that is written alone later would move the tracker to the target that was refused.
         assert await control.read(at, 4) == (*int32(3383), *int32(21701))
         assert rig.control.wishes.stop is not None
         assert (await control.models())[601][1][22] == 1
@@ -225,11 +225,11 @@ def test_a_stop_of_this_very_moment_is_not_ended_from_the_control_room(run_rig, 
     async def scenario(rig, control):
         at = (await control.models())[601][0] + 20
         if late:
-            # Else there is nothing to be ended, and no command.
+            # Otherwise there would be nothing to end, and no command.
             assert await control.write(at + 4, [1]) == 0
         stop = rig.control.stop("a hand in the gear", "ana")
         if late:
-            # Between the register and the command.
+            # The stop comes between the writing of the register and the command.
             writing = asyncio.create_task(control.write(at + 4, [0]))
             await asyncio.sleep(0)
             await stop
@@ -264,7 +264,7 @@ def test_a_second_target_right_after_the_first_is_the_one_that_counts(run_rig):
         at = (await control.models())[601][0] + 20
         assert await control.write(at, [*int32(3383), *int32(21701), 1]) == 0
         assert await control.write(at, [*int32(5000), *int32(15000), 1]) == 0
-        # By then the effect of the first is not waited for any more.
+        # By then nobody waits for the effect of the first target.
         await asyncio.sleep(10)
         assert await control.read(at, 5) == (*int32(5000), *int32(15000), 1)
         assert await control.write(at + 4, [1]) == 0
@@ -294,7 +294,7 @@ def test_a_control_room_that_writes_the_same_every_second_gives_one_order(run_ri
         assert await orders([0x8000, 0, 0x8000, 0, 0]) == 1
         await rig.until_mode(Mode.TRACKING, 60)
         assert await orders([0x8000, 0, 0x8000, 0, 0]) == 0
-        # What a person asks for meanwhile is replaced, as ever.
+        # A person's command meanwhile replaces it, as always.
         await Operator(rig.service.trackers[0], 1.0).hold("a look", "ana")
         assert await orders(block) == 1
 

@@ -1,4 +1,4 @@
-"""Days that pass quickly, an operator, and where the tracker stands then."""
+"""Days that pass quickly, an operator, and where the tracker stands afterwards."""
 
 import asyncio
 from datetime import datetime
@@ -17,8 +17,8 @@ def operator(rig):
 
 
 def pass_quietly(rig, until):
-    """Let time jump to this instant: hours in which nothing happens are no test's business."""
-    # Nobody misses the looks at the positioner that are left out with them.
+    """Let time jump to this instant, for hours in which nothing happens."""
+    # With them the looks at the positioner are left out; nothing depends on these.
     rig.motion._polling = Polling(idle_s=86400.0)
     asyncio.get_running_loop().skip(datetime.fromisoformat(f"{until}Z").timestamp() - rig.clock.utc())
 

@@ -1,6 +1,6 @@
-"""What a person asked for before the machine slept is not gone on with hours later, when nobody stands there.
+"""What a person asked for before the machine slept does not go on hours later, when nobody stands there any more.
 
-A clock that is set meanwhile is no sleep, and hides none.
+A clock that is set meanwhile is not a sleep, and hides none.
 """
 
 import asyncio
@@ -17,7 +17,7 @@ ENDED = "test; a sleep of the machine has ended the goto to A 40, B 30 deg"
 
 
 def sleep(rig, clock_set_s=0.0):
-    """Let the machine sleep; the unit has no supply meanwhile, so it is on its way still."""
+    """Let the machine sleep; the unit has no supply meanwhile, so it is still under way afterwards."""
     rig.clock.slept_s += 3600.0
     rig.clock.step_s += clock_set_s
 

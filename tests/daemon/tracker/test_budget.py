@@ -1,4 +1,4 @@
-"""What the laws may move in a day, to the last move and the last degree."""
+"""How far the laws may move in a day, to the last move and the last degree."""
 
 import pytest
 
@@ -10,14 +10,14 @@ from daemon.tracker.budget import DayBudget
 from solar.ephemeris import Site
 
 DAY_S = 86400.0
-# The sun's midnight at 90 deg east is 18:00 UTC. On the equator its day lasts from six to six there.
+# Solar midnight at 90 deg east is 18:00 UTC. On the equator the day there lasts from six to six, solar time.
 EAST, MIDNIGHT_UTC_S = Site(0.0, 90.0, 0.0), 19_000 * DAY_S - 21_600.0
 HOUR_S = 3600.0
 SETTINGS = MotionSettings(moves_per_day=100, travel_per_day_deg=400.0)
 
 
 class Budget(DayBudget):
-    """With its alarms in hand."""
+    """A budget with its alarms within reach."""
 
     def __init__(self, folder=None, utc_s=MIDNIGHT_UTC_S):
         self.told = Alarms(SystemClock(), lambda _record: None)

@@ -1,4 +1,4 @@
-"""A clock that was set: nothing follows the ephemeris until it is set right, however long that takes."""
+"""A clock that was set: nothing follows the ephemeris until the clock is right again, however long that takes."""
 
 import asyncio
 
@@ -9,7 +9,7 @@ from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
 from tests.support.rig import SITE, HandWeather
 
-# Scans enough for every decision, and a quarter of the work of hours.
+# Scans enough for every decision, at a quarter of the work.
 SELDOM = {"cube": {"scan_every_s": 20}, "safety": {"scan_stale_s": 65}}
 
 

@@ -1,4 +1,4 @@
-"""When a curve is stopped, left out or judged, at the bounds, with a load that only answers."""
+"""When a curve is stopped, left out or judged, exactly at the bounds, with a minimal load."""
 
 import asyncio
 import math
@@ -17,7 +17,7 @@ from drivers.settings import LoadSettings
 
 
 class Load:
-    """Gives an open-circuit voltage, and asks before its only step whether to stop."""
+    """Gives an open-circuit voltage, and asks whether to stop before its only step."""
 
     def __init__(self, open_circuit_v=40.0):
         self.open_circuit_v = open_circuit_v
@@ -37,7 +37,7 @@ class Load:
             raise LinkLostError("load", "it is gone")
         voltages = np.array(plan(self.open_circuit_v))
         self.between()
-        # A module of 9 A and a knee.
+        # The curve of a module of 9 A, with its knee.
         currents = 9.0 * (1.0 - np.expm1(voltages / 2.0) / math.expm1(self.open_circuit_v / 2.0))
         return SweptCurve(self.open_circuit_v, tuple(voltages), tuple(currents), stop_why() or "")
 

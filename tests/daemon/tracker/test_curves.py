@@ -60,7 +60,7 @@ def test_a_curve_bears_what_the_zenith_face_read(run_rig):
 
 def test_a_change_of_light_in_the_middle_of_a_curve_stops_it(run_rig):
     async def scenario(rig):
-        # Curves last for almost all of their time, so that scans fall into them.
+        # Curves take almost all of the time, so that scans fall into them.
         await rig.until(lambda: len(rig.of(IvCurve)) >= 5, 60, "5 curves")
         rig.scene.shade(3, 0.5)
         await rig.until(lambda: rig.of(IvCurve)[-1].quality is CurveQuality.STOPPED, 30, "a curve that was stopped")
@@ -106,10 +106,10 @@ def test_an_unplugged_load_is_told_once_and_tracking_goes_on_undisturbed(run_rig
     def moves(rig):
         return np.array([(move.time_utc_s, move.target_a_deg, move.target_b_deg) for move in rig.of(Move)])
 
-    # Whether a scan at the edge of a mean is in it hangs on a nanosecond.
+    # Whether a mean includes a scan at its edge depends on a nanosecond.
     assert moves(disturbed) == pytest.approx(moves(calm), abs=0.02)
     assert len(moves(calm)) > 3
-    # The service had ended when this was looked at.
+    # By now the service has ended.
     assert not disturbed.load_core.on
     assert not calm.load_core.on
 

@@ -1,4 +1,4 @@
-"""What the laws may move in a day, on the whole rig: it is told, survives a restart, and limits nobody else."""
+"""How far the laws may move in a day, on the whole rig: it is told, survives a restart, and limits nobody else."""
 
 import asyncio
 import json
@@ -150,7 +150,7 @@ def test_while_the_clock_is_in_doubt_a_day_ends_by_the_time_that_was_believed(ru
         await asyncio.sleep(900)
         assert rig.control.budget.used.moves == 0
 
-    # By the mean sun midnight is at 23:51 here.
+    # Midnight of the mean sun is at 23:51 here.
     run_rig(scenario, start="2022-10-12T23:40")
 
 

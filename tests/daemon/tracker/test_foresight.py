@@ -1,4 +1,4 @@
-"""What the next decision will be, before it falls."""
+"""The next decision, foreseen before it falls."""
 
 import asyncio
 
@@ -16,7 +16,7 @@ SOON_S = 12
 
 
 async def soon(rig):
-    """Wait until shortly before a decision, and return what is foreseen and what is decided then."""
+    """Wait until shortly before a decision, and return the foreseen and the real decision."""
     await rig.until_mode(Mode.TRACKING, 120)
     await asyncio.sleep(400)
     await rig.until(lambda: 2 < rig.control.state.next_decision_s < SOON_S, 400, "the time before a decision")
@@ -51,7 +51,7 @@ def test_an_even_sky_is_named_as_the_reason_to_lie_flat(run_rig):
 
 
 class Restless(FlatLaw):
-    """A law that says something else each time it is asked."""
+    """A law that gives another direction each time it is asked."""
 
     turns = 0
 
@@ -61,7 +61,7 @@ class Restless(FlatLaw):
 
 
 class Bolted(Restless):
-    """One that cannot be copied."""
+    """A law that cannot be copied."""
 
     def __deepcopy__(self, memo):
         raise TypeError("no copies")

@@ -1,4 +1,4 @@
-"""What a law has learned outlives a restart, and what cannot be read is no beginning."""
+"""What a law has learned survives a restart, and an unreadable file is not a fresh beginning."""
 
 from daemon.base.state import StateFolder
 from daemon.tracker.law_file import FILE_NAME, LawFile

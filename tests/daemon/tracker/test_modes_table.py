@@ -1,4 +1,4 @@
-"""What holds in every situation there is, and the page that shows it."""
+"""What holds in every possible situation, and the page that shows it."""
 
 import importlib.util
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What is refused while somebody keeps the tracker still."""
+"""What is refused while a person keeps the tracker still."""
 
 from types import SimpleNamespace
 
@@ -15,7 +15,7 @@ COMMANDS = ("stow", "snow", "hold", "goto", "home", "clear", "maintenance")
 
 
 def refused(*wishes):
-    """Return which commands are refused with these wishes in force."""
+    """Return the commands that are refused with these wishes in force."""
     orders = Orders(SystemClock(), WishFile(StateFolder(None)))
     for wish in wishes:
         orders.latch(wish, "why", "somebody")
@@ -50,7 +50,7 @@ def test_other_wishes_forbid_nothing_here(wish):
 
 
 class Hand:
-    """A clock in hand."""
+    """A clock that a test sets."""
 
     now_s = 100.0
 

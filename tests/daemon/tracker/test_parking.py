@@ -1,4 +1,4 @@
-"""A fixed position is gone to at once, and again every minute that the tracker is not there."""
+"""The tracker goes to a fixed position at once, and is sent again every minute while it is not there."""
 
 from math import nan
 from types import SimpleNamespace
@@ -16,7 +16,7 @@ def at(a_deg, b_deg):
 
 
 def ordered(times_s, pose=None, target=None, homing=False, after=lambda _parking: None, taken=True):
-    """Return at which of these times a move is ordered."""
+    """Return the times, out of these, at which a move is ordered."""
     found = []
     motion = SimpleNamespace(pose=pose or at(20.0, 60.0), target=target, heading=target, homing=homing)
 

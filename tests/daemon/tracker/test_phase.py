@@ -1,4 +1,4 @@
-"""The trackers of a process take their turns: none waits for the whole of the others, and each keeps its rhythm."""
+"""The trackers of a process take turns: none waits for all the others, and each keeps its rhythm."""
 
 import pytest
 
@@ -36,7 +36,7 @@ def test_all_decide_soon_after_the_first_scan_and_from_then_on_one_after_the_oth
         begun = rig.of(Decision)
         assert {decision.tracker for decision in begun} == {"t0", "t1", "t2", "t3"}
         assert max(each.time_monotonic_s for each in begun) - min(each.time_monotonic_s for each in begun) <= 3.0
-        # The first turn is half an interval away at the least, and one and a half at the most.
+        # The first turn comes after half to one and a half intervals.
         await rig.until(lambda: len(rig.of(Decision)) >= 16, 1700, "three decisions more of each")
         for place in range(4):
             own = [each for each in rig.of(Decision) if each.tracker == f"t{place}"]

@@ -110,7 +110,7 @@ def test_law_and_fallback_turn_out_of_the_shade_of_the_group_of_the_file():
 
 
 class Noting(FlatLaw):
-    """A law that notes what it is told, and fails where it is to."""
+    """A law that notes what it is given, and fails if a test wants it to."""
 
     faces_needed = 2
     needs_sun = True
@@ -191,7 +191,7 @@ def test_once_a_law_has_failed_the_other_answers_with_its_own_needs():
 
 
 def answering(monkeypatch, **answers):
-    """Return what points, by a law that answers this: to `aim` with a change of what it would have said."""
+    """Return the pointing by a law that gives these answers; a dict changes fields of the answer of `aim`."""
     points, law = noting()
     said = law.aim(Moment(NOON, None, None))
     for name, answer in answers.items():
@@ -288,7 +288,7 @@ def test_a_law_that_cannot_be_built_is_refused_in_a_sentence(monkeypatch, build,
     ("faces_needed", 1, None), ("faces_needed", 4, None), ("decide_every_s", 0.5, None),
 ])  # fmt: skip
 def test_a_law_that_asks_for_what_there_is_not_is_refused(monkeypatch, name, value, words):
-    # A rhythm of its own stands over what it is given.
+    # A value of the law's own takes precedence over what it is given.
     monkeypatch.setattr(FlatLaw, name, property(lambda _law: value, lambda *_: None), raising=False)
     settings = Settings(law={"driver": "flat"})
     if words is None:

@@ -1,4 +1,4 @@
-"""Where people keep the tracker: a hold, a goto or a stow lasts, is not forgotten, and ends what was under way."""
+"""Where people keep the tracker: a hold, a goto or a stow lasts, is not forgotten, and ends the move under way."""
 
 import asyncio
 
@@ -183,7 +183,7 @@ def test_a_goto_that_another_one_replaces_before_it_has_begun_is_not_begun(run_r
     async def scenario(rig):
         await quiet(rig)
         await operator(rig).goto(40.0, 40.0, "a look", "ana")
-        # The move that is on takes half a second to end, and the one that it ends for waits until then.
+        # The move under way takes half a second to end; the goto that ends it waits for that.
         elsewhere = asyncio.create_task(operator(rig).goto(-40.0, 80.0, "a look", "ben"))
         await asyncio.sleep(0.1)
         await operator(rig).goto(40.0, 40.0, "a look", "ana")
@@ -204,7 +204,7 @@ def test_what_waits_for_a_clear_does_not_leave_a_place_that_was_asked_for_again(
         await at_rest(rig)
         await asyncio.sleep(20)
         moves = len(rig.of(Move))
-        # The unit takes its time to show that it has cleared its marks.
+        # The unit takes some time to show that its marks are cleared.
         clearing = asyncio.create_task(person.clear("all is well", "ana"))
         await asyncio.sleep(0.1)
         if command == "goto":

@@ -1,4 +1,4 @@
-"""What the scans are good for, and whether it is night."""
+"""Whether the scans are good enough, for what, and whether it is night."""
 
 import math
 
@@ -24,7 +24,7 @@ class SetClock:
 
 
 class FourFacesLaw(DirectionLaw):
-    """One that says nothing of faces, as anybody may write it."""
+    """A law that says nothing about faces, as anybody may write one."""
 
     def direction(self, _now, to_sun):
         """Return the way to the sun."""
@@ -35,7 +35,7 @@ FOUR_FACES = FourFacesLaw(TrackerFacts(Site(48.7, 2.2, 156.0), Limits(), 5.0, 30
 
 
 class Rig:
-    """Readings under a sun in hand; a scan every 5 s."""
+    """Readings under a sun that a test sets; a scan every 5 s."""
 
     def __init__(self, law=FOUR_FACES):
         self.clock = SetClock()
@@ -64,7 +64,7 @@ class Rig:
 
 
 class Believing:
-    """A law that can do without a face, and believes the zenith face or does not."""
+    """A law that can do without a face, and that believes the zenith face or not."""
 
     def __init__(self, believes, faces_needed=3):
         self.believes = believes
@@ -137,7 +137,7 @@ def test_a_vertical_face_is_sunlit_from_ten_times_the_end_of_night():
     rig = Rig()
     rig.sun_deg = 5.0
     assert "zenith face reads 4.0" in rig.minutes(4.0, south=95.0)[2], "dusk under clouds"
-    # A vertical face in the sun at 5 deg gives the zenith face tan 5 deg = 0.087 of that, half of it at the least.
+    # A sun at 5 deg on a vertical face gives the zenith face tan 5 deg = 0.087 of that, and half of it is enough.
     assert rig.minutes(4.0, south=105.0)[2] is None
 
 

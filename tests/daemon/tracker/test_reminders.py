@@ -24,7 +24,7 @@ def utc_s(text):
 
 
 class Desk:
-    """Reminders with a clock in hand, and what they have raised and told."""
+    """Reminders with a clock that a test sets, and what they have raised and told."""
 
     def __init__(self, start="2022-10-12T14:00", directory=None, **site):
         self._utc_s = utc_s(start)

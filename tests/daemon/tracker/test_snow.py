@@ -1,4 +1,4 @@
-"""Snow: the tracker stands steep and stays so, and what goes before it."""
+"""Snow: the tracker stands steep and stays so, and what takes precedence over it."""
 
 import asyncio
 

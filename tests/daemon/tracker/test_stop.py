@@ -1,4 +1,4 @@
-"""A person's stop, maintenance and the unit's buttons: nothing moves until `auto`, whoever asks for what."""
+"""A person's stop, maintenance and the unit's buttons: nothing moves until `auto`, whatever is asked for."""
 
 import asyncio
 import json
@@ -41,7 +41,7 @@ def reminders(rig):
 
 
 def press_a_button(rig):
-    """Press a button at the unit; return what lets it go."""
+    """Press a button at the unit; return a function that lets it go."""
     read, pressed = rig.positioner.read_telemetry, [True]
 
     async def with_button():
@@ -125,7 +125,7 @@ def test_a_second_stop_is_sent_and_noted_beside_the_first_until_both_are_release
         assert sent[0][1].startswith(b"$9s")
         assert answer.done
         assert re.search(rf"mode hold: {whose}$", answer.text)
-        # So soon after another one that it is not sent once more.
+        # So soon after another stop that the packet is not sent again.
         both = await asyncio.gather(desk.stop("a noise", "bob"), desk.stop("me too", "eve"))
         assert [each.done for each in both] == [True, True]
         told = [event.text for event in rig.of(Event) if event.subject == "operator"]

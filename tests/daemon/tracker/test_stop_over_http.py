@@ -1,4 +1,4 @@
-"""What the interface answers and shows while a person keeps the tracker still, or it has not begun."""
+"""The interface's answers and state while a person keeps the tracker still, or before it has begun."""
 
 import asyncio
 

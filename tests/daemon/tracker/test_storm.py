@@ -20,7 +20,7 @@ def test_a_gust_of_two_seconds_between_two_looks_stows(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 60)
         for _ in range(3):
-            # Just after a look, and over before the next.
+            # Just after a look; the gust is over before the next.
             looked_s = rig.control.last_tick_s
             await rig.until(lambda before=looked_s: rig.control.last_tick_s > before, 10, "a look")
             rig.wind_m_s = 14.0
@@ -118,7 +118,7 @@ def test_a_button_that_was_let_go_a_moment_before_auto_keeps_no_stow_waiting(run
         await rig.until(lambda: rig.control.wishes.buttons is not None, 5, "the hold")
         rig.wind_m_s = 20.0
         await asyncio.sleep(1.5)
-        # The unit tells its status every few seconds: by the latest one the button is still pressed.
+        # The unit reports its status every few seconds: by the latest report the button is still pressed.
         rig.control.auto()
         await rig.until_mode(Mode.STOW, 1)
         assert rig.motion.target is None

@@ -1,4 +1,4 @@
-"""All reasons to stow together, and over a restart."""
+"""All reasons to stow together, and across a restart."""
 
 import asyncio
 import json
@@ -31,7 +31,7 @@ class SetClock:
 
 
 class Rig:
-    """Two wind sensors, a watch over both, and a folder that outlives them."""
+    """Two wind sensors, a watch over both, and a folder that survives them."""
 
     def __init__(self, directory=None, now=0.0, utc=1.7e9):
         self.clock = SetClock(now, utc)
@@ -242,7 +242,7 @@ def test_a_silent_source_whose_name_is_part_of_that_of_another_is_told_of_its_ow
 
 
 class Plugged:
-    """A source of somebody else's, which answers with what a test wants: an error is raised."""
+    """A third party's source, which gives the answers of a test; an error is raised."""
 
     def __init__(self, reason=None, age_s=0.0, name="hail"):
         self.name, self.why, self.age_s, self.resumed = name, reason, age_s, []

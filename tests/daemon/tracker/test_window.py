@@ -86,7 +86,7 @@ def test_the_mean_lies_between_its_readings_and_covers_no_more_than_the_window(s
 
 @given(st.lists(st.tuples(st.sampled_from([5.0, 7.5, 40.0]), st.sampled_from([0.0, 5.0, 10.0, 45.0, 3600.0]))))
 def test_a_reading_that_is_told_after_a_later_one_of_its_face_stands_for_nothing(scans):
-    # The bridge takes a face's time of up to an hour before its scan: of a sender whose clock is set, for one.
+    # The bridge accepts face times of up to an hour before their scan, for example from a sender whose clock was set.
     window, now_s = Window(120, 5, 60), 0.0
     window.add(scan(now_s, 100.0))
     for step_s, before_s in scans:

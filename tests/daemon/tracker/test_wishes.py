@@ -1,4 +1,4 @@
-"""What is read back from the file of wishes."""
+"""The wishes that are read back from their file."""
 
 import json
 
@@ -25,7 +25,7 @@ def loaded(tmp_path, text):
         '{"halt": "x"}',
         '{"hold": {"why": "x", "since_utc_s": 1e300}}',
         '{"hold": {"why": "x", "since_utc_s": NaN}}',
-        # No calendar goes so far: it could be kept and never be shown.
+        # No calendar goes so far: such a wish could be kept and never be shown.
         '{"hold": {"why": "x", "since_utc_s": -6.3e10}}',
         '{"hold": {"why": "x", "since_utc_s": 2.6e11}}',
         '{"hold": {"why": "x", "goto_deg": [10, NaN]}}',

@@ -1,4 +1,4 @@
-"""Who gets through the door: whoever has something to say, at a bounded rate, and the bearer of the token at once."""
+"""Who gets through the door: whoever sends something, at a bounded rate, and the bearer of the token at once."""
 
 import asyncio
 import errno
@@ -18,7 +18,7 @@ STOP = b"POST /api/stop HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer %s\
 
 
 class FromElsewhere(socket.socket):
-    """A bound socket whose callers may seem to come from elsewhere, and which may fail once."""
+    """A bound socket whose callers may seem to have another address, and which may fail once."""
 
     whence: str | None = None
     fails: OSError | None = None
@@ -82,7 +82,7 @@ def in_house(scenario):
 
 
 async def answer(caller):
-    """Return what is said to a caller before the end; a reset is an end."""
+    """Return what is sent to a caller before the end; a reset counts as an end."""
     with suppress(ConnectionError):
         return await asyncio.get_running_loop().sock_recv(caller, 4096)
     return b""

@@ -222,7 +222,7 @@ def test_what_nobody_has_seen_and_nothing_latches_costs_no_disk(house):
         "{",
         '{"alarms": {"move-failed": {"text": 3}}}',
         '{"alarms": {"x": {"text": "", "raised_utc_s": NaN}}}',
-        # No calendar goes so far: it could be kept and never be shown.
+        # No calendar goes so far: such an alarm could be kept and never be shown.
         '{"alarms": {"move-failed": {"text": "", "raised_utc_s": 1e18}}}',
         '{"alarms": {"move-failed": {"text": "", "raised_utc_s": 1.0, "acknowledged_utc_s": -1e18}}}',
     ],

@@ -1,4 +1,4 @@
-"""The list of alarms, held against the source and the page."""
+"""The list of alarms, compared with the source and the page."""
 
 import ast
 import importlib.util

@@ -1,4 +1,4 @@
-"""`heliocube archive fill` and `parquet`, and what reads an archive as it reads a store, against a real PostgreSQL."""
+"""`heliocube archive fill` and `parquet`, and the readers of archives and stores, against a real PostgreSQL."""
 
 import json
 import sqlite3
@@ -35,7 +35,7 @@ def tables(folder):
 
 
 def in_duckdb(query):
-    """What DuckDB answers, asked in a process of its own."""
+    """Return DuckDB's answer, from a process of its own."""
     program = "import duckdb, json, sys; print(json.dumps(duckdb.sql(sys.argv[1]).fetchall()))"
     done = subprocess.run([sys.executable, "-c", program, query], capture_output=True, text=True, check=True)
     return [tuple(row) for row in json.loads(done.stdout)]
@@ -87,7 +87,7 @@ def is_read_as_a_store(store, archive, database, heliocube, tmp_path):
 
 
 def cools_down(store, postgres, database, heliocube, tmp_path):
-    """Each day becomes Parquet once, and goes when all of it is there."""
+    """Each day becomes Parquet once, and is dropped when its file has all of it."""
     out = tmp_path / "cold"
     run = ("archive", "parquet", "--to", database, "--out", out, "--json")
     first = json.loads(heliocube(*run)[1])
@@ -103,7 +103,7 @@ def cools_down(store, postgres, database, heliocube, tmp_path):
     wanted = [(where, who, True, DAY) for where in ("plant/both", "plant/roof") for who in ("T-Chrono", "T-Cube")]
     assert sorted(in_duckdb(query)) == wanted
 
-    # A drop that was broken off between its file and its end is as if it had not begun.
+    # A drop that was interrupted after its file was renamed and before its end counts as not begun.
     query = "SELECT system_identifier, 'heliocube.poses_{}'::regclass::oid FROM pg_control_system()"
     ((server, part),) = postgres.sql(query.format(DAY.replace("-", "")), name)
     folder = out / "poses" / f"day={DAY}"
@@ -111,7 +111,7 @@ def cools_down(store, postgres, database, heliocube, tmp_path):
     heliocube(*run)
     assert [path.name for path in folder.iterdir()] == ["records.parquet"]
 
-    # A file that is missing is made anew, one with more rows stays; a day goes only when its file has all.
+    # A missing file is made anew, one with more rows stays; a day is dropped only when its file has all of it.
     (out / "poses" / f"day={DAY}" / "records.parquet").unlink()
     postgres.sql("DELETE FROM heliocube.scans WHERE number = (SELECT max(number) FROM heliocube.scans)", name)
     kinds = {one.kind for one in drop_days(parse_archive(database), out, date(2026, 1, 1))}
@@ -122,7 +122,7 @@ def cools_down(store, postgres, database, heliocube, tmp_path):
     assert {one["kind"] for one in again["dropped"]} == {"poses"}
     assert postgres.sql("SELECT count(*) FROM heliocube.poses", name) == [(0,)]
 
-    # What comes after the drop has a file of its own, and costs none that is final.
+    # Records that come after the drop have a file of their own, and change no final one.
     heliocube("archive", "fill", store, "--to", database, "--name", "plant/late")
     heliocube(*run)
     query = f"SELECT installation, count(*) FROM '{out}/poses/*/*.parquet' GROUP BY 1"

@@ -1,4 +1,4 @@
-"""What is broken off at an archive: what is done stays done, and what was only for the time goes."""
+"""Commands on an archive that are interrupted: finished work stays, and temporary files go."""
 
 import os
 import signal
@@ -64,7 +64,7 @@ def test_the_copy_of_an_archive_does_not_stay_when_the_connection_of_the_termina
 def test_what_the_library_cannot_undo_after_an_interruption_is_not_said_beside_it(database, caplog):
     def interrupted():
         with connected(parse_archive(database), "a test") as connection, connection.transaction():
-            # As where it comes just between a question and the wait for its answer.
+            # As if the interruption came just between a question and the wait for its answer.
             connection.pgconn.send_query(b"SELECT pg_sleep(0.1)")
             raise KeyboardInterrupt
 

@@ -1,4 +1,4 @@
-"""`heliocube setup` where nothing moves: what it writes, what it leaves alone, and how it is left."""
+"""`heliocube setup` without moves: what it writes, what it leaves alone, and how a person leaves it."""
 
 import grp
 import os
@@ -70,7 +70,7 @@ def test_what_is_there_is_kept_and_no_key_is_overwritten(setup, tmp_path):
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files to others")
 def test_a_key_that_root_makes_belongs_to_the_user_of_the_service_as_the_installation_has_it(setup, tmp_path):
-    # As deploy/heliocube.tmpfiles.conf lays the others down; 'daemon' stands for the user and group 'heliocube'.
+    # As deploy/heliocube.tmpfiles.conf sets the owners; 'daemon' stands for the user and group 'heliocube'.
     user, group = pwd.getpwnam("daemon").pw_uid, grp.getgrnam("daemon").gr_gid
     (tmp_path / "api.token").write_text("t" * 40)
     os.chown(tmp_path / "api.token", 0, group)
@@ -90,7 +90,7 @@ def test_a_full_disk_leaves_the_configuration_that_was_there(setup, small_disk, 
     said = setup(file, *CUBE, "new")
     assert said.exit_code == 0, said.output
     before = file.read_text()
-    # Room for the copy of what was there and for the answers, and for nothing else.
+    # Room for the copy of the old file and for the answers, and for nothing else.
     spare = small_disk / "spare"
     spare.write_bytes(b"x" * 4096 * (len(before) // 4096 + 3))
     fill(small_disk / "filler")
@@ -209,7 +209,7 @@ def test_a_folder_that_takes_no_file_is_refused_before_anything_is_asked(setup, 
     assert "name a file in a folder of yours" in str(done.exception)
 
 
-# As it is of a terminal whose locale is fr_FR.UTF-8, say; C.UTF-8 takes any byte.
+# As with a terminal whose locale is fr_FR.UTF-8, for example; C.UTF-8 takes any byte.
 @pytest.mark.parametrize("encoding", ["utf-8:strict", "ascii:strict"])
 def test_a_letter_in_another_encoding_than_the_terminal_s_is_no_answer_and_no_end(tmp_path, encoding):
     done = subprocess.run(

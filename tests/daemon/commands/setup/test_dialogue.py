@@ -32,7 +32,7 @@ def dialogue_of(file, *answers):
 
 
 def walk(dialogue, needed, moved=SKIPPED, until=None):
-    """Answer all that is left up to a step: by Enter, by what is needed, and an action by what came of it."""
+    """Answer every question up to a step: by `needed` or Enter, and an action by its outcome."""
     names = []
     while (step := dialogue.step()) is not None and step.name != until:
         names.append(step.name)
@@ -67,7 +67,7 @@ def test_a_cube_is_asked_for_its_faces_and_its_trackers_and_nothing_of_it_moves(
     assert "limits.a_min_deg" not in names
     assert dialogue.settings().cube.west.gain_w_m2_per_mv == 9.87
     assert dialogue.settings().bridge.send_to == ("10.0.0.5:20571",)
-    # A tracker of the same machine has the other one, so that 'heliocube stop' goes there.
+    # A tracker on the same machine has the default port, so that 'heliocube stop' reaches it.
     assert dialogue.settings().api.listen == "127.0.0.1:20573"
 
 

@@ -29,9 +29,9 @@ def moved(
     look=lambda _seen: None,
     sent=None,
 ):
-    """Make the first move, with a key pressed behind the words of a line; return its result, lines and poses.
+    """Make the first move, with a key pressed after the words of a line; return its result, lines and poses.
 
-    What the unit receives is put into the list `sent`.
+    The packets that the unit receives are added to the list `sent`.
     """
     lines, poses, keys = [], [], []
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:

@@ -1,4 +1,4 @@
-"""What a script is told, by the state of a running service."""
+"""What a script learns about the state of a running service."""
 
 import asyncio
 import re

@@ -28,7 +28,7 @@ __all__ = ["place"]
 def view_of(rig, console):
     recent = Recent()
     rig.bus.subscribe(recent.note)
-    # As beside a rig of ten times real speed: to draw a screen takes longer than all else here.
+    # As on a rig at ten times real speed: drawing a screen takes longer than everything else here.
     return LiveView(lambda: state_json(rig.see(recent)), console, speed=10.0 if console.is_terminal else 1.0)
 
 
@@ -175,7 +175,7 @@ def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig)
         east, west = rig.service.trackers
         rig.wind_m_s = 3.2
         await rig.until(lambda: west.control.mode is east.control.mode is Mode.TRACKING, 120, "tracking of both")
-        # It has left the stow position by then.
+        # By then it has left the stow position.
         await asyncio.sleep(60)
         await west.control.stop("repair", "ana")
         await west.control.stop("a noise", "bob")

@@ -26,7 +26,7 @@ def test_local_time_stands_first_and_utc_beside_it_each_with_its_date_where_need
             "2026-07-22 00:30:05",
             "local time, UTC+02:00",
         ),
-        # No zone is a day from another; such a machine's time is told in UTC.
+        # No zone is a day from another: on such a machine, times are told in UTC.
         "UTC": ("2026-07-21 22:30:05 UTC", "12:00:00 UTC", "2026-07-21 22:30:05", "UTC"),
     }[place.removesuffix("+25")]
     noon, later = "2026-07-21T12:00:00.000Z", "2026-07-21T12:30:00.000Z"

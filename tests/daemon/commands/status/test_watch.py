@@ -1,4 +1,4 @@
-"""A screen that follows the service over its restarts."""
+"""A screen that follows the service across its restarts."""
 
 import io
 import re
@@ -22,7 +22,7 @@ class SeenEnoughError(Exception):
 
 
 def seen(state, answers, *, terminal):
-    """Return what is shown while the service gives these answers: True for the state, else why there is none."""
+    """Return what is shown while the service gives these answers: True for the state, else why it gives none."""
     left = iter([*answers])
     console = Console(file=io.StringIO(), force_terminal=terminal, width=80, height=60)
 

@@ -39,7 +39,7 @@ def write(path, header, rows):
 
 @functools.cache
 def horizontal(weather, days):
-    """Return instants a minute apart, the morning of the first day under that weather and the rest clear, and GHI."""
+    """Return instants a minute apart and GHI: the first morning under that weather, the rest under a clear sky."""
     clear, cloudy = (
         Scene(SIRTA, GeneratedWeather(name, SIRTA, 1), faces=[FaceGeometry(180.0, 0.0)] * 4)
         for name in ("clear", weather)
@@ -121,7 +121,7 @@ def test_a_number_that_cannot_be_is_a_missing_reading_and_is_counted(heliocube, 
     tables = []
     for path, wrong in zip(beside(tmp_path, days=1), ("-9999", "-9999,1,99999,1"), strict=True):
         lines = path.read_text().splitlines()
-        # A few in each hour, and all of the night's.
+        # Some rows of each hour, and all of the night.
         bad = [row for row in range(1, len(lines)) if row % 20 == 7 or row < 300]
         for marked in (False, True):
             for row in bad:

@@ -46,7 +46,7 @@ def stamp(utc_s):
 
 @pytest.fixture
 def flat(tmp_path):
-    """An hour of both trackers flat, from 50 to 200 W, T-Cube's chain 2 W and 1 % low."""
+    """An hour with both trackers flat, from 50 to 200 W; T-Cube's measuring chain reads 2 W and 1 % low."""
     rows = []
     for place, power in enumerate(np.linspace(50.0, 200.0, 720)):
         when = NOON - 86400 + 5.0 * place
@@ -57,7 +57,7 @@ def flat(tmp_path):
 
 @pytest.fixture
 def day(tmp_path):
-    """Two hours: T-Cube's chain shows 97 W of 100 W, T-Chrono 98 W in the first and 102 W in the second."""
+    """Two hours: T-Cube's chain shows 97 W for 100 W, T-Chrono's 98 W in the first and 102 W in the second."""
     rows = []
     for place in range(1440):
         when = NOON + 5.0 * place
@@ -68,7 +68,7 @@ def day(tmp_path):
 
 @pytest.fixture
 def powers(day, tmp_path):
-    """The same two hours without poses: a report then draws no movement, the larger of its figures."""
+    """The same two hours without poses: a report then draws no movement, which is the larger of its figures."""
     pd.read_csv(day).drop(columns=["a_deg", "b_deg"]).to_csv(tmp_path / "powers.csv", index=False)
     return tmp_path / "powers.csv"
 
@@ -95,7 +95,7 @@ def test_fit_finds_the_bias_and_report_takes_it_away(compare, flat, day, tmp_pat
     code, out, err = compare(*asked, tmp_path)
     assert (code, err) == (0, "")
     rows = list(csv.DictReader((tmp_path / "gains.csv").read_text().splitlines()))
-    # A chain that shows 97 W measures 100: 100 against 98, and against 102.
+    # By the correction 97 W of T-Cube are 100 W: 100 against 98, and then against 102.
     first, overcast = (row for row in rows if row["period"] in ("clear", "overcast") and row["date"] == "2022-10-12")
     assert (first["period"], overcast["period"]) == ("clear", "overcast")
     assert float(first["gain_pct"]) == pytest.approx(100 * 2 / 98, abs=1e-3)
@@ -122,7 +122,7 @@ def test_a_correction_is_not_trusted_at_powers_that_it_was_not_fitted_to(compare
         "report", powers, "--bias", tmp_path / "bias.json", "--site", SITE, "--out", tmp_path / "o", "--json"
     )
     assert code == 0
-    # All of the day's 97 W lie below.
+    # All powers of T-Cube on this day, 97 W, are below the fit's lowest.
     assert {round(gain["extrapolated_pct"]) for gain in json.loads(out)["gains"]} == {100}
     assert "2022-10-12 day (100 %)" in err
     assert "measured mostly at powers outside those of the fit" in (tmp_path / "o" / "report.html").read_text()
@@ -144,14 +144,14 @@ def test_the_same_measurements_are_the_same_bytes_from_csv_gzip_and_parquet(comp
         assert [name for name in first.keys() | other.keys() if first.get(name) != other.get(name)] == []
 
 
-# Those of the other tests write every 5 s.
+# The tables of the other tests have a row every 5 s.
 @pytest.mark.parametrize("step_s", [60.0, 61.0, 300.0])
 def test_a_wattmeter_may_write_as_seldom_as_it_likes(compare, tmp_path, step_s):
     # A clock that is read every minute is a little late now and then.
     times = NOON + np.arange(0.0, 7201.0, step_s)
     times[1:] += 0.3 * (np.arange(times.size - 1) % 2)
     lines = [f"{stamp(when)},{name},100" for when in times for name in ("T-Cube", "T-Chrono")]
-    # The flat days beside it, of a faster clock, do not make gaps of a slow one's steps.
+    # The flat days beside it are sampled faster; they do not turn the slow steps into gaps.
     lines += [f"{stamp(NOON - 86400 + 5 * n)},{name},9" for n in range(2000) for name in ("T-Cube", "T-Chrono")]
     path = table(tmp_path / "powers.csv", lines, "time,tracker,pmpp_w")
     code, out, _ = compare("report", path, "--site", SITE, "--out", tmp_path / "o", "--json")
@@ -163,7 +163,7 @@ def test_a_wattmeter_may_write_as_seldom_as_it_likes(compare, tmp_path, step_s):
 
 
 def test_periods_by_the_clock_take_the_place_of_those_by_the_sky(compare, powers, tmp_path):
-    # The second begins on a day without measurements.
+    # The second period begins on a day without measurements.
     periods = ("coffee=2022-10-12T10:00/2022-10-12T11:00", "since=2022-10-11T20:00/2022-10-12T11:00")
     asked = (word for period in periods for word in ("--period", period))
     code, out, _ = compare("report", powers, "--site", SITE, "--out", tmp_path, *asked, "--json")
@@ -175,7 +175,7 @@ def test_periods_by_the_clock_take_the_place_of_those_by_the_sky(compare, powers
 
 
 def test_a_day_is_the_sites_own(compare, powers, tmp_path):
-    # In Hawaii the two hours from 10:00 UTC on are those around midnight.
+    # In Hawaii the two hours from 10:00 UTC on are around midnight.
     code, out, _ = compare("report", powers, "--site", "20,-165", "--out", tmp_path, "--json")
     assert code == 0
     days = [(gain["date"], gain["start"][:16]) for gain in json.loads(out)["gains"] if gain["period"] == "day"]
@@ -335,14 +335,14 @@ def test_one_store_has_both_trackers_with_their_own_laws_curves_and_poses(compar
         "report", *store, "--bias", tmp_path / "bias.json", "--period", overcast, "--out", tmp_path / "out"
     )
     assert code == 0, err
-    # The fit saw half an hour of sun, and no power of an overcast sky.
+    # The fit saw half an hour of sun, and no power as under an overcast sky.
     assert err.startswith("heliocube: warning: T-Cube's energy was measured mostly at powers outside those of the fit")
     (row,) = (
         row
         for row in csv.DictReader((tmp_path / "out" / "gains.csv").read_text().splitlines())
         if row["period"] == "overcast"
     )
-    # The isotropic sky at a tilt of 57 deg gives 22 %, the module's efficiency in brighter light a little more.
+    # The isotropic sky at a tilt of 57 deg gives 22 %; the module's higher efficiency in brighter light adds a little.
     assert float(row["gain_pct"]) == pytest.approx(22.5, abs=1.5)
     page = (tmp_path / "out" / "report.html").read_text()
     assert "<h1>SIMULATED: " in page

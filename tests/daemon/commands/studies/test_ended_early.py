@@ -17,7 +17,7 @@ NOTHING = "interrupted before its end; no result was written"
 
 @pytest.fixture(autouse=True)
 def _two_sites(tmp_path, monkeypatch):
-    """Have half an hour of weather, and two sites with it, in the folder that the study is called in."""
+    """Put half an hour of weather, and a table of two sites with it, into the folder where the study runs."""
     monkeypatch.chdir(tmp_path)
     minutes = [f"2016-06-05T10:{minute:02d}:00Z,{400 + 5 * minute},300,150\n" for minute in range(30)]
     (tmp_path / "weather.csv").write_text("time,ghi,dni,dhi\n" + "".join(minutes))

@@ -18,7 +18,7 @@ SITE = "55.79,12.53,50"
 
 
 def written(path, minutes):
-    """Write minutes of a winter day whose beam comes and goes: a summer day has more than twice as many with sun."""
+    """Write minutes of a winter day whose beam comes and goes: a summer day has over twice as many sunny minutes."""
     lines = ["time,ghi,dni,dhi"]
     for minute in minutes:
         dni = 700 * (minute // 30 % 2)
@@ -34,7 +34,7 @@ def weather(tmp_path):
 
 @pytest.fixture
 def short_weather(tmp_path):
-    """Two hours, where the figures do not matter."""
+    """Two hours, for tests in which the figures do not matter."""
     return written(tmp_path / "weather.csv", range(600, 720))
 
 
@@ -174,7 +174,7 @@ def test_travel_of_a_few_hours_is_told_as_more_than_that_of_a_day(monkeypatch, w
 
 
 def test_halves_of_days_count_as_halves(monkeypatch, tmp_path, capsys):
-    # Midnight of UTC is noon at 180 E: the day of a file is the afternoon of one solar day and the morning of the next.
+    # Midnight of UTC is noon at 180 E: a file's day is the afternoon of one solar day and the morning of the next.
     pages = {}
     for longitude_deg in (0, 180):
         path = tmp_path / f"{longitude_deg}.csv"
@@ -195,7 +195,7 @@ def test_halves_of_days_count_as_halves(monkeypatch, tmp_path, capsys):
 
 
 def test_days_without_sun_count_as_days_of_the_year_and_years_without_records_do_not(monkeypatch, tmp_path, capsys):
-    # At 78 N, where the sun is back in mid-February.
+    # At 78 N, where the sun returns in mid-February.
     starts = [datetime(year, 2, 9, tzinfo=UTC) for year in (2023, 2026)]
     hours = [start + timedelta(hours=hour) for start in starts for hour in range(12 * 24)]
     path = tmp_path / "spitsbergen.csv"

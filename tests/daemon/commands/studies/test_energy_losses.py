@@ -16,7 +16,7 @@ CAUSES = ["structure", "delay", "price", "motion", "noise", "gaps"]
 
 
 def written(path, minutes=range(540, 660)):
-    """Write the middle of a day whose beam comes and goes, and of an overcast one."""
+    """Write the middle of a day whose beam comes and goes, and of an overcast day."""
     lines = ["time,ghi,dni,dhi"]
     for day, minute in ((day, minute) for day in (5, 6) for minute in minutes):
         dni = 700 if day == 5 and minute % 60 < 25 else 0
@@ -32,7 +32,7 @@ def weather(tmp_path):
 
 @pytest.fixture
 def short_weather(tmp_path):
-    """Half an hour of each day, where the figures do not matter."""
+    """Half an hour of each day, for tests in which the figures do not matter."""
     return written(tmp_path / "weather.csv", range(600, 630))
 
 
@@ -53,7 +53,7 @@ def points_in(out):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """What the command has written for two skies and two thrifts."""
+    """The folder with what the command writes for two skies and two thrifts."""
     folder = tmp_path_factory.mktemp("losses")
     asked = ("--losses", "--sky", "perez1990,cie", "--laws", "optimal,optimal:8")
     with pytest.MonkeyPatch.context() as patch:
@@ -80,7 +80,7 @@ def test_what_is_lost_and_what_is_kept_are_all_that_the_bound_has(folder, points
         assert sum(of(points, cause, sky) for cause in (*CAUSES, "kept")) == pytest.approx(100.0, abs=0.01)
         assert of(points, "delay", sky) > 10.0
         assert of(points, "kept", sky) > 40.0
-    # The law's picture of the sky is that of the one, and not of the other.
+    # The law assumes the first sky, and not the other.
     assert abs(of(points, "structure")) < 0.05
     assert of(points, "structure", "cie") > 0.2
 

@@ -31,7 +31,7 @@ def inputs(tmp_path):
 
 @pytest.fixture
 def study(heliocube, inputs, tmp_path, monkeypatch):
-    """Runs a study in the folder of its inputs; returns its exit code and what it says of an error."""
+    """Runs a study in the folder of its inputs; returns its exit code and its error text."""
     monkeypatch.chdir(tmp_path)
 
     def run(words):

@@ -160,7 +160,7 @@ def test_a_range_ends_at_its_end_in_spite_of_rounding(heliocube):
 def test_a_clear_sky_stands_beside_the_theory(heliocube):
     _, out, _ = heliocube("gain", "--lat", "48.7", "--weather", "clear", "--format", "csv")
     (row,) = rows(out)
-    # The atmosphere takes from mornings and evenings, in which trackers are better.
+    # The atmosphere weakens mornings and evenings, when trackers gain most.
     assert 1.3 < row["K_DS_clip_sky"] < row["K_DS_clip"]
     assert 1.0 < row["K_DV_sky"] < row["K_DV"]
     assert row["eta_VS_sky"] == pytest.approx(row["K_DS_clip_sky"] / row["K_DV_sky"] - 1.0)
@@ -207,7 +207,7 @@ def test_a_day_of_weather_beside_a_year_of_theory_is_said(heliocube, tmp_path):
     _, _, err = heliocube(*given)
     theory = "only, while the theory's are of a whole year"
     assert err == f"heliocube: warning: weather.csv has 1 day: the ratios under its sky are of that day {theory}\n"
-    # Whatever else there is to be said of the file.
+    # That is said whatever else is wrong with the file.
     file.write_text(f"{file.read_text()}\n2022-06-07T00:00Z,9999,0,0\n")
     _, _, err = heliocube(*given)
     assert "1 impossible value" in err

@@ -31,7 +31,7 @@ def test_pictures_of_a_store_and_of_exported_tables(heliocube, store, tmp_path):
 
 @pytest.fixture
 def tables(heliocube, store, tmp_path):
-    """A folder of exported tables, and what asks for pictures of them besides their names."""
+    """A folder of exported tables, and the options that ask for pictures of them, without names."""
     folder = tmp_path / "tables"
     assert heliocube("export", "--store", store, "--out", folder)[0] == 0
     asked = ("--tables", folder, "--site", "48.7,0", "--out", tmp_path / "a.svg")

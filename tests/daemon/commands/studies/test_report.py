@@ -34,7 +34,7 @@ def call(patch, *arguments):
 
 @pytest.fixture
 def heliocube(monkeypatch, capsys):
-    """Run the command line: returns its exit code, what it said, and what it complained of."""
+    """Run the command line: returns its exit code, its output and its errors."""
 
     def run(*arguments):
         code = call(monkeypatch, *arguments)
@@ -98,7 +98,7 @@ def exported(heliocube, store, out, kind):
 def test_the_figures_of_the_page_are_those_of_the_export(heliocube, store, the_page, tmp_path):
     scans = exported(heliocube, store, tmp_path / "scans", "scans")
     moves = exported(heliocube, store, tmp_path / "moves", "moves")
-    # A scan a minute; the gap of half an hour counts for one minute and no more.
+    # A scan a minute; the gap of half an hour counts as one minute only.
     zenith = sum(float(scan["zenith_w_m2"]) for scan in scans) * 60.0 / 3.6e6
     assert figure(row(the_page, "zenith")[1]) == pytest.approx(zenith, abs=0.0006)
     good = [scan for scan in scans if scan["east_quality"] == "ok"]
@@ -227,7 +227,7 @@ def test_the_configuration_gives_limits_and_budget(heliocube, store, tmp_path):
     assert heliocube("report", "--config", config, "--day", "2022-10-14", "--out", tmp_path)[0] == 0
     page = (tmp_path / "2022-10-14-roof.html").read_text(encoding="utf-8")
     assert row(page, "Most in a day")[1:] == ["50.0 deg", "10.0 % of the 500 deg of a day"]
-    # Where it may not tilt, the best is little better than flat.
+    # With such limits for its tilt, the best pose is little better than flat.
     assert figure(row(page, "Best pose at every instant: the bound")[2]) < 60.0
 
 

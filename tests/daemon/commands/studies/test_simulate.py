@@ -47,7 +47,7 @@ def test_so_many_trackers_have_names_of_their_own_and_one_line_stands_for_all_of
 
 
 def warnings_of(*asked):
-    # A process of its own: pytest's handlers take what the log has to say.
+    # In a process of its own: here pytest's handlers take the lines of the log.
     done = forks.run(*asked)
     assert done.returncode == 0, done.stderr
     return done.stderr.splitlines()
@@ -55,7 +55,7 @@ def warnings_of(*asked):
 
 def test_a_warning_of_one_tracker_of_several_names_it_behind_its_time(tmp_path):
     file = tmp_path / "heliocube.toml"
-    # A scan every 20 s: an hour, in which the second move is due, takes a third of the time.
+    # A scan every 20 s: simulating an hour, in which the second move is due, then takes a third of the time.
     file.write_text(
         "[cube]\nscan_every_s = 20\n[safety]\nscan_stale_s = 60\n"
         '[motion]\nmoves_per_day = 1\n[[tracker]]\nname = "east"\n[[tracker]]\nname = "west"\n'

@@ -1,4 +1,4 @@
-"""The way back of an installation: in one command, with the units that ran, and whatever comes between."""
+"""The way back of an installation: in one command, with the units that ran, whatever interrupts it."""
 
 import contextlib
 import gc
@@ -18,11 +18,11 @@ __all__ = ["config", "program"]
 
 @pytest.fixture
 def installation(program, tmp_path, monkeypatch):
-    """Two releases side by side, the newer of which runs this, and a manager: one unit runs, and one cannot."""
+    """Two releases, the newer of which runs this, and a service manager with one unit that runs and one that cannot."""
     releases = tmp_path / "opt" / "releases"
     for name in ("older", "newer", "half"):
         program(VERSION, prefix=releases / name)
-    # An installation that was interrupted is no release to go back to.
+    # An installation that was interrupted is not a release to go back to.
     (releases / "half" / ".complete").unlink()
     (releases.parent / "current").symlink_to("releases/newer")
     monkeypatch.setattr(sys, "prefix", str(releases / "newer"))
@@ -69,7 +69,7 @@ def test_given_again_it_does_not_go_forward_to_the_newer_release(
     assert before_the_start == "older is in use; starting heliocube-tracker, heliocube-cube"
     assert "heliocube-cube does not start" in out.splitlines()[-2]
 
-    # From now on the command is that of the release in use.
+    # From now on the command belongs to the release in use.
     monkeypatch.setattr(sys, "prefix", str(installation / "older"))
     (tmp_path / "asked").unlink()
     code, _, err = heliocube("rollback", "-c", config)
@@ -94,13 +94,13 @@ def test_a_unit_that_does_not_stop_leaves_the_others_running(heliocube, config, 
     code, _, err = heliocube("rollback", "-c", config)
     assert code == 2
     assert "heliocube-cube does not stop" in err
-    # It may have been late only, and be stopped by now.
+    # The unit may only have been late, and may have stopped by now.
     asked = (tmp_path / "asked").read_text().splitlines()
     assert asked[-2:] == ["start heliocube-tracker", "start heliocube-cube"]
     assert (installation.parent / "current").resolve() == installation / "newer"
 
 
-# An interrupted call of systemctl is left to end by itself.
+# When a call of systemctl is interrupted, its process is left to end by itself.
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_all_that_ran_is_started_although_somebody_does_not_wait_for_the_first_of_it(
     heliocube, config, installation, tmp_path
@@ -113,7 +113,7 @@ def test_all_that_ran_is_started_although_somebody_does_not_wait_for_the_first_o
         with contextlib.suppress(ChildProcessError):
             os.waitpid(systemctl, 0)
     assert code == 130
-    # The command given again would find no release before this one.
+    # A second rollback would find no release before this one.
     then = "look at the tracker, then release it as 'heliocube status' says"
     told = f"units that ran are started again, and older is in use: {then}"
     assert err == f"heliocube: interrupted: {told}\n"
@@ -122,7 +122,7 @@ def test_all_that_ran_is_started_although_somebody_does_not_wait_for_the_first_o
     assert (installation.parent / "current").resolve() == installation / "older"
 
 
-# An interrupted call of systemctl is left to end by itself.
+# When a call of systemctl is interrupted, its process is left to end by itself.
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.parametrize("by", ["INT", "HUP", "TERM"])
 def test_what_ran_is_started_again_although_somebody_or_a_lost_connection_ends_it(

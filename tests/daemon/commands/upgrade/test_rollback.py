@@ -1,4 +1,4 @@
-"""The way back to the release before: held, with the records that came since, and nothing that is newer lost."""
+"""The way back to the release before: the tracker is held, the records since then come along, nothing newer is lost."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def config(tmp_path):
 
 @pytest.fixture
 def program(tmp_path):
-    """Lay down a heliocube of another release, which knows a version of stores and refuses files with a key."""
+    """Install a heliocube of another release, which knows one version of stores and refuses files with a key."""
 
     def make(version=OLDER, *, refuses="no key", prefix=None, release="echo 0.0.9+4f1c"):
         folder = (prefix or tmp_path / "0.0.9") / "bin"
@@ -55,7 +55,7 @@ def program(tmp_path):
 
 @pytest.fixture
 def upgraded(tmp_path):
-    """A store that was of the version before, and in which this release has kept records since; returns its folder."""
+    """A store of the version before, in which this release has kept records since; returns its folder."""
     folder = tmp_path / "records"
     store = opened(folder)
     for number in range(5):
@@ -90,7 +90,7 @@ def test_the_store_is_of_the_version_before_with_what_came_since_and_the_newer_o
         assert connection.execute("PRAGMA integrity_check").fetchone()[0] == "ok"
     (newer,) = upgraded.glob("heliocube.newer-*.sqlite")
     assert str(newer) in out
-    # Neither the curve nor the two scans that were there, and no run is a record.
+    # The curve and the two scans from before do not count, and a run is not a record.
     assert re.findall(r"with (\d+) records that came since", out) == ["16"]
     with closing(sqlite3.connect(newer)) as connection:
         assert connection.execute("SELECT count(*) FROM curves").fetchone()[0] == 1
@@ -102,7 +102,7 @@ def test_the_store_is_of_the_version_before_with_what_came_since_and_the_newer_o
 
 
 def test_what_a_service_that_was_not_restarted_has_kept_since_comes_along(heliocube, config, program, tmp_path):
-    """As that of the cube with a tracker's of the newer release in one folder: its run is older than the copy."""
+    """It may be the cube's service, beside a newer tracker's in one folder: its run is older than the copy."""
     folder = tmp_path / "records"
     of_before = Store(folder, 0.05, 400, ORIGIN, SystemClock(), lambda event: None)
     of_before.keep(scan(0))
@@ -216,7 +216,7 @@ def test_one_that_was_interrupted_is_done_again(heliocube, config, program, upgr
     scans = count(upgraded, "scans")
     shutil.copy(upgraded / FILE_NAME, upgraded / "kept")
     heliocube("rollback", "-c", config, "--to", program())
-    # As a power cut leaves it before each of the two names is changed.
+    # As a power cut leaves the files before each of the two renames.
     shutil.move(upgraded / FILE_NAME, copy_path(upgraded / FILE_NAME, OLDER))
     assert heliocube("rollback", "-c", config, "--to", program())[0] == 0
     assert (tables(upgraded)[0], count(upgraded, "scans")) == (OLDER, scans)

@@ -1,4 +1,4 @@
-"""What `heliocube self-check` says of a rig that is well, and of each thing that is not."""
+"""What `heliocube self-check` says of a healthy rig, and of each thing that is wrong."""
 
 import asyncio
 import json
@@ -23,7 +23,7 @@ STALE_S = 60.0
 
 @pytest.fixture
 def config(tmp_path):
-    """A file of a simulated rig, whose service nobody can ask."""
+    """A file of a simulated rig, whose service has no interface."""
     file = tmp_path / "heliocube.toml"
     file.write_text("[api]\nenabled = false\n[store]\ndirectory = 'records'\n[bridge]\ninsecure = true\n")
     return file

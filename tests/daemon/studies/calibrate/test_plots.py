@@ -1,4 +1,4 @@
-"""What is to be seen in the figure of a calibration beside a reference."""
+"""What the figure of a calibration beside a reference shows."""
 
 import numpy as np
 

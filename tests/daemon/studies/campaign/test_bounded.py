@@ -1,4 +1,4 @@
-"""What must not grow is seen to grow."""
+"""If something grows that must not, the campaign notices."""
 
 from collections import deque
 

@@ -1,4 +1,4 @@
-"""Whether the campaign sees a door that lies, a service that dies and a log that floods."""
+"""Whether the campaign notices a door that lies, a service that dies and a log that floods."""
 
 import logging
 from dataclasses import replace
@@ -20,7 +20,7 @@ BAD = Happening(150.0, "command", "bad", (0.0, 14.0))
 
 
 class Lying:
-    """A door that is honest but for what a test lets it do with some commands."""
+    """A door that is honest except for some commands, which do what a test says."""
 
     def __init__(self, **lies):
         self._lies = lies

@@ -1,4 +1,4 @@
-"""The page of faults: what is measured is compared with what is declared, and nothing is left out in silence."""
+"""The page of faults: measured cells are compared with declared ones, and nothing is left out in silence."""
 
 import math
 from dataclasses import replace
@@ -86,7 +86,7 @@ def test_the_page_has_each_kind_of_fault_of_each_component_once():
 
 
 def _declared_rows(text: str) -> list[list[str]]:
-    """Return the tables' cells but for those that were measured."""
+    """Return the cells of the tables without those that were measured."""
     rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| ")]
     return [[cell for at, cell in enumerate(row) if at not in MEASURED.get(len(row), ())] for row in rows]
 

@@ -1,4 +1,4 @@
-"""The campaign on a rotator: what it can have happens to it, and what it cannot have is refused."""
+"""The campaign on a rotator: every fault that it can have happens to it, and others are refused."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ GOTO = Happening(145.0, "command", "goto", (-45.0, 30.0))
 
 
 class Forgetful(DirectDoor):
-    """A door that says done to a stop and lets it fall."""
+    """A door that answers a stop with done and does nothing."""
 
     async def give(self, service, name, value, why, place=0):
         return DoorReply(True, "") if name == "stop" else await super().give(service, name, value, why, place)
@@ -49,7 +49,7 @@ def test_a_rotator_that_rotctld_loses_or_that_knows_no_stop_is_no_danger(fault, 
     outcome = run(GOTO, begins, Happening(150.0, "command", "stop"), heal=True)
     assert outcome.violations == ()
     assert (Mode.FAULT in {mode for _, mode in outcome.entered}) is mode
-    # Nobody can be held to a stop that does not reach it.
+    # A rotator that a stop does not reach breaks no promise about stops.
     assert len(outcome.stop_latencies_s) == (fault == "stopless")
 
 

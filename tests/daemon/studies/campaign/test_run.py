@@ -1,4 +1,4 @@
-"""The campaign itself: the same seed is the same run, what cannot be done is refused, a failure becomes small."""
+"""The campaign itself: the same seed is the same run, impossible orders are refused, a failure is made small."""
 
 import json
 import logging
@@ -132,7 +132,7 @@ def test_every_seed_has_settings_that_a_service_takes(positioner, trackers):
 
 
 class Pretended:
-    """A run that breaks a promise where everything needed happens, in its order."""
+    """A run that breaks a promise if all needed events happen in order."""
 
     def __init__(self, *needed):
         self._needed = needed
@@ -166,7 +166,7 @@ def test_a_failure_is_reduced_to_the_events_that_it_takes_in_fewer_runs_than_the
 
 
 def test_each_failure_is_reduced_and_kept_so_that_it_can_be_run_alone(tmp_path, monkeypatch):
-    # What a service says is too much then as soon as a person has said anything.
+    # With this bound, a service says too much as soon as a person has given a command.
     monkeypatch.setattr("daemon.studies.campaign.bounded.LINES_OF_A_COMMAND", -100)
     said, keep = [], tmp_path / "failures"
     given = tuple(Happening(70.0 + 20 * at, "command", name) for at, name in enumerate(("stow", "auto", "clear")))
@@ -181,7 +181,7 @@ def test_each_failure_is_reduced_and_kept_so_that_it_can_be_run_alone(tmp_path, 
 
 @pytest.fixture
 def _ctrl_c():
-    """Let SIGINT be what it is in a program of its own: the runner of the tests may have left another handler."""
+    """Give SIGINT the handler that a program starts with: the runner of the tests may have set another."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)

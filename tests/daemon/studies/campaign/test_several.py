@@ -1,4 +1,4 @@
-"""The campaign on a service with several trackers: each is held to every promise, and none for what another does."""
+"""The campaign on a service with several trackers: each has to keep every promise, and answers only for itself."""
 
 import json
 from dataclasses import replace
@@ -17,7 +17,7 @@ TURNS_BY_ITSELF = Happening(200.0, "fault", "own_tracking", lasts_s=30.0, tracke
 
 
 class MixedUp:
-    """A door through which some commands reach other trackers than those that they are for."""
+    """A door through which some commands reach other trackers than they should."""
 
     def __init__(self, **places):
         self._places = places

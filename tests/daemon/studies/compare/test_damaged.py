@@ -1,4 +1,4 @@
-"""Files that were cut off or damaged end in one sentence."""
+"""Files that were cut off or damaged are refused in one sentence."""
 
 import gzip
 import json

@@ -1,4 +1,4 @@
-"""Equation (16) of measured powers: what the night's readings and the site's hemisphere may not change."""
+"""Equation (16) on measured powers: night readings and the site's hemisphere must not change it."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The paper's experiment, once."""
+"""The paper's experiment, run once."""
 
 import csv
 import sys
@@ -24,8 +24,8 @@ SELDOM = "[cube]\nscan_every_s = 60\n\n[safety]\nscan_stale_s = 120\n\n[site]\nl
 
 @pytest.mark.long
 def test_the_shape_of_the_papers_results_is_found_again(monkeypatch, capsys, tmp_path):
-    # The first three hours of the flat day have all powers of the two days in October, of which the hours until the
-    # afternoon are asked for: from 08:00 to 12:20.
+    # The first three hours of the flat day span all powers of the two days in October. Of these days only the hours up
+    # to the afternoon, 08:00 to 12:20, are simulated.
     monkeypatch.setattr(paper, "_FLAT_START", datetime(2022, 8, 3, 6, tzinfo=UTC))
     monkeypatch.setattr(paper, "_FLAT_DAYS", 3.0 / 24.0)
     monkeypatch.setattr(paper, "_BEGIN_HOUR", 8)
@@ -50,7 +50,7 @@ def test_the_shape_of_the_papers_results_is_found_again(monkeypatch, capsys, tmp
         assert (tmp_path / f"{name}.png").stat().st_size > 5000
         assert (tmp_path / f"{name}.svg").stat().st_size > 5000
     assert (tmp_path / "paper.html").read_text().count("data:image/png;base64,") == 6
-    # Before the minutes of work each of its files is looked for.
+    # An existing file of the results is found before the minutes of work, whichever file it is.
     for path in tmp_path.iterdir():
         other = tmp_path.with_name("other") / path.name
         other.mkdir(parents=True)
@@ -64,8 +64,8 @@ def test_the_shape_of_the_papers_results_is_found_again(monkeypatch, capsys, tmp
 
 def test_the_ceiling_of_an_overcast_noon_by_hand():
     found = {(period, sky): gain for period, sky, gain in ceilings(SIRTA, Limits())}
-    # 11:15 UTC: a sun 33.8 deg high, a tilt of 56.2 deg. (1 + 0.556)/2 + 0.2 (1 - 0.556)/2 = 0.8225, that is 21.6 %;
-    # lower sun before and after.
+    # 11:15 UTC: the sun is 33.8 deg high, the tilt 56.2 deg; before and after, the sun is lower.
+    # (1 + 0.556)/2 + 0.2 (1 - 0.556)/2 = 0.8225, that is 21.6 %.
     assert found["overcast", "isotropic"] == pytest.approx(22.0, abs=0.5)
     # Moon & Spencer's sky: 4/(7 pi) (0.831 - 0.981 x 0.556 - 0.697) = -0.075 less.
     assert found["overcast", "Moon & Spencer"] == pytest.approx(100 / (0.8225 - 0.0748) - 100, abs=1.0)

@@ -37,7 +37,7 @@ POSE = Pose(NOON, 0.0, 10.0, 60.0, moving=False, tracker="east")
 
 
 def kept(folder, tracker, quality=CurveQuality.OK):
-    """Keep the records of two trackers in a run; it bears the name of one where there is but one."""
+    """Keep the records of two trackers in a run, which bears a tracker's name only if it has just one."""
     origin = Origin(
         started_utc_s=NOON,
         role="both",

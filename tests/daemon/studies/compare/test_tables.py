@@ -1,4 +1,4 @@
-"""Tables of powers as others write them: whose power it is."""
+"""Tables of powers that others write: which tracker a power belongs to."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What laws can be asked for by name."""
+"""Which laws can be named."""
 
 import pytest
 

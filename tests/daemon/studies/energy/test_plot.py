@@ -1,4 +1,4 @@
-"""What the benchmark's picture shows of each law, and that its words can be read."""
+"""What the benchmark's picture shows of each law, and that its texts can be read."""
 
 from itertools import combinations
 

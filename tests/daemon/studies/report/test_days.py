@@ -1,4 +1,4 @@
-"""The days that a report of more than one goes through: those of the site, whatever instants it begins and ends at."""
+"""The days of a report of more than one: days of the site, at whatever instants it begins and ends."""
 
 import numpy as np
 import pandas as pd
@@ -23,7 +23,7 @@ def table(utc_s, **columns):
 
 
 def findings(site, begin_s, end_s, moves_utc_s=()):
-    """Return those of a tracker that lies flat under a uniform sky of 100 W/m2 on the zenith face."""
+    """Return the findings for a tracker that lies flat under a uniform sky of 100 W/m2 on the zenith face."""
     minutes = np.arange(begin_s, end_s, 60.0)
     minutes = minutes[sun_direction(minutes, *site)[:, 2] > 0.0]
     uniform = {f"{face}_w_m2": 100.0 if face == "zenith" else 60.0 for face in FACES}
@@ -45,7 +45,7 @@ def dates_in(page):
 def test_instants_are_cut_at_the_site_s_midnights_into_its_own_days():
     found = findings(EAST, T0, T0 + 3 * DAY_S, [T0 + 3600.0, T0 + 22 * 3600.0])
     lit_h = [each.daylight_s / 3600.0 for each in found.by_day]
-    # From ten in the morning of the 14th to ten of the 17th: whole days between two parts.
+    # From ten in the morning of the 14th to ten of the 17th: whole days, and a part at each end.
     assert lit_h == pytest.approx([7.9, 12.9, 12.9, 4.9], abs=0.3)
     assert found.motion.by_day == ((1, 10.0), (1, 10.0), (0, 0.0), (0, 0.0))
     assert dates_in(page_of(found)) == ["2022-10-14", "2022-10-15", "2022-10-16", "2022-10-17"]

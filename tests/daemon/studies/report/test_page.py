@@ -1,4 +1,4 @@
-"""A report of more rows than a page takes, and of rows that stand there twice."""
+"""A report with more rows than fit on a page, and with rows that occur twice."""
 
 import re
 

@@ -33,7 +33,7 @@ def table(utc_s, **columns):
 
 
 def material(days=1):
-    """A day from 6:00 to 18:00, of which four hours were not recorded; more scans than a picture has points."""
+    """A day from 6:00 to 18:00, with four hours unrecorded, and with more scans than a picture has points."""
     utc_s = np.arange(T0 + 6 * 3600.0, T0 + 18 * 3600.0, EVERY_S)
     utc_s = utc_s[(utc_s < OUTAGE[0]) | (utc_s >= OUTAGE[1])]
     moves = np.array([T0 + 7 * 3600.0, T0 + 15 * 3600.0])
@@ -56,7 +56,7 @@ def material(days=1):
 
 
 def crossing(figure):
-    """Return the labels of the lines that go on while nothing was recorded."""
+    """Return the labels of the lines that go on through the outage."""
     first, last = (date2num(np.datetime64(int(at), "s")) for at in OUTAGE)
     found = []
     for line in (line for axes in figure.axes for line in axes.lines):
@@ -99,7 +99,7 @@ def test_before_the_first_move_the_set_point_is_the_target_of_the_first_decision
     if not moved:
         found.tables["moves"] = found.tables["moves"][:0]
     motion = motion_of(found)
-    # From 6:30 to sunset at 17:11; the poses of 9:59 hold for a quarter of an hour, and those of 14:00 are the next.
+    # From 6:30 to sunset at 17:11. The pose of 9:59 holds for a quarter of an hour; the next come from 14:00 on.
     known_min = 225 + 191
     assert motion.deviation_deg == pytest.approx(2.0 * 30 / known_min if moved else 2.0, rel=0.01)
     assert motion.available_pct == pytest.approx(100.0 * known_min / 641, rel=0.01)
@@ -154,7 +154,7 @@ def test_on_the_day_on_which_the_clocks_change_both_local_times_are_named(day, z
     ("first", "last", "years"),
     [
         ("2022-12-30T12:00", "2023-01-02T12:00", "2022 to 2023"),
-        # Days of a site whose midnight comes some minutes before that of UTC.
+        # Days of a site where midnight is some minutes before midnight UTC.
         ("2022-12-31T23:51", "2023-01-02T23:51", "2023"),
         ("2022-12-29T23:51", "2022-12-31T23:51", "2022"),
     ],

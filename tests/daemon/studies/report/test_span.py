@@ -1,4 +1,4 @@
-"""Which time a report is about."""
+"""The time that a report covers."""
 
 from datetime import UTC, datetime
 

@@ -1,4 +1,4 @@
-"""Alarms, put together from what the service told of them."""
+"""Alarms, put together from the service's events."""
 
 import re
 from zoneinfo import ZoneInfo
@@ -17,7 +17,7 @@ from tests.support.stored_day import DAY_S, T0, opened
 
 @pytest.fixture
 def alarms():
-    """The alarms of events of the subject alarm, one a minute."""
+    """Returns the alarms that events of the subject alarm describe, one event a minute."""
 
     def find(*texts):
         index = pd.to_datetime([T0 + 60.0 * n for n in range(len(texts))], unit="s", utc=True)

@@ -1,4 +1,4 @@
-"""What a report counts together: the module's energy, and the hours of each sky."""
+"""What a report adds up: the module's energy, and the hours of each sky."""
 
 import re
 
@@ -23,7 +23,7 @@ EMPTY = pd.DataFrame(index=pd.DatetimeIndex([], tz="UTC", name="time"))
 
 
 def material(**tables):
-    """Return that of the day of June, all tables but the given ones empty."""
+    """Return the material of the day in June; tables that are not given are empty."""
     kinds = ("scans", "decisions", "moves", "poses", "modes", "events", "curves")
     (found,) = of_tables(
         {kind: tables.get(kind, EMPTY) for kind in kinds},

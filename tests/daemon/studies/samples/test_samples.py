@@ -1,4 +1,4 @@
-"""The sample days: as the simulator makes them, marked as simulated, and taken by everything that reads such files."""
+"""The sample days: made by the simulator, marked as simulated, and accepted by everything that reads such files."""
 
 import csv
 

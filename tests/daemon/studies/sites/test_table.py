@@ -1,4 +1,4 @@
-"""The table of sites: what it means, and what is wrong with it in a sentence."""
+"""The table of sites: how it is read, and what is wrong with it in a sentence."""
 
 import pytest
 

@@ -25,7 +25,7 @@ pytestmark = [
 ]
 
 SITES = 6
-# What one worker has been handed stays there, whoever else is idle.
+# Work that one worker has been handed stays there, even if another is idle.
 KEEPS = {"DASK_DISTRIBUTED__SCHEDULER__WORK_STEALING": "False"}
 
 
@@ -77,7 +77,7 @@ def test_a_cluster_writes_the_same_bytes_although_a_worker_is_killed(cluster, ta
         wait_until(lambda: asleep.key in client.processing()[busy], "a busy worker")
         with (tmp_path / "said").open("wb") as said, (tmp_path / "told").open("wb") as told:
             study = forks.start(energy(table, tmp_path / "far", "--cluster", cluster), said, told)
-        # Behind the one asleep: a share of the study, which cannot end without it.
+        # The busy worker has a share of the study behind the sleeping task; without that share the study cannot end.
         wait_until(lambda: len(client.processing()[busy]) > 1, "work for the busy worker")
         assert study.poll() is None
         os.kill(pid, signal.SIGKILL)
@@ -93,7 +93,7 @@ def test_a_cluster_writes_the_same_bytes_although_a_worker_is_killed(cluster, ta
 
 
 def another_release_is_refused(address, table, tmp_path):
-    """As its workers know theirs before they are handed anything, one without heliocube too."""
+    """Workers are asked for their release before they get work; one without heliocube is refused too."""
     known = tmp_path / "heliocube-9.9.dist-info"
     known.mkdir()
     (known / "METADATA").write_text("Metadata-Version: 2.1\nName: heliocube\nVersion: 9.9\n")

@@ -1,4 +1,4 @@
-"""Tasks in this process and in several: the same results, whoever dies over them."""
+"""Tasks in this process and in several: the same results, whichever process dies."""
 
 import os
 import signal

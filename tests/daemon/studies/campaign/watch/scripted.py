@@ -1,4 +1,4 @@
-"""A scripted plant for the watch, and what it finds broken there."""
+"""A scripted plant for the watch, and the broken promises that the watch finds there."""
 
 import contextlib
 from types import SimpleNamespace
@@ -10,7 +10,7 @@ from solar.frames import Angles
 
 
 class Scripted:
-    """A plant whose truth, telemetry and service say what a test lets them say."""
+    """A plant whose truth, telemetry and service are what a test says."""
 
     def __init__(self, watch):
         self.now_s = 1000.0

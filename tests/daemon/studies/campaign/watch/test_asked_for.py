@@ -1,4 +1,4 @@
-"""Whether the watch sees a target that nobody asks for any more, and a stow that nothing is done for."""
+"""Whether the watch sees a target that nobody asks for any more, and a wish to stow that is ignored."""
 
 from types import SimpleNamespace
 

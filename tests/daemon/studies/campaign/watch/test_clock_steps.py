@@ -1,4 +1,4 @@
-"""Whether a clock that was set wrong is held against a move, and one that was not is left alone."""
+"""Whether the watch faults a move that follows a clock that was set wrong, and no other move."""
 
 import pytest
 

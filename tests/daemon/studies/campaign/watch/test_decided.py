@@ -1,4 +1,4 @@
-"""What moves a tracker after a sleep of the machine is of after it, or is seen to be of before."""
+"""After a sleep of the machine only later readings and decisions may move a tracker; the watch finds earlier ones."""
 
 import math
 from types import SimpleNamespace
@@ -56,7 +56,7 @@ def sent(
             {"seen_s": 1040.0, "decided_s": 990.0},
             "slept: (0.0, 60.0) is sent in mode tracking 40.0 s after a sleep, an",
         ),
-        # The second try of a move that the night had ordered.
+        # The second try of a move that was ordered by mode night.
         ({"seen_s": 1040.0, "decided_s": 990.0, "aim_deg": (10.0, 50.0)}, ""),
         ({"seen_s": 1040.0, "decided_s": 1030.0, "coverage": 0.9}, "slept: (0.0, 60.0) is sent 40.0 s after a sleep b"),
         (

@@ -1,4 +1,4 @@
-"""Whether each promise can be seen broken, and is not where it is kept: the watch on a scripted truth."""
+"""Whether the watch sees each promise broken, and never one that is kept, on a scripted truth."""
 
 import pytest
 
