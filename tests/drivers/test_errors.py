@@ -1,4 +1,4 @@
-"""What is said of an instrument that does not do as it should."""
+"""What is reported about an instrument that does not do as it should."""
 
 import pytest
 

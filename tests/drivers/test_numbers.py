@@ -1,4 +1,4 @@
-"""Numbers that somebody else has written as text."""
+"""Numbers that others have written as text."""
 
 import math
 

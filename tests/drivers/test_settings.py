@@ -1,4 +1,4 @@
-"""Names of ports, and what settings of drivers may be."""
+"""Names of ports, and which settings of drivers are allowed."""
 
 import pytest
 from pydantic import TypeAdapter, ValidationError

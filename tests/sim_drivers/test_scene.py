@@ -142,7 +142,7 @@ def test_the_cosine_error_takes_from_the_beam_only():
     bent = replace(PERFECT_SENSORS, cosine_error=0.1)
     overcast, clear = scene("overcast", sensors=bent, sky_model="isotropic"), scene(sensors=bent)
     assert voltages(overcast, noon) == pytest.approx([1e-4 * value for value in overcast.irradiances(noon)])
-    # Near noon the sun grazes the East and West faces: much of what beam one of them gets is not sensed.
+    # Near noon the sun grazes the East and West faces: they miss much of what little beam reaches them.
     lost = 1.0 - np.array(voltages(clear, noon)) / (1e-4 * np.array(clear.irradiances(noon)))
     assert lost[ZENITH] == pytest.approx(0.1 * (56.2 / 80.0) ** 4, abs=0.006)
     assert lost.min() >= 0.0

@@ -92,7 +92,7 @@ def test_a_variable_day_has_clear_thick_and_broken_spells_with_ramps_of_seconds(
         assert longest_run(beam < 0.01) > 600
         crossings = np.count_nonzero(np.diff(beam > 0.5))
         assert 6 <= crossings <= 200
-        # Each second takes at most half of the beam: an edge passes over the sun in two seconds or more.
+        # Each second takes at most half of the beam: a cloud's edge takes two seconds or more to pass over the sun.
         assert np.abs(np.diff(beam)).max() < 0.5
         assert np.mean(np.abs(np.diff(beam)) > 0.02) > 0.001
 

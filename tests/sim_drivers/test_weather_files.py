@@ -309,7 +309,7 @@ def test_a_last_line_of_a_network_s_file_that_breaks_off_counts_nowhere_and_is_t
     whole = read("")
     assert whole.note() is None
     cells = len(last.split("," if "," in last else None))
-    # In steps that meet cells and what is between them at every place; a packed file is the same once it is unpacked.
+    # The steps cut cells and separators at every place; a packed file is the same text, so fewer cuts will do.
     for cut in range(1, len(last) - 1, 29 if packed else 5):
         begun = last[:cut]
         parts = len(begun.split("," if "," in last else None))

@@ -1,4 +1,4 @@
-"""Four inputs of a LabJack: on a server that is not ours, on the simulated one, and what is no LabJack."""
+"""Four inputs of a LabJack: on a foreign server, on the simulated one, and on devices that are not a LabJack."""
 
 import asyncio
 import math

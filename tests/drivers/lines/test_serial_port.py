@@ -1,4 +1,4 @@
-"""A serial port on a pseudo-terminal: what the kernel is told, and what goes through."""
+"""A serial port on a pseudo-terminal: how the kernel is set, and what goes through."""
 
 import contextlib
 import itertools
@@ -42,7 +42,7 @@ def opened(path, allowed=lambda _data: None, **options):
 
 
 def send(instrument, path, data):
-    """Write at the instrument's end, and return when it waits at the other."""
+    """Write at the instrument's end, and return when the bytes wait at the other."""
     descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
         os.write(instrument, data)
@@ -108,7 +108,7 @@ def test_a_command_that_is_not_allowed_is_not_sent(ends):
 def test_what_is_written_is_sent_although_the_process_then_had_no_processor(ends, monkeypatch):
     instrument, path = ends
     looks = itertools.count(step=2.0)
-    # Two seconds go by between any two looks at the clock, at pyserial's as well.
+    # Two seconds pass between any two readings of the clock, pyserial's clock too.
     for clock in ((time, "monotonic"), (serial.serialutil.Timeout, "TIME")):
         monkeypatch.setattr(*clock, lambda: next(looks))
     with opened(path) as port:
@@ -127,7 +127,7 @@ def test_the_line_is_set_as_it_is_asked_for(ends, form, flags):
     with opened(path, baud_rate=19200, form=form):
         _, _, control, local, _, speed, _ = modes(path)
     assert speed == termios.B19200
-    # A pseudo-terminal keeps no PARENB.
+    # A pseudo-terminal does not keep PARENB.
     assert control & (termios.PARODD | termios.CSTOPB) == flags
     assert control & termios.CSIZE == termios.CS8
     assert not local & (termios.ECHO | termios.ICANON)

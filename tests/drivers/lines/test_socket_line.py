@@ -1,4 +1,4 @@
-"""An instrument's socket that does not open, or is another one."""
+"""An instrument's socket that does not open, or that belongs to another program."""
 
 import asyncio
 import contextlib
@@ -60,7 +60,7 @@ def test_who_resets_the_connection_while_it_is_drained_is_a_lost_link():
 
         async def reset(_reader, writer):
             await opened.wait()
-            # With nothing to linger for, the close is a reset.
+            # Without a linger time, closing sends a reset.
             writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             writer.transport.abort()
 

@@ -12,7 +12,7 @@ pytestmark = pytest.mark.slow
 
 
 class EchoingLine:
-    """Answers each line with itself in capitals; hangs where a test says so."""
+    """Answers each line with itself in capitals; hangs when a test says so."""
 
     transfer_s = 0.01
 
@@ -46,7 +46,7 @@ class EchoingLine:
 
 @pytest.fixture
 def gate():
-    """An event that lets every hung call of a test go at its end."""
+    """An event that releases every hung call at the end of a test."""
     event = threading.Event()
     yield event
     event.set()
@@ -80,7 +80,7 @@ def test_a_call_that_hangs_is_a_lost_link_and_the_next_opening_has_a_thread_of_i
     async def scene():
         line = ThreadedLine("voltmeter", lambda: EchoingLine(gate, []))
         await line.open()
-        # A second to send, the deadline, the way there and back, and two seconds more.
+        # One second to send, the deadline, the way there and back, and two seconds more.
         with pytest.raises(LinkLostError, match=r"did not return within 3\.03 s"):
             await line.ask("hang", 0.01)
         await line.close()

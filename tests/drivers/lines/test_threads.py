@@ -12,7 +12,7 @@ from tests.support import PATIENCE_S
 
 @pytest.fixture
 def gate():
-    """An event that lets every hung call of a test go at its end."""
+    """An event that releases every hung call at the end of a test."""
     event = threading.Event()
     yield event
     event.set()
@@ -58,7 +58,7 @@ def test_a_result_in_time_counts_although_the_loop_was_held_up_beyond_the_deadli
         thread, ready = DeviceThread("positioner"), threading.Event()
         call = asyncio.create_task(thread.call(lambda: ready.set() or "sent", 0.05))
         await asyncio.sleep(0)
-        # The call has ended, and its deadline passes before the loop can look.
+        # The call has ended in time, but its deadline passes before the loop looks.
         assert ready.wait(PATIENCE_S)
         time.sleep(0.2)  # noqa: ASYNC251 - the loop is held up on purpose
         assert await call == "sent"
@@ -138,7 +138,7 @@ def test_closing_does_not_wait_for_a_hung_call_and_too_many_of_them_are_an_error
 def test_a_machine_without_room_for_a_thread_is_an_instrument_out_of_reach_until_there_is_some():
     async def scene():
         thread, closed = DeviceThread("voltmeter"), []
-        # More than any machine has.
+        # No machine has room for such a stack.
         usual = threading.stack_size(1 << 40)
         try:
             with pytest.raises(ConnectError, match="no room for a thread"):

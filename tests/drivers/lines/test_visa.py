@@ -100,7 +100,7 @@ def test_the_port_is_set_as_the_settings_say_and_held(ends, flow_control, flag):
 def test_the_time_that_the_line_itself_takes_comes_on_top(ends):
     _, path = ends
     with opened(path, baud_rate=9600) as line:
-        # A question and an answer of 256 bytes, ten bits each.
+        # A question and an answer of 256 bytes each, ten bits a byte.
         assert line.transfer_s == pytest.approx(2 * 256 * 10 / 9600)
 
 
@@ -149,7 +149,7 @@ def test_what_sends_on_and_on_is_told_within_seconds(ends):
         begin_s = time.monotonic()
         try:
             with pytest.raises(ConnectError, match="keeps sending unasked: is it this instrument"):
-                # Beside other work Linux has let a pseudo-terminal wait for seconds.
+                # Under load, Linux has been seen to let a pseudo-terminal wait for seconds.
                 line.drain(10.0)
         finally:
             over.set()
@@ -202,7 +202,7 @@ def test_two_instruments_that_are_opened_at_once_for_the_first_time_get_one_whol
 
 
 class Named:
-    """An instrument that tells its name, whatever it is asked."""
+    """An instrument that answers every question with its name."""
 
     def __init__(self, name):
         self.name = name
@@ -246,7 +246,7 @@ def test_an_adapter_that_another_line_has_is_told_nothing(tmp_path):
             VisaLine(settings)
         line.send("*IDN?")
         assert line.receive(10.0) == "meter"
-        # A question, and the order to read its answer.
+        # One line is the question, one the order to read the answer.
         assert adapter.lines == lines + 2
     finally:
         line.close()

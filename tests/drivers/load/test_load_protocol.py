@@ -78,7 +78,7 @@ def test_the_simulated_load_answers_the_same_bytes(transcript, load_host, make):
 def test_a_sweep_measures_the_modules_curve_and_leaves_the_input_off(load_host, make):
     async def scene():
         async with load_host(make) as host:
-            # Voltage and current are one point only once the voltage stands, on a busy machine too.
+            # Voltage and current belong to one point only once the voltage stands, on a busy machine too.
             load = load_on(host.port.link, make, settle_s=0.5)
             await load.open()
             swept = await load.sweep(lambda open_v: np.linspace(open_v - 0.5, 4.0, 15), never)
@@ -98,7 +98,7 @@ def test_the_settling_begins_when_the_load_has_taken_a_voltage(load_host):
             feed, taken_s = host.core.feed, [0.0]
 
             def feed_late(data, now):
-                # Each voltage lies in a buffer for a while, and whatever comes after it too.
+                # Each voltage stays in a buffer for a while, and so does whatever comes after it.
                 if data.startswith(b"VOLT:STAT:L1"):
                     taken_s[0] = now + 0.2
                 return feed(data, max(now, taken_s[0]))
@@ -313,7 +313,7 @@ def test_a_doubtful_answer_ends_the_session_with_the_input_off(load_host, fault)
                     elif fault == "drop":
                         host.core.drop_next()
                     elif fault == "corrupt":
-                        # A letter where a digit was.
+                        # A letter in place of a digit.
                         host.core._emit = lambda text, due_s: [(due_s, b"1\n" if text == "1" else b"3x.5;1;0\n")]
                     else:
                         host.core._emit = lambda _text, due_s: [(due_s, b"0\n")]

@@ -120,7 +120,7 @@ def test_a_voltage_beyond_the_range_is_an_error_and_never_a_number(voltmeter_hos
 
 
 class Telling(InMemoryLine):
-    """The line of a meter whose conversions are what somebody writes."""
+    """The line of a meter whose conversions a test writes."""
 
     told = ""
 
@@ -153,7 +153,7 @@ def test_a_conversion_beyond_a_hundred_and_twenty_percent_of_the_range_is_not_be
     "+1.0E-02,+1.0E-02",
 ])  # fmt: skip
 def test_what_is_not_written_like_a_conversion_is_none(told):
-    """A line that noise has broken in two, or the late answer to another question, may be a number as well."""
+    """A line that noise has broken in two, or the late answer to another question, may look like a number too."""
 
     async def scene():
         core = VoltmeterCore(lambda _now: 0.0123, np.random.default_rng(3))
@@ -171,7 +171,7 @@ def test_what_is_not_written_like_a_conversion_is_none(told):
 
 
 class Twice(VoltmeterCore):
-    """A meter that says a reading twice where a test wants it so."""
+    """A meter that sends a reading twice when a test wants it."""
 
     twice = False
 
@@ -197,14 +197,14 @@ def test_a_reading_that_is_said_twice_is_not_taken_for_that_of_the_next_face():
 
 
 class Saying(InMemoryLine):
-    """The line of a meter that answers some questions in words of a test's own."""
+    """The line of a meter that gives a test's own answers to some questions."""
 
     async def ask(self, text, within_s):
         return self.says.get(text, await super().ask(text, within_s))
 
 
 def opened(says, **settings):
-    """Open a meter that says this, open it anew, and return its error on being read meanwhile."""
+    """Open a meter with these answers, open it again, and return the error of reading it meanwhile."""
 
     async def scene():
         line = Saying("voltmeter", VoltmeterCore(lambda _now: 0.0123, np.random.default_rng(3)), loop.time)
@@ -357,7 +357,7 @@ def test_a_meter_on_gpib_behind_a_prologix_adapter_is_read(tmp_path):
 
     async def scene():
         settings = VisaSettings("GPIB0::16::INSTR", prologix_port=str(tmp_path / "prologix"))
-        # Ten periods of the mains take longer than the 50 ms that the adapter waits as PyVISA-py sets it.
+        # Ten periods of the mains take longer than the 50 ms that PyVISA-py lets the adapter wait.
         meter = Keithley2000(visa(settings), nplc=10.0, deadline_s=4.0)
         for _ in range(2):
             assert "MODEL 2000" in await meter.open()
@@ -374,7 +374,7 @@ def test_a_meter_on_gpib_behind_a_prologix_adapter_is_read(tmp_path):
     finally:
         adapter.end()
     assert adapter.settings.items() >= {"mode": "1", "auto": "0", "addr": "16", "eoi": "1"}.items()
-    # Device clear at each opening and after the lost reply.
+    # One device clear at each of the two openings, and one after the lost reply.
     assert (adapter.clears, adapter.stuck) == (3, 0)
 
 

@@ -11,7 +11,7 @@ from drivers.modbus.pdu import read_registers, write_register
 
 
 class Path:
-    """A way to devices that answer alike after a tenth of a second."""
+    """A way to devices that all give the same answer after a tenth of a second."""
 
     def __init__(self, reply):
         self.reply = bytes.fromhex(reply)
@@ -40,7 +40,7 @@ READ = read_registers(7, 3, 0, 1)
     [
         ("83 02", RefusedError, "address 7 has no such register"),
         ("83 04", RefusedError, "address 7 "),
-        # One that has no time now.
+        # A device that has no time now.
         ("83 05", UnreachedError, "address 7 needs longer"),
         ("83 06", UnreachedError, "address 7 is busy"),
         # A gateway without a way to the device, and one whose device keeps silent.

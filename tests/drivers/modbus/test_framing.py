@@ -1,4 +1,4 @@
-"""Frames: bytes that others have published, late replies, garbage, and the other end."""
+"""Frames: published bytes, late replies, garbage, and the answering end."""
 
 import pickle
 
@@ -93,7 +93,7 @@ ANSWER = rtu(2, 4, 2, 0, 7)
         b"\x00\xff" * 20,
         rtu(2, 4, 2, 0, 9)[:-1] + b"\x00",
         b"\x02\x04\x02\x00",
-        # There are adapters that hear themselves.
+        # Some adapters hear their own bytes.
         RtuClient().begin(ASKED),
     ],
     ids=["of another device", "of another length", "of another function", "noise", "wrong checksum", "cut off", "echo"],
@@ -196,7 +196,7 @@ def test_a_server_takes_questions_byte_by_byte_with_noise_of_one_byte_between_th
 ):
     asking, answering = client(), server()
     noise = b"\x00" if client is RtuClient else b""
-    # What looks like the head of a longer question is waited for.
+    # Bytes that look like the head of a longer question make the server wait for the rest of it.
     stream = noise.join(asking.begin(each) for each in ALL_KINDS) + 8 * noise
     found = [asked.request for byte in stream for asked in answering.feed(bytes((byte,)), 100.0)]
     assert found == ALL_KINDS

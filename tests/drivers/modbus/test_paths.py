@@ -1,4 +1,4 @@
-"""Where a line's name leads, and what a connection over TCP says of a device that is late, silent, noisy or gone."""
+"""Where a line's name leads, and what TCP connections report of a device that is late, silent, noisy or gone."""
 
 import asyncio
 
@@ -13,7 +13,7 @@ from tests.support import PATIENCE_S
 
 READ = read_registers(7, 3, 0, 1)
 REPLY = bytes.fromhex("03 02 0007")
-# Long enough for what does come; what is to be missed is missed for so long.
+# Long enough for a reply that comes; a reply that does not come is waited for so long.
 MISSED_S = 0.05
 
 
@@ -44,7 +44,7 @@ def test_what_is_neither_a_port_nor_a_network_is_refused(line):
 
 
 class Device:
-    """Answers each question with what is at hand for it: bytes, or nothing, or the end of the connection."""
+    """Answers each question with the next of its answers: bytes, nothing, or the end of the connection."""
 
     def __init__(self, *answers):
         self.answers = list(answers)

@@ -1,4 +1,4 @@
-"""The answering end: right questions, and every wrong one."""
+"""The answering end: correct questions, and every wrong one."""
 
 import struct
 
@@ -98,7 +98,7 @@ def test_a_table_may_keep_silent():
 
 
 class Wide:
-    """Registers and coils of any number, of which the last that were written are kept."""
+    """Registers and coils of any number; keeps those that were written last."""
 
     def __init__(self):
         self.written = None

@@ -1,4 +1,4 @@
-"""What a DAQ driver says."""
+"""The messages of a DAQ driver."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Programs that are not ours, on our simulated sensors: mbpoll and pymodbus as clients, over TCP and a serial line."""
+"""Foreign programs on our simulated sensors: mbpoll and pymodbus as clients, over TCP and a serial line."""
 
 import asyncio
 import contextlib
@@ -44,8 +44,8 @@ async def served(tmp_path):
 
 
 async def mbpoll(*arguments):
-    """Return the lines with values of one poll; what is not answered has none."""
-    # The sensors miss a question that comes too soon after a reply, and this program begins at once.
+    """Return the lines with values of one poll; a question without an answer has none."""
+    # The sensors miss a question that comes too soon after a reply, and mbpoll asks at once.
     await asyncio.sleep(0.1)
     process = await asyncio.create_subprocess_exec(
         "mbpoll", "-0", "-1", "-q", *map(str, arguments), stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE

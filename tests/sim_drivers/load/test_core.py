@@ -25,7 +25,7 @@ class Module:
 
 
 class Talk:
-    """A load to which lines are said one after the other, 50 ms apart."""
+    """A load that receives lines one after the other, 50 ms apart."""
 
     def __init__(self, make="chroma63600", source=None, **options):
         self.source = source or Module()
@@ -91,7 +91,7 @@ def test_the_voltage_does_not_go_below_what_the_transistors_can_hold():
     voltage_v, _, status = talk.numbers("MEAS:VOLT?;CURR?;:STAT:CHAN:COND?")
     assert voltage_v == pytest.approx(3.0, abs=0.05)
     assert status == 1024
-    # It is asked for what was set, and not for what is there.
+    # This asks for the setting, not for the real voltage.
     assert float(talk.ask("VOLT?")) == 1.0
 
 

@@ -1,4 +1,4 @@
-"""The simulated LabJack refuses what LabJack's list of registers says that a real one refuses."""
+"""The simulated LabJack refuses what a real one refuses according to LabJack's list of registers."""
 
 import pytest
 

@@ -7,7 +7,7 @@ from drivers.modbus.pdu import READ_INPUT, read_registers
 from sim_drivers.modbus.line import DeviceLineCore
 from sim_drivers.modbus.pyranometers import SimulatedSmp
 
-# From a question to its reply, which is handed over whole.
+# From a question to its reply, which comes in one piece.
 REPLY_S = 0.005
 
 

@@ -1,4 +1,4 @@
-"""Whatever comes in whatever order, the axes stay on their tracks, and looking at them changes nothing."""
+"""Whatever bytes come in whatever order, the axes stay on their tracks, and reading them changes nothing."""
 
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,4 +1,4 @@
-"""Faults that are put into the unit: what it shows of each, what it refuses meanwhile, and how they end."""
+"""Injected faults: what the unit shows of each, what it refuses meanwhile, and how they end."""
 
 import pytest
 

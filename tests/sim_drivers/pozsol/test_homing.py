@@ -1,4 +1,4 @@
-"""Reference runs: what they set anew, what breaks them off, and what they do to the other axis."""
+"""Reference runs: what they set anew, what interrupts them, and what they do to the other axis."""
 
 import pytest
 
@@ -29,7 +29,7 @@ def test_homing_b_while_a_moves_leaves_a_without_control():
     counted = number(core, Field.A_POSITION, 10.0)
     core.feed(HOME_B, 10.0)
     assert status(core, 11.0).homing
-    # It goes on to be driven until B is, and none of it is counted.
+    # A stays driven while B is, and nothing of its way is counted.
     gone_mm = A_ACTUATOR.position_mm(core.truth(13.0).a_deg) - counted
     assert gone_mm == pytest.approx(1.7, abs=0.2)
     assert number(core, Field.A_POSITION, 13.0) == pytest.approx(counted, abs=0.1)

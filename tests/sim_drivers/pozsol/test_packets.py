@@ -1,4 +1,4 @@
-"""What the unit makes of bytes from outside: numbers as C reads them, packets that overwrite, echoes that count."""
+"""How the unit reads bytes from outside: numbers as C reads them, packets that overwrite, echoes that count."""
 
 import pytest
 

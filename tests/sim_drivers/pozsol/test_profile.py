@@ -1,4 +1,4 @@
-"""The course of one move: at no time faster than its drive, and cut where steel ends it."""
+"""The course of one move: never faster than its drive, and cut short where steel ends it."""
 
 from itertools import pairwise
 

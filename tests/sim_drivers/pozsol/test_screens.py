@@ -1,4 +1,4 @@
-"""What the unit prints of itself, in which order and with how many decimals."""
+"""What the unit prints about itself, in which order and with how many decimals."""
 
 from drivers.positioners.pozsol.wire import Field, TokenStream
 from sim_drivers.pozsol.core import PositionerCore

@@ -1,11 +1,11 @@
-"""The simulated scanning meters take what programs of others send to real ones."""
+"""The simulated scanning meters accept what other people's programs send to real ones."""
 
 import numpy as np
 import pytest
 
 from sim_drivers.scanner.core import ScannerCore
 
-# In the order in which their authors send them; channels and ranges are ours.
+# In the order in which the programs send them; channels and ranges are ours.
 PUBLISHED = {
     "keithley2000-scan": (
         "*RST",

@@ -1,4 +1,4 @@
-"""Instruments in memory under virtual time, for the tests beside."""
+"""Instruments in memory under virtual time, for the tests in this folder."""
 
 import asyncio
 

@@ -1,4 +1,4 @@
-"""What goes over a line in memory is what was recorded on the real port, byte by byte."""
+"""A line in memory carries the same bytes that were recorded on the real port."""
 
 import re
 
@@ -20,7 +20,7 @@ NUMBER = re.compile(rb"[+-]?\d+\.\d+(E[+-]\d\d)?")
 
 
 class Recorded:
-    """A core, and what goes over its line."""
+    """A core, and the bytes on its line."""
 
     def __init__(self, core):
         self._core = core

@@ -1,4 +1,4 @@
-"""The drivers of voltmeter and multiplexer on lines in memory, under virtual time: no reading is another channel's."""
+"""Drivers of voltmeter and multiplexer on lines in memory, under virtual time: no reading is from another channel."""
 
 import asyncio
 import math

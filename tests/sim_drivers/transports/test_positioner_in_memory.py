@@ -82,7 +82,7 @@ def test_the_destination_of_a_reference_run_is_told_from_that_of_a_move_and_its_
         await tracker.rest()
         await tracker.positioner.home("a")
         assert (await tracker.positioner.read_telemetry()).aims_home
-        # The driver judges a run by its looks.
+        # The driver judges a reference run only when it is read.
         for _ in range(240):
             await asyncio.sleep(0.5)
             seen = await tracker.positioner.read_telemetry()
@@ -184,7 +184,7 @@ def test_homing_returns_once_it_shows_and_ends_at_the_low_switch(axis, end):
         assert (await tracker.positioner.read_telemetry()).homing
         # It runs out past its switch by some tenths of a millimetre.
         assert await tracker.rest() == pytest.approx(end, abs=0.2)
-        # That it stands takes two looks.
+        # It takes two readings to see that it stands.
         await tracker.positioner.read_telemetry()
         await asyncio.sleep(1.0)
         assert not (await tracker.positioner.read_telemetry()).homing

@@ -1,4 +1,4 @@
-"""What tests ask the simulated voltmeter, and how they read its answers."""
+"""The questions that tests put to the simulated voltmeter, and how they read its answers."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""The simulated voltmeter on its line: who it is, how bytes come and go, and what upsets neither it nor its replies."""
+"""The simulated voltmeter on its line: identity, bytes in and out, and what disturbs neither meter nor replies."""
 
 import pytest
 from hypothesis import given

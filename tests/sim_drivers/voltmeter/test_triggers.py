@@ -1,4 +1,4 @@
-"""When the simulated voltmeter reads: freely after power-up, and otherwise when it is asked, told or triggered."""
+"""When the simulated voltmeter reads: by itself after power-up, and otherwise when it is asked, told or triggered."""
 
 import re
 

@@ -40,7 +40,7 @@ class Rig:
         return self.lines[line]
 
     async def scans(self, count=1, every_s=5.0):
-        """Return the last of some scans, and how long it took [s]."""
+        """Make some scans; return the last one, and how long it took [s]."""
         for _ in range(count):
             await asyncio.sleep(every_s)
             begun_s = self.clock.monotonic()
@@ -51,7 +51,7 @@ class Rig:
 
 @pytest.fixture
 def on_rig():
-    """Run a function of an opened rig of these keys in virtual time, and return what it returns."""
+    """Return a function that runs `work` on an opened rig with these settings in virtual time, and gives its result."""
 
     def run(work, **keys):
         with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:

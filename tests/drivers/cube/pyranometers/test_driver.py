@@ -1,4 +1,4 @@
-"""The cube on simulated sensors: what a bad one costs the others, and that nobody is taken for somebody else."""
+"""The cube on simulated sensors: what a bad one costs the others, and that no sensor is taken for another."""
 
 import asyncio
 import contextlib
@@ -98,7 +98,7 @@ def test_a_dead_sensor_costs_the_others_a_third_of_a_second_and_then_nearly_noth
     assert flaws(first) == (None, "late", None, None)
     assert values(first)[2:] == pytest.approx(LIGHT[2:])
     assert first_s - well_s <= 0.3
-    # Asked every half minute once it has been silent for long, so most scans do not wait for it.
+    # A sensor that has been silent for long is asked every half minute only, so most scans do not wait for it.
     assert slow <= 12
 
 
@@ -341,7 +341,7 @@ def test_a_reading_cube_writes_nothing(on_rig):
 
 @pytest.mark.parametrize(("number_type", "longest_s"), [("int16", 0.6), ("float32", 5.05)])
 def test_a_late_reply_of_a_logger_is_never_taken_for_another_face(on_rig, number_type, longest_s):
-    """A logger has all four faces at one address, and a reply of RTU does not say of which registers it is."""
+    """A logger has all four faces at one address, and a reply over RTU does not say which registers it is from."""
     registers = {
         face: {"address": 1, "register_number": 2 * number} for number, face in enumerate(("east", "south", "west"))
     }

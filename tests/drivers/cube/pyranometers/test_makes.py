@@ -1,4 +1,4 @@
-"""What each make's registers say, and which of it is believed."""
+"""What each make's registers mean, and which of their values are believed."""
 
 import math
 

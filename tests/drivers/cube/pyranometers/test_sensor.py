@@ -1,4 +1,4 @@
-"""One sensor and one line, question by question: when they are asked again, and what is said of them meanwhile."""
+"""One sensor and one line, question by question: when they are asked again, and what is reported meanwhile."""
 
 import asyncio
 import math
@@ -14,7 +14,7 @@ DATA, PROOF, LONG_PROOF = Block(3, 0, 1), Block(3, 40, 1), Block(3, 40, 2)
 
 
 class Make:
-    """Tells one register as it is."""
+    """A make whose one register is the irradiance itself."""
 
     data = DATA
     more = ()
@@ -33,7 +33,7 @@ class Make:
 
 
 class Bus:
-    """Answers with the irradiance or the serial number, or raises what is in the way."""
+    """Answers with the irradiance or the serial number, or raises the error of a test."""
 
     def __init__(self):
         self.wrong = self.shut = None
@@ -59,7 +59,7 @@ class Bus:
         return BusSensor("south", 2, Make(proof), pinned, self, 0.2, lambda: 1.7e9, lambda: self.now_s)
 
     def reads(self, sensor, seconds=1, *, check=False):
-        """Read every second, and return the last."""
+        """Read every second, and return the last sample."""
 
         async def all_of_them():
             for _ in range(seconds):

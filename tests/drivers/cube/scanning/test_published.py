@@ -1,4 +1,4 @@
-"""Scanning meters as a cube, on answers as manuals and other people's programs show them."""
+"""Scanning meters as a cube, with answers from manuals and other people's programs."""
 
 import asyncio
 
@@ -12,7 +12,7 @@ from drivers.settings import CubeSurroundings
 
 
 class Published:
-    """A line that answers with what manuals and other people's programs show of these instruments."""
+    """A line with the answers that manuals and other people's programs show for these instruments."""
 
     def __init__(self, answers):
         self.answers = answers

@@ -70,7 +70,7 @@ def test_one_trigger_reads_four_channels_and_stamps_each(run, meter):
         stamps = [face.time_monotonic_s - begin_s for face in reading.faces]
         assert stamps == pytest.approx([took_s * share for share in (0.125, 0.375, 0.625, 0.875)])
         assert [face.time_utc_s - EPOCH_S - begin_s for face in reading.faces] == pytest.approx(stamps, abs=1e-6)
-        # Four conversions of one mains period with autozero, and the relays.
+        # Four conversions of one mains period with autozero, and the relays' switching.
         assert 0.1 < took_s < 0.4
         return identity
 
@@ -94,7 +94,7 @@ def test_channels_in_any_order_go_to_their_faces(run):
         await bench.cube.open()
         reading = await bench.cube.read()
         assert [face.value for face in reading.faces] == pytest.approx(SENSORS_V, abs=3e-6)
-        # This make scans in ascending order, and the stamps know it.
+        # This make scans in ascending order, and the stamps follow that order.
         order = sorted(range(4), key=lambda face: reading.faces[face].time_monotonic_s)
         assert order == [1, 3, 0, 2]
 
@@ -219,7 +219,7 @@ def test_a_restart_between_two_scans_is_a_lost_link_and_opening_mends_it(run, me
                 flawed = await bench.cube.read()
             except LinkLostError:
                 break
-            # What comes before the loss shows is no value.
+            # A reading before the loss is noticed is flawed.
             assert {face.flaw for face in flawed.faces} <= {"late", "missing"}
         else:
             pytest.fail("it was never noticed")
@@ -290,7 +290,7 @@ def test_a_garbled_reply_gives_no_wrong_value_and_is_over_with_the_next(run, met
             bench.core.corrupt_next()
             reading = await bench.cube.read()
             for face, truth in zip(reading.faces, SENSORS_V, strict=True):
-                # A bit that turns one digit into a letter spoils the number; it never makes another one.
+                # A flipped bit that turns a digit into a letter spoils the number; it never makes another number.
                 assert face.flaw is not None or face.value == pytest.approx(truth, abs=3e-6)
             reading = await bench.cube.read()
             assert {face.flaw for face in reading.faces} == {None}

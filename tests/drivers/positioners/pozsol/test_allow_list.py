@@ -1,4 +1,4 @@
-"""What may leave for a positioner, through every public door of its driver: 44, 46, 48, 50, 56 N, 57 s/5/6 and 136."""
+"""What may be sent to a positioner by any public way of its driver: 44, 46, 48, 50, 56 N, 57 s/5/6 and 136."""
 
 import asyncio
 import inspect
@@ -58,7 +58,7 @@ CODES = st.integers(0, 255) | st.integers() | st.sampled_from([44.0, 56.0, "44",
 
 
 def public(scope, kind):
-    """Return what a class or a module has of its own under a public name."""
+    """Return the public names of a class or a module that are its own."""
     home = scope.__name__
     return {
         name
@@ -134,7 +134,7 @@ def test_no_public_call_of_driver_or_port_sends_anything_else(positioner_host):
                     sending = asyncio.create_task(call())
                     await asyncio.wait({sending}, timeout=0.15)
                     if not sending.done():
-                        # It is being sent: a stop ends the wait for its effect.
+                        # The command is under way: a stop ends the wait for its effect.
                         await driver.stop()
                     await asyncio.gather(sending, return_exceptions=True)
             for call in (driver.disable_autonomy, driver.clear_faults, driver.stop, driver.halt, driver.close):
@@ -148,7 +148,7 @@ def test_no_public_call_of_driver_or_port_sends_anything_else(positioner_host):
                             port.write(packet)
             port.close()
             assert {Field.A_DESTINATION, Field.B_DESTINATION, Field.ACTION, Field.STATUS} == set(host.received)
-        # What goes out at once, on the heels of another, may be read with it.
+        # A command that goes out at once, right after another, may be read together with it.
         assert re.fullmatch(b"(?:" + ALLOWED.pattern + b")+", b"".join(arrived)), arrived
 
     with pytest.raises(DeviceError, match="opened first"):

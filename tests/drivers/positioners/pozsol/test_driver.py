@@ -1,4 +1,4 @@
-"""Which settings of a POZSOL box go together."""
+"""Which settings of a POZSOL box fit together."""
 
 from types import SimpleNamespace
 

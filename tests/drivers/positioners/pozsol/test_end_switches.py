@@ -1,4 +1,4 @@
-"""What counts as a movement of B and as a switch that cannot be closed, look by look and at the bounds."""
+"""When B counts as moving, and when a switch cannot be closed, look by look and at the bounds."""
 
 import math
 
@@ -14,7 +14,7 @@ OPEN, LOW = parse_status("0"), parse_status(str(1 << 19))
 
 
 def found(*looks, word=FIRST, late_s=0.0):
-    """Return where B's bits are after looks of a time [s] and a position each; the status is so much older."""
+    """Return where B's bits are after looks, each with a time [s] and a position; the status is `late_s` older."""
     layout = BLayout(None)
     for time_s, position in looks:
         layout.update(position, time_s, word, time_s - late_s)
@@ -47,11 +47,11 @@ def test_each_way_tells_by_its_own_bit(looks, word, bit):
     (((5.0, 10.0), (5.2, 11.0), (5.4, 10.0), (5.6, 9.0)), True),
     (((0.0, 0.0), (0.5, 0.1), (1.0, 0.2)), False),
     (((0.0, 0.0), (0.5, 0.15), (1.0, 0.3)), True),
-    # What is slow counts from where it was seen last to have moved.
+    # A slow axis counts from the last position at which it was seen to have moved.
     (((0.0, 0.0), (0.5, 0.06), (0.9, 0.12), (1.4, 0.24)), True),
     (((5.0, 0.0), (5.5, 0.06), (5.9, 0.12), (6.4, 0.24)), True),
     (((1.0, 10.0), (2.0, 11.0), (3.0, 12.0)), True),
-    # After a pause it begins anew.
+    # After a pause the count of steps begins anew.
     (((1.0, 10.0), (2.5, 11.0), (2.6, 12.0), (2.8, 13.0)), True),
     (((1.0, 10.0), (1.2, 10.0), (1.4, 10.0)), False),
     (((1.0, 10.0), (2.1, 11.0), (3.2, 12.0)), False),

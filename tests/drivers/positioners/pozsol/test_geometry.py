@@ -1,4 +1,4 @@
-"""Angles and positions of an axis, what is sent for a target, and what the unit's own settings contradict."""
+"""Angles and positions of an axis, the packets for a target, and the unit's own settings that contradict them."""
 
 import math
 import re
@@ -14,7 +14,7 @@ from drivers.positioners.pozsol.unit_setup import SETUP_FIELDS, conflicts, count
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
-# As public firmware prints them when it is provisioned with these triangles.
+# As public firmware prints them when it is set up with these triangles.
 FIELDS = dict(zip(range(70, 78), ("195.3", "300.0", "300.0", "0.0", "0.0", "1.0", "-90.0", "0.0"), strict=True)) | {
     78: "75.0", 79: "376", 80: "2", 83: "3", 110: "0", 111: "0", 192: "0.00", 193: "0.00", 104: "75.0", 105: "286",
     106: "2", 107: "3",
@@ -40,7 +40,7 @@ def test_what_is_sent_stands_within_the_limits_and_half_a_unit_from_the_target_u
     (Triangle(300.0, 300.0, 90.0, 52.0, sense="lowers"), 24.93),
     (Proportional(-3.7, 50.0), 18.5),
     (Proportional(12.0, 0.0), 60.0),
-    # Beside its holder the actuator would be shorter than nothing.
+    # With its holder subtracted, the actuator would have a negative length.
     (Triangle(300.0, 300.0, 4.0, 6.0, holder_mm=50.0), 5.0),
 ])  # fmt: skip
 def test_an_angle_where_the_travel_begins_is_that_many_units(geometry, units):
@@ -50,7 +50,7 @@ def test_an_angle_where_the_travel_begins_is_that_many_units(geometry, units):
 @pytest.mark.parametrize(("setup", "within_deg"), [
     # 600 mm sin(theta/2) between the arms: 538.12 at 127.5 deg, 2.32 a deg. Half a unit and 0.15 of run-out.
     (B, 0.28),
-    # 281 of 282.18 are sent for the limit.
+    # For the limit 281 is sent, not 282.18.
     (replace(B, zero_offset=0.33), 0.37),
     (AxisSetup(Proportional(1.0, 13.05), 15.0, 90.0), 0.95),
     (AxisSetup(Proportional(-1.0, 90.0), 15.0, 90.0), 0.5),
@@ -145,7 +145,7 @@ def test_each_setting_that_differs_is_told_with_field_both_values_and_remedy(cod
 
 
 def test_the_other_geometries_of_the_firmware_are_understood():
-    # Mode 13 counts from the zenith, mode 2 has arms, holder and length in another order.
+    # Mode 13 counts from the zenith; mode 2 has arms, holder and length in another order.
     lowers = replace(A, geometry=Triangle(300.0, 300.0, 90.0, 52.0, 0.0, "lowers"))
     assert conflicts(FIELDS | {83: "13", 76: "0.0"}, lowers, B) == ()
     etop = dict(zip(range(70, 78), ("300.0", "300.0", "0.0", "195.3", "0.0", "0.0", "0.0", "0.0"), strict=True))

@@ -1,4 +1,4 @@
-"""A reference run at the bounds of what begins it, ends it and contradicts it, and whole ones on a simulated unit."""
+"""A reference run at the bounds of what begins, ends and contradicts it, and whole runs on a simulated unit."""
 
 import asyncio
 import math
@@ -15,7 +15,7 @@ from tests.drivers.positioners.pozsol.test_standstill import HOMING, LOW, QUIET,
 
 COAST, SLIP = A.units(0.4), A.units(0.5)
 A_HIGH_TOO, B_HOMING = parse_status(str(1 << 19 | 1 << 20)), parse_status(str(1 << 17), 15)
-# Four times as fast as the ports' other units: a reference run is through all of its travel.
+# Four times as fast as the other units on ports: a reference run goes through all of the travel.
 HURRIED = Setup(drive=AxisDrive(speed_mm_s=160.0, acceleration_mm_s2=1600.0, run_out_s=0.002))
 
 
@@ -97,7 +97,7 @@ def test_who_lost_his_count_and_did_not_move_is_suspicious_by_where_he_stood_bef
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_lost_count_is_held_to_five_degrees_of_where_the_axis_stood_before(side):
-    # From 0 where it had been 60, the way to the switch is 60 long.
+    # Its count is 0 where it had been 60: the way to the switch is 60 long.
     for off, told in ((0.99, ""), (1.01, "not -60: home it again")):
         remain = -60.0 + side * off * A.units(5.0)
         assert told in run(*AFTER_RESTART, remain_at(remain), before=0.0, trusted=False, stood=60.0).mismatch
@@ -192,14 +192,14 @@ def test_a_lost_count_is_a_lost_reference_until_it_is_cleared_and_homing_finds_t
             host.core.inject("reset_position_lost", host._now())
 
             async def doubtful():
-                # A reader that a busy machine held up sees no jump, but a count that nothing explains.
+                # A reader that a busy machine held up sees no jump, only a count that nothing explains.
                 told = (await positioner.read_telemetry()).reference_doubt
                 return "count has jumped" in told or "its count is lost" in told
 
             await until(doubtful)
             assert (await positioner.clear_faults()).reference_doubt
             assert not (await positioner.read_telemetry()).reference_doubt
-            # The count says 0, the axis stands elsewhere: that is not home.
+            # The count says 0, but the axis stands elsewhere: that is not home.
             await positioner.home("b")
 
             async def over():

@@ -1,4 +1,4 @@
-"""The port of a positioner, on a simulated unit: how it is opened and held, and what is a lost link."""
+"""The port of a positioner, on a simulated unit: how it is opened and held, and what counts as a lost link."""
 
 import asyncio
 import contextlib
@@ -79,7 +79,7 @@ def test_the_mode_of_a_port_that_somebody_holds_is_left_alone(positioner_host):
 
 @pytest.mark.parametrize(("dtr", "rts"), [(True, True), (False, True), (True, False), (False, False)])
 def test_the_modem_lines_are_put_as_configured_at_open(positioner_host, monkeypatch, dtr, rts):
-    """A pseudo-terminal has no modem lines, so the operating system's answer is stood in for."""
+    """A pseudo-terminal has no modem lines, so a stand-in gives the operating system's answer."""
     lines, system = {termios.TIOCM_DTR: True, termios.TIOCM_RTS: True}, fcntl.ioctl
 
     def ioctl(descriptor, request, argument=0, *rest):
@@ -167,7 +167,7 @@ def test_a_banner_in_mid_run_is_a_restart_that_loses_link_and_reference(position
             positioner = positioner_on(host.port.link, banner=BANNER.decode().strip())
             await positioner.open()
             await positioner.move_to(5.0, 80.0)
-            # The banner alone: the reset mark of the status comes up to three seconds later, or never.
+            # Only the banner: the reset mark of the status comes up to three seconds later, or never.
             host.port.send(BANNER)
             await until(lambda: _lost(positioner, "has restarted: it prints its banner"))
             await positioner.stop()
@@ -235,7 +235,7 @@ def test_a_unit_that_takes_no_data_any_more_is_a_lost_link_within_the_deadline(p
             host.freeze()
             filler = os.open(host.port.link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
             try:
-                # The kernel makes room by itself a few times before the port is truly full.
+                # The kernel frees some room by itself a few times before the port is truly full.
                 for _ in range(20):
                     for size in (4096, 1):
                         with contextlib.suppress(BlockingIOError):
@@ -264,7 +264,7 @@ def test_a_port_that_no_thread_can_be_had_to_read_is_closed_again():
     port = Opened()
 
     def connect():
-        # More than any machine has: the thread that opens runs already, and the one that reads finds no room.
+        # The thread that opens runs already; for the one that reads, no machine has room for such a stack.
         threading.stack_size(1 << 40)
         return port
 

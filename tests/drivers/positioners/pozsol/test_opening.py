@@ -1,4 +1,4 @@
-"""What the positioner's driver makes of a unit that it opens, and what it sends first, in virtual time."""
+"""What the positioner's driver learns about a unit that it opens, and what it sends first, in virtual time."""
 
 import asyncio
 import itertools
@@ -26,7 +26,7 @@ STOP = encode_command(Field.ACTION, wire.STOP)
 
 
 class Unit(InMemoryStream):
-    """The simulated unit's line: some fields say something else, or come late or, at infinity, never."""
+    """The simulated unit's line, on which some fields have other values, or come late or, at infinity, never."""
 
     def __init__(self, core, now, says=None, comes_s=None):
         super().__init__(core, now)
@@ -54,7 +54,7 @@ def _number(text):
 
 
 def on_unit(scenario, a=A, setup=None, stale_s=2.0, **unit):
-    """Run a scenario with a driver that is not open yet, its unit, and the time."""
+    """Run a scenario with a driver that is not open yet, its unit, and a function that returns the time."""
 
     async def scene():
         now = asyncio.get_running_loop().time
@@ -287,7 +287,7 @@ def test_what_trembles_by_a_hall_count_stands_as_the_unit_itself_tells():
             await positioner.halt()
         trembling.cancel()
 
-    # What the unit says of its counts goes before what is set, and without a word of it that counts.
+    # The unit's own word on its counts takes precedence over the configuration, which counts only without it.
     on_unit(scenario, replace(A, step=math.nan))
     on_unit(scenario, replace(A, step=0.016), says={78: b"none"})
 
@@ -310,7 +310,7 @@ def test_a_target_is_taken_when_both_destinations_show_within_half_a_unit(field,
         unit.says[field] = f"{setup.destination(angle_deg) + off:.4f}".encode()
         if taken:
             await positioner.move_to(-30.0, 45.0)
-            # A screen that was under way when the last command was sent says nothing about it.
+            # A screen that was already on its way when the last command was sent says nothing about that command.
             assert 0.1 < now() - unit.sent[-1][0] < 0.2
         else:
             with pytest.raises(RefusedError, match="did not take the target"):

@@ -1,4 +1,4 @@
-"""What became of the axes while the link was down: a count that was lost then is no reference any more."""
+"""What happened to the axes while the link was down: a count that was lost meanwhile is no reference any more."""
 
 import asyncio
 import contextlib
@@ -20,7 +20,7 @@ OUTAGE_S = 1200.0
 
 
 class Cable:
-    """A driver and its unit, between which the cable can be pulled."""
+    """A driver and its unit, with a cable between them that can be pulled."""
 
     def __init__(self):
         self.now = asyncio.get_running_loop().time
@@ -29,7 +29,7 @@ class Cable:
         self.positioner = PozsolPositioner(self.line, self.now, A, B)
 
     async def out(self, upset=None):
-        """Pull the cable, upset the unit, and open anew after longer than it keeps its reset mark."""
+        """Pull the cable, upset the unit, and open again after longer than the unit keeps its reset mark."""
         self.line.link_up = False
         await self.positioner.close()
         if upset is not None:
@@ -50,7 +50,7 @@ class Cable:
 
 
 def run(act):
-    """Run a scene with a driver whose unit stands at 0 and 90 degrees and has been looked at."""
+    """Run a scene with a driver whose unit stands at 0 and 90 degrees and has been read once."""
 
     async def scene():
         cable = Cable()
@@ -86,7 +86,7 @@ def test_a_restart_that_keeps_the_count_leaves_no_doubt_where_the_mark_is_gone()
 @pytest.mark.parametrize("shown", [True, False])
 def test_a_move_that_goes_on_while_the_link_is_down_leaves_no_doubt(shown):
     async def act(cable):
-        # Silent, the unit takes the target and telemetry does not show it any more.
+        # A silent unit takes the target, but telemetry does not show it any more.
         cable.line.silent = not shown
         moving = asyncio.ensure_future(cable.positioner.move_to(-10.0, 80.0))
         await asyncio.wait((moving,), timeout=0.5)

@@ -25,7 +25,7 @@ B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
 
 
 def on_unit(scenario, setup=None):
-    """Run a scenario with an open driver, its unit, and the time."""
+    """Run a scenario with an open driver, its unit, and a function that returns the time."""
 
     async def scene():
         now = asyncio.get_running_loop().time
@@ -240,7 +240,7 @@ REST = dict.fromkeys(FAST, b"0.0") | {Field.SUPPLY: b"24.00", Field.STATUS: b"00
 
 
 def at_rest(clock, **texts):
-    """Return a watch, and what a unit has said at second 100."""
+    """Return a watch, and the values that a unit reported at second 100."""
     table, watch = FieldTable({}), PositionerWatch(lambda: clock[0], {"a": A, "b": B}, 2.0, None)
     told = REST | {Field[name]: text for name, text in texts.items()}
     table.take([b"%c%b" % (field, text) for field, text in told.items()], 100.0)
@@ -248,7 +248,7 @@ def at_rest(clock, **texts):
 
 
 def looks(status, *times_s, **texts):
-    """Yield the looks at a unit that says all of this at second 100, and the same again at each time."""
+    """Yield the readings of a unit that reports all of this at second 100, and the same again at each time."""
     clock = [100.0]
     watch, values = at_rest(clock, STATUS=status, **texts)
     for time_s in times_s:

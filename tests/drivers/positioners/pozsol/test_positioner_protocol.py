@@ -35,12 +35,12 @@ def positioner_on(link, a=A, b=B, **options):
         banner=options.pop("banner", None),
         write_s=10.0,
     )
-    # What a busy machine holds up for seconds is no lost link.
+    # A pause of seconds on a busy machine is not a lost link.
     return PozsolPositioner(line, time.monotonic, a, b, **{"stale_s": 10.0} | options)
 
 
 async def until(condition):
-    """Wait for what must come; the limit is for a broken program."""
+    """Wait for a condition that must come true; the limit is for a broken program."""
     async with asyncio.timeout(PATIENCE_S):
         done = await condition()
         while not done:
@@ -53,7 +53,7 @@ async def it_is(value):
 
 
 class Player(threading.Thread):
-    """Streams the telemetry of a transcript until each command comes, and notes what it was sent."""
+    """Streams the telemetry of a transcript until each command comes, and notes the commands that it receives."""
 
     def __init__(self, pieces, link):
         super().__init__(daemon=True)
@@ -78,7 +78,7 @@ class Player(threading.Thread):
                     os.write(self._master, screen)
                 over.wait(0.02)
                 try:
-                    # A busy machine hands over late, and together, what was sent in good time.
+                    # A busy machine delivers late, and together, commands that were sent in good time.
                     data += os.read(self._master, 64 if piece is None else len(piece.data) - len(data))
                 except BlockingIOError:
                     continue
@@ -166,7 +166,7 @@ def test_a_simulated_unit_loses_no_command_because_the_machine_held_it_up(positi
             for field, place in ((Field.A_DESTINATION, 150), (Field.B_DESTINATION, 200)):
                 os.write(other, wire.encode_command(field, place))
                 if together:
-                    # The unit lives in this process.
+                    # The unit lives in this process, so this holds it up too.
                     time.sleep(0.1)  # noqa: ASYNC251
                 else:
                     await asyncio.sleep(0.003)
@@ -195,7 +195,7 @@ def test_a_stop_goes_out_at_once_and_a_move_that_was_being_sent_goes_no_further(
             positioner = positioner_on(host.port.link, tap=tap)
             await positioner.open()
             move = asyncio.create_task(positioner.move_to(-30.0, 50.0))
-            # Whoever waited for it to arrive would find B sent too on a busy machine.
+            # Wait only for the sending: by the time A arrives, B would have been sent too on a busy machine.
             await a_is_sent.wait()
             await getattr(positioner, how)()
             with pytest.raises(RefusedError, match="a stop came in between"):
@@ -221,20 +221,20 @@ def test_commands_keep_their_distance(positioner_host):
     async def scene():
         times = []
         async with positioner_host() as host:
-            # Where they leave: a busy machine takes in late what came in time.
+            # Times are taken where commands leave: a busy machine delivers late what was sent in time.
             tap = lambda direction, _data: times.append(time.monotonic()) if direction == ">" else None  # noqa: E731
             positioner = positioner_on(host.port.link, tap=tap)
             await positioner.open()
             await positioner.move_to(-5.0, 80.0)
             await positioner.stop()
-            # On a busy machine the axis is so fast by now that it still turns when its target comes, and takes none.
+            # On a busy machine the axis may be fast by now, still turn when its target comes, and refuse it.
             with contextlib.suppress(RefusedError):
                 await positioner.move_to(5.0, 80.0)
             await positioner.close()
-        # A stop first: the first packet of a connection is lost. Another where the last target was not taken.
+        # First a stop, since the first packet of a connection is lost; one more if the last target was refused.
         assert len(times) in {6, 7}
         gaps = [after - before for before, after in pairwise(times[:6])]
-        # The stop alone goes out at once.
+        # Only the stop goes out at once.
         assert min(gap for index, gap in enumerate(gaps) if index != 2) > wire.COMMAND_SPACING_S
 
     asyncio.run(scene())

@@ -1,4 +1,4 @@
-"""Where an axis stands whose count was lost, in units counted by hand, and which doubts a reference run settles."""
+"""Where an axis stands after its count was lost, in units counted by hand, and which doubts a reference run settles."""
 
 import pytest
 
@@ -74,7 +74,7 @@ def test_a_place_that_is_recalled_is_where_the_axis_was_and_was_going():
         (800.0, None, 805.1, True),
         (100.0, None, 300.0, False),
         (100.0, None, 94.9, True),
-        # What was told and not shown yet counts beside what is shown.
+        # A target that was sent and is not shown yet counts beside the one that is shown.
         (500.0, 900.0, 905.0, False),
         (500.0, 900.0, 905.1, True),
         (500.0, 900.0, 494.9, True),

@@ -1,4 +1,4 @@
-"""What counts as standing, as a reference run that has ended well, and as knowing where B's bits are."""
+"""What counts as standing, as a reference run that ended well, and as knowing where B's bits are."""
 
 import pytest
 

@@ -14,7 +14,7 @@ AT_ONCE = 0.0
 
 
 class Wire:
-    """A port that gives out what it is handed, one piece at a time, and a clock that the pieces carry forward."""
+    """A port that gives out the pieces that it is handed, one at a time, and a clock that each piece moves on."""
 
     def __init__(self):
         self.now_s = 0.0
@@ -31,7 +31,7 @@ class Wire:
         return piece
 
     def say(self, data, after_s=0.12):
-        """Let a piece be read, and wait until the reader asks for the next one."""
+        """Hand over a piece, and wait until the reader asks for the next one."""
         self._taken.acquire()
         self.now_s += after_s
         self._pieces.put(data)
@@ -132,7 +132,7 @@ def test_after_a_gap_any_angle_is_possible(wire, reader):
 
 def test_what_an_axis_can_turn_by_while_nothing_is_read_is_no_jump(wire, reader):
     wire.say(angle(b"10.0"))
-    # Read late, of a moment in between; then what the machine had no room for is missing.
+    # The first piece is read late and shows a moment in between; then screens are missing for want of room.
     for text, after_s in ((b"11.0", 0.9), (b"15.0", 0.02), (b"15.1", 0.02)):
         wire.say(angle(text), after_s=after_s)
     assert (reader.table.get(Field.A_ANGLE).text, reader.table.jumped_s) == (b"15.1", None)
@@ -142,7 +142,7 @@ def test_what_an_axis_can_turn_by_while_nothing_is_read_is_no_jump(wire, reader)
 
 
 class Resting:
-    """A unit at rest whose screens come as fast as they are read, each 20 ms of its clock after the last."""
+    """A unit at rest whose screens come as fast as they are read, each 20 ms after the last by its clock."""
 
     def __init__(self, unread_s=20.0):
         self.now_s = 0.0
@@ -175,7 +175,7 @@ def test_screens_are_gathered_until_a_command_is_sent():
     for _ in range(20_000):
         if unit.woken.wait(0.001):
             break
-        # Each command is good for a second of its clock.
+        # Each command keeps the reader from gathering for a second of the unit's clock.
         reader.attend()
     else:
         pytest.fail("a command does not end the gathering")
@@ -186,7 +186,7 @@ def test_screens_are_gathered_until_a_command_is_sent():
 
 
 class StoodStill(Resting):
-    """A port on which old screens wait, because nobody has read it for some time."""
+    """A port on which old screens wait because nobody has read it for some time."""
 
     def __init__(self):
         super().__init__()
@@ -195,7 +195,7 @@ class StoodStill(Resting):
 
     def read(self):
         screens = super().read()
-        # Its first second is read as it comes.
+        # During its first second, screens are read as they come.
         return self._waiting.pop(0) if self.now_s > 1.0 and self._waiting else screens
 
 
@@ -230,7 +230,7 @@ BANNER = b"\r\nready to go\r\n"
 
 @pytest.fixture
 def booting(wire):
-    """Return a reader of a unit that may restart for two seconds because its port was opened."""
+    """Return a reader of a unit that may restart within two seconds because its port was opened."""
     reader = TelemetryReader(wire, lambda: wire.now_s, boot_s=2.0, banner=b"ready to go", gather_s=AT_ONCE)
     yield reader
     wire.end()

@@ -50,7 +50,7 @@ def test_what_comes_after_a_pause_that_nobody_made_may_be_a_backlog_and_is_no_ju
 
 
 def garbled(screen, dice):
-    """Return a screen, now and then with a byte lost or changed."""
+    """Return a screen; now and then a byte of it is lost or changed."""
     if dice.random() < 0.9:
         return screen
     place = dice.randrange(len(screen))
@@ -73,6 +73,6 @@ def test_a_block_of_screens_leaves_what_its_fields_leave_one_by_one(seed):
         at_once.take(tokens, now_s)
         for token in tokens:
             singly.take([token], now_s)
-        # As text: NaN is not itself.
+        # Compared as text, because NaN does not equal itself.
         assert repr(at_once.snapshot()) == repr(singly.snapshot())
         assert at_once.jumped_s == singly.jumped_s

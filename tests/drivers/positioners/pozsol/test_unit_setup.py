@@ -1,4 +1,4 @@
-"""Each setting of the unit against the configuration, at the bounds of what counts as the same."""
+"""Each setting of the unit against the configuration, at the bounds within which they count as equal."""
 
 import math
 import re
@@ -39,7 +39,7 @@ def test_a_rounding_is_no_difference_and_twice_that_is_one(same, other):
     assert told(same) == ()
     (sentence,) = told(other)
     (code,) = other
-    # Of two fields that are added up the first is named.
+    # Of two fields that are added up, the first is named.
     assert re.search(rf"field ({code}|{code - 1} \+ {code}|{code} \+ {code + 1})\b", sentence)
 
 

@@ -163,7 +163,7 @@ def test_a_quiet_status_says_nothing():
     assert not status.autonomous
 
 
-# As the maker's manual numbers them, written here once more: a slip in the table shows against another hand only.
+# As the maker's manual numbers them, written out once more: a slip in the table shows only against a second copy.
 FAULTS_BY_BIT = {
     0: "a_overcurrent", 1: "a_hall_fault", 2: "a_homing_too_long", 3: "a_cable",
     4: "b_overcurrent", 5: "b_hall_fault", 6: "b_homing_too_long", 7: "b_cable",

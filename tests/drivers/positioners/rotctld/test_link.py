@@ -1,4 +1,4 @@
-"""The connection to a rotctld, byte by byte: whose answer is whose, and what is said of who is gone."""
+"""The connection to a rotctld, byte by byte: whose answer is whose, and what is reported of a peer that is gone."""
 
 import asyncio
 import errno
@@ -10,13 +10,13 @@ from drivers.errors import ConnectError, DeadlineError, LinkLostError, ProtocolE
 from drivers.positioners.rotctld.link import TcpLine
 from tests.support import PATIENCE_S
 
-# Long enough for what does come; what is to be missed is missed for so long.
+# Long enough for an answer that comes; an answer that does not come is waited for so long.
 MISSED_S = 0.05
 POSITION = b"get_pos:\nAzimuth: 12.50\nElevation: 30.00\nRPRT 0\n"
 
 
 class Peer:
-    """Says what a test has it say, and keeps what it is told."""
+    """Answers as a test wants, and keeps the commands that it receives."""
 
     def __init__(self):
         self.told = b""
@@ -40,7 +40,7 @@ class Peer:
 
 
 def with_peer(test):
-    """Run a test at once, with an open line and the peer behind it."""
+    """Run the decorated test at once, with an open line and the peer behind it."""
 
     async def both():
         peer = Peer()

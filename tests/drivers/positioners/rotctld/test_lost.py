@@ -1,4 +1,4 @@
-"""A rotctld that answers wrongly or not at all is left, and has to be opened anew."""
+"""A rotctld that answers wrongly or not at all is disconnected, and has to be opened again."""
 
 import asyncio
 

@@ -29,7 +29,7 @@ def test_it_points_where_the_normal_of_the_tracker_s_frame_points_and_back(a_deg
 
 @given(st.floats(-50, 50), st.floats(15, 90), st.sampled_from([0.1, 1.0, 3.0]), st.tuples(*2 * [st.floats(-0.5, 0.5)]))
 def test_no_angle_is_further_from_where_its_steps_let_it_rest(a_deg, b_deg, step_deg, shift):
-    # What a step is counted from, nobody says.
+    # Nobody says where steps are counted from: so every shift within a step is tried.
     sent = FULL.place(a_deg, b_deg)
     rests = RotatorPosition(*(each + share * step_deg for each, share in zip(sent, shift, strict=True)))
     off_deg = np.abs(np.subtract(angles(*rests, 180.0), (a_deg, b_deg)))
@@ -43,7 +43,7 @@ def test_no_angle_is_further_from_where_its_steps_let_it_rest(a_deg, b_deg, step
 )
 def test_known_places(place, expected):
     assert angles(*place, 180.0) == pytest.approx(expected, abs=0.02)
-    # South of the equator the same angles lie on the other side, east staying east.
+    # South of the equator the same angles are on the other side; east stays east.
     azimuth_deg, elevation_deg = place
     assert angles(180.0 - azimuth_deg, elevation_deg, 0.0) == pytest.approx(expected, abs=0.02)
 
@@ -75,7 +75,7 @@ def test_an_azimuth_is_given_in_a_turn_that_the_rotator_has(turns, equator, a_de
     st.sampled_from([(-180.0, 450.0), (0.0, 720.0)]),
 )
 def test_however_the_sky_leads_it_about_cables_are_never_wound_further(places, turns):
-    # A day lies in one half turn, and each place is always the same one.
+    # All azimuths of a day are within half a turn, and each place always has the same one.
     seen = [mount(turns).place(a_deg, b_deg).azimuth_deg for a_deg, b_deg in places]
     assert max(seen) - min(seen) <= 180.0 + 1e-6
     assert [mount(turns).place(a_deg, b_deg).azimuth_deg for a_deg, b_deg in places] == seen

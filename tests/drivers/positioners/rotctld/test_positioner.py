@@ -204,7 +204,7 @@ def test_a_halt_of_one_that_stands_is_quick_and_of_one_that_turns_lasts_until_it
         await asyncio.sleep(30.0)
         assert rotator.position(now()) == stands
 
-    # 0.6 s is the shortest time that counts as standing, at these settings.
+    # At these settings, 0.6 s is the shortest time that counts as standing.
     on_rotator(scenario, slowest_deg_per_s=1.0)
 
 
@@ -242,9 +242,9 @@ def test_what_differs_by_more_than_its_resolution_moves(way_deg, stands):
             return
         with pytest.raises(StillMovingError, match=r"keeps moving after 13 s of stops, at azimuth 180\.\d, elev"):
             await driver.halt()
-        # Within 12 s and the 0.6 s that count as standing, at the next look.
+        # The error comes at the first look after 12 s and the 0.6 s that count as standing.
         assert 12.6 <= now() - begin_s <= 12.9
-        # At once, and at each look that comes 0.5 s after the last one.
+        # A stop is sent at once, and at each look that comes at least 0.5 s after the last stop.
         assert 20 <= line.sent.count("stop") <= 23
 
     run(scenario)

@@ -6,7 +6,7 @@ import pytest
 
 from drivers.positioners.rotctld.protocol import ReplyStream, command, state_of
 
-# As rotctld of Hamlib 4.5.4 sends it for its dummy.
+# As rotctld of Hamlib 4.5.4 sends it for its dummy rotator.
 STATE = (
     b"dump_state:\nrotctld Protocol Ver: 1\nRotor Model: 1\nMinimum Azimuth: -180.000000\nMaximum Azimuth: 450.000000\n"
     b"Minimum Elevation: 0.000000\nMaximum Elevation: 90.000000\nSouth Zero: 0\nrot_type=AzEl\ndone\nRPRT 0\n"

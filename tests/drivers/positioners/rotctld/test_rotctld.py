@@ -14,7 +14,6 @@ from solar.frames import Limits
 from tests.support import PATIENCE_S
 
 LIMITS = Limits()
-# What a loaded machine may take for what takes a second.
 
 
 def driver_of(place, stow=(0.0, 90.0), tap=no_tap, equator_deg=180.0, **settings):
@@ -30,7 +29,7 @@ def driver_of(place, stow=(0.0, 90.0), tap=no_tap, equator_deg=180.0, **settings
 
 @pytest.fixture
 def run():
-    """Run what is done with a driver; it is closed in the end."""
+    """Return a function that runs `act` with a driver and closes the driver at the end."""
 
     def outer(driver, act):
         async def inner():
@@ -78,7 +77,7 @@ def test_it_says_who_it_is_and_that_the_dummy_is_none_that_moves_steel(start_rot
 
 @pytest.mark.parametrize(("equator_deg", "azimuth_deg"), [(180.0, 140.77), (0.0, 39.23)])
 def test_a_target_is_reached_and_shown_in_the_tracker_s_angles(start_rotctld, run, equator_deg, azimuth_deg):
-    # With these offsets the dummy begins near to its target, and what rotctld says of its limits is wrong.
+    # With these offsets the dummy begins near its target, and rotctld reports wrong limits.
     server = start_rotctld("-o", f"{6 - azimuth_deg}", "-O", "-35")
 
     async def act(driver):
@@ -90,7 +89,7 @@ def test_a_target_is_reached_and_shown_in_the_tracker_s_angles(start_rotctld, ru
         seen = await arrive(driver, -30.0, 45.0)
         assert (going.destination_a, going.destination_b) == (seen.destination_a, seen.destination_b)
         assert (seen.destination_a, seen.destination_b) == pytest.approx((azimuth_deg, 37.76), abs=0.01)
-        # The last twentieth of a degree takes the dummy a while.
+        # The dummy takes a while for the last twentieth of a degree.
         async with asyncio.timeout(PATIENCE_S):
             while server.azimuth_deg() != pytest.approx(azimuth_deg, abs=0.02):  # noqa: ASYNC110 - it tells nobody
                 await asyncio.sleep(0.05)
@@ -105,7 +104,7 @@ def test_a_stop_is_sent_behind_a_move_that_is_not_answered_yet_and_both_are_unde
     def tap(way, data):
         pieces.append((way, data))
         if b"set_pos" in data and way == ">":
-            # No answer can have come yet.
+            # The move cannot have been answered yet.
             stops.append(asyncio.ensure_future(driver.stop()))
 
     async def act(driver):
@@ -171,7 +170,7 @@ def test_each_target_is_checked_against_the_range_by_us_and_by_rotctld(start_rot
         return caught.value.message
 
     assert "lies at azimuth 180.0, elevation 75.0 deg, and the rotator turns" in run(driver_of(server.place), act)
-    # A range that is set wider is believed, and rotctld has the last word.
+    # A wider range in the configuration is believed, and rotctld has the last word.
     wide = driver_of(server.place, elevation_max_deg=90.0)
     assert run(wide, act) == (
         "did not take azimuth 180.00, elevation 75.00 deg: invalid parameter (RPRT -1);"
@@ -180,7 +179,7 @@ def test_each_target_is_checked_against_the_range_by_us_and_by_rotctld(start_rot
 
 
 def test_where_offsets_make_rotctld_s_own_limits_wrong_the_range_that_is_set_counts(start_rotctld, run):
-    # With an offset of 100 it says 100 to 460, and takes -100 to 260.
+    # With an offset of 100 rotctld says 100 to 460, and takes -100 to 260.
     server = start_rotctld("-o", "100", "-C", "min_az=0,max_az=360")
     server.ask("P 100 45\n", b"RPRT")
 
@@ -191,7 +190,7 @@ def test_where_offsets_make_rotctld_s_own_limits_wrong_the_range_that_is_set_cou
 
     run(driver_of(server.place, azimuth_min_deg=-100.0, azimuth_max_deg=260.0), act)
     with pytest.raises(RefusedError, match="did not take azimuth 273"):
-        # West of what it takes, by its own word within its limits.
+        # West of the azimuths that rotctld takes, but within the limits that it reports.
         run(driver_of(server.place), refuse_in_the_west)
 
 
@@ -247,7 +246,7 @@ def test_another_rotator_than_the_one_that_is_pinned_is_refused(start_rotctld, r
 
 
 def test_a_rotator_that_its_rotctld_does_not_reach_is_said_with_the_remedy(start_rotctld, run):
-    # Model 2 asks another rotctld; where that one is gone, every question about the rotator ends in an error.
+    # Model 2 asks another rotctld. If that one is gone, every question about the rotator ends in an error.
     far = start_rotctld()
     near = start_rotctld("-m", "2", "-r", far.place)
 

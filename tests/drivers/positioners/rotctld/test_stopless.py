@@ -1,4 +1,4 @@
-"""A rotator without a stop is sent to where it is in place of one: that must end its way, and may begin none."""
+"""A rotator without a stop is sent to where it is: that must end its move, and may not begin one."""
 
 import asyncio
 
@@ -19,7 +19,7 @@ def test_a_rotator_without_a_stop_is_sent_to_where_it_is(error):
 def test_one_that_stands_outside_of_the_range_that_is_set_stays_there(place, how):
     async def scenario(driver, rotator, now):
         rotator.faults.add("stopless")
-        # By a hand at its controller, say, or by another program, before the service was there.
+        # As if somebody had turned it by hand at its controller, or another program had, before the service was there.
         rotator.turn(*place, now())
         await asyncio.sleep(60)
         await getattr(driver, how)()
@@ -31,7 +31,7 @@ def test_one_that_stands_outside_of_the_range_that_is_set_stays_there(place, how
 
 @pytest.mark.parametrize(("place", "stays_at"), [
     ((270.4, 45.0), (270.0, 45.0)), ((180.0, 19.0), (180.0, 20.0)), ((86.0, 92.0), (90.0, 90.0)),
-    # So far outside it has not run out: whoever has turned it there is not to see it turn at a stop.
+    # So far outside it has not run out: whoever turned it there should not see it turn at a stop.
     ((276.0, 45.0), (276.0, 45.0)), ((180.0, 14.0), (180.0, 14.0)),
 ])  # fmt: skip
 def test_one_that_has_run_out_over_its_end_which_rotctld_does_not_take_is_sent_to_the_end(place, stays_at):

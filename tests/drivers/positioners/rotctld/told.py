@@ -1,4 +1,4 @@
-"""A line to a rotctld that says what it is told to, and the driver of rotators on it, in virtual time."""
+"""A line to a rotctld that gives the answers of a test, and the driver of rotators on it, in virtual time."""
 
 import asyncio
 
@@ -27,7 +27,7 @@ def ends_with(name, error):
 
 
 class Told:
-    """A line to a rotctld that answers each command by name with what it is told to say."""
+    """A line to a rotctld that answers each command by name with the reply of a test."""
 
     simulated = False
 
@@ -56,7 +56,7 @@ def driver_on(line, now, stow=(0.0, 90.0), **settings):
 
 
 def run(scenario):
-    """Run what is given the time, in virtual time."""
+    """Run `scenario`, which is given the function that returns the time, in virtual time."""
 
     async def scene():
         return await scenario(asyncio.get_running_loop().time)
@@ -66,7 +66,7 @@ def run(scenario):
 
 
 def told(act, stow=(0.0, 90.0), settings=None, **says):
-    """Run what is done with an open driver, and return what came of it with the line."""
+    """Run `act` with an open driver, and return its result and the line."""
     line = Told(**says)
 
     async def scenario(now):
@@ -88,7 +88,7 @@ def opened(**says):
 
 
 def on_rotator(scenario, **settings):
-    """Run a scenario with an open driver, its rotator that stands at south, 45 deg, and the time."""
+    """Run a scenario with an open driver, its rotator at south, 45 deg, and a function that returns the time."""
 
     async def scene(now):
         rotator = RotatorCore(now(), start=(180.0, 45.0))
