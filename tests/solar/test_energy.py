@@ -30,7 +30,7 @@ def steered(law, weather, faces=None):
 def january_and_june(measured):
     files = [measured / "dtu_lyngby_2016" / f"2016-{month}.csv.gz" for month in ("01", "06")]
     utc_s, dni, dhi, warnings, simulated = measured_minutes(files, LYNGBY)
-    # January's one gap by day and the months between are told, and count as missing.
+    # The warning tells of January's gap by day and of the months between; they count as missing.
     (warning,) = warnings
     assert "1574.2 h of daylight are missing, the first after 2016-01-" in warning
     assert not simulated

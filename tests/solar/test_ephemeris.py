@@ -25,7 +25,7 @@ TROMSO = (69.65, 18.96, 10.0)
 FIJI = (-18.14, 178.44, 6.0)
 ALTIPLANO = (0.0, -78.45, 3800.0)
 SITES = (SIRTA, CAPE_TOWN, TROMSO, FIJI, ALTIPLANO)
-# 1970 to 2050, where the polynomials of terrestrial time hold.
+# 1970 to 2050, where the polynomials for terrestrial time are valid.
 UTC_S = st.floats(0.0, 2.5e9)
 
 
@@ -160,10 +160,10 @@ def test_near_the_date_line_the_solar_day_is_the_one_around_the_instant_on_every
 @pytest.mark.parametrize(
     ("site", "date", "rise_h", "set_h"),
     [
-        # Its highest point is 0.03 deg above the horizon, and 0.03 deg below.
+        # At its highest point it is 0.03 deg above the horizon, or 0.03 deg below.
         ((68.4, 17.0, 0.0), "2024-01-07T11:00", -0.20, 0.20),
         ((67.5, -140.0, 0.0), "2024-12-16T21:00", None, None),
-        # Its lowest point is 0.02 deg below; the night after it is none.
+        # At its lowest point it is 0.02 deg below; the night after, it does not set.
         ((66.2, 25.0, 0.0), "2024-06-09T10:00", -11.84, None),
         ((78.2, 15.6, 0.0), "2024-08-24T11:00", None, 11.14),
     ],
@@ -269,7 +269,7 @@ def test_an_instant_that_is_no_time_is_refused(function, instant):
         function(instant, *SIRTA)
 
 
-# Within an hour and across its end, back again, another day, and the beginning of all days.
+# Within an hour and across its end, back again, another day, and the start of 1970.
 ASKED_UTC_S = [1.7e9 + offset_s for offset_s in (0.0, 59.9, 60.0, 3540.0, 3599.0, 3600.0, 7300.0, 10.0, -1.0, 8e4)] + [
     0.0
 ]

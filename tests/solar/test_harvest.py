@@ -1,4 +1,4 @@
-"""What a tracker harvests and what could be harvested, under lights of which every sum can be done by hand."""
+"""What a tracker harvests and what could be harvested, under lights for which every sum can be done by hand."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def weather_of(dni, dhi, days=1):
 
 
 class Peak:
-    """A light that is brightest on a plane at two angles, and less by the squares of how far another one is off."""
+    """A light that is brightest on a plane at two angles; it falls with the squares of the differences from them."""
 
     def __init__(self, a_deg, b_deg):
         self.place = a_deg, b_deg
@@ -36,7 +36,7 @@ class Peak:
 
 
 class Shows:
-    """A light that shows an angle of the plane: 0 for A, 1 for B."""
+    """A light whose irradiance is an angle of the plane: 0 for A, 1 for B."""
 
     def __init__(self, axis):
         self.axis = axis

@@ -64,7 +64,7 @@ def test_one_wild_point_does_no_harm(irradiance, temperature, place, wildness):
 
 
 def test_points_that_are_not_of_one_curve_have_no_maximum():
-    # Voltages were read before they had changed, with the currents of the new ones: 401 W from a module of 305.
+    # Voltages were read before they had changed, currents after it: 401 W from a module of 305 W.
     voltage = [40.1, 39.6, 40.1, 34.6, 34.6, 30.2, 28.0, 15.5, 3.0]
     found = measured_maximum(voltage, [0.0, 0.86, 5.94, 8.35, 9.4, 9.72, 9.4, 9.83, 9.84])
     assert np.isnan(found.pmpp_w)
@@ -104,7 +104,7 @@ def test_a_curve_without_its_knee_has_no_maximum(lowest, highest):
 def test_nor_has_one_whose_end_was_measured_twice(lowest, highest, end):
     voltage = np.append([end], np.linspace(lowest, highest, 30))
     current = curve(MODULE, 1000.0, 25.0, voltage)
-    # Whichever of the two comes first, the one with more power has nothing beyond it.
+    # Whichever measurement of that end comes first, the one with more power has nothing beyond it.
     for less in (0, 1 if end == lowest else 30):
         weaker = current - 1e-3 * (np.arange(31) == less)
         assert "the knee is not in it" in measured_maximum(voltage, weaker).why_not
@@ -118,8 +118,8 @@ def noisy(irradiance, temperature, points, seed, noise_a, wild=()):
     return voltage, current
 
 
-# Pmpp, Vmpp, its uncertainty, Voc, Isc and the points used of curves with scatter and wild points, as this program has
-# them: its windows, its bounds for what is wild and the order of its polynomial show in nothing else.
+# Pmpp, Vmpp, its uncertainty, Voc, Isc and the points used, for curves with scatter and wild points, as this program
+# computes them. Its windows, its bounds for wild points and the order of its polynomial show nowhere else.
 @pytest.mark.parametrize(("how", "numbers", "points"), [
     ((800, 40, 30, 1, 0.02), (231.46822, 30.940388, 0.14820755, 37.872609, 7.9699393), 11),
     ((300, 10, 20, 2, 0.01, ((5, 1.0), (12, -0.8))), (97.890352, 34.823174, 0.38794264, 40.121927, 2.9348308), 7),

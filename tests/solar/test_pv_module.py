@@ -91,7 +91,7 @@ def test_one_number_at_a_time_is_the_same_model(module, irradiance, cell_c):
     ours, theirs = (
         list(map(float, astuple(each))) for each in (one.maximum(), maximum_power(module, irradiance, cell_c))
     )
-    # pvlib searches for the highest point, where the curve is level, and has its place less exactly than its height.
+    # pvlib searches for the highest point, where the curve is level: it finds the height more exactly than the place.
     assert ours == pytest.approx(theirs, rel=1e-6)
     assert ours[0] == pytest.approx(theirs[0], rel=1e-9)
 

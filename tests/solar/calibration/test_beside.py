@@ -207,7 +207,7 @@ def test_a_series_that_strays_is_dropped():
 
 
 def test_a_day_that_midnight_of_utc_divides_is_one_day():
-    # Two days at 180 E, each in two halves of UTC days: the six-hourly ratios are no independent days.
+    # Two days at 180 E, each in two halves of UTC days: the six-hourly ratios are not independent days.
     utc_s = np.concatenate([day * 86400.0 + 64800.0 + np.arange(720) * 60.0 for day in range(2)])
     reference = np.repeat([495.0, 505.0, 495.0, 505.0], 360)
     found = series_gain(utc_s, reference, np.full(utc_s.size, 50.0), 180.0)
@@ -234,7 +234,7 @@ def test_a_line_tells_the_offset_where_no_night_was_recorded():
 
 
 def test_the_line_s_interval_by_hand():
-    # What is left is +-0.01 mV, and leans on neither the mean nor the slope: s2 = 4e-4/2, Student's t 4.302653.
+    # The residuals are +-0.01 mV and change neither mean nor slope: s2 = 4e-4/2, Student's t 4.302653.
     irradiance, left = np.array([0.0, 200.0, 400.0, 600.0]), np.array([0.01, -0.01, -0.01, 0.01])
     found = fitted_offset(np.arange(4.0), irradiance, 0.1 * irradiance + 0.05 + left)
     assert found.value == pytest.approx(0.05)
@@ -244,7 +244,7 @@ def test_the_line_s_interval_by_hand():
 
 @pytest.mark.parametrize("days", [1, 5])
 def test_the_line_s_interval_holds_the_offset_for_a_sensor_out_of_level_that_misses_grazing_light(days):
-    # Half a degree towards the south-east, and 2 % at 80 deg: what bends the line is the same on every day.
+    # Tilted half a degree towards the south-east, and 2 % missed at 80 deg: the line is bent alike on every day.
     times = MIDNIGHT + np.arange(0.0, days * DAY_S, 60.0)
     sun = sun_direction(times, *SIRTA)
     times, sun = times[sun[:, 2] > 0.2], sun[sun[:, 2] > 0.2]
@@ -258,7 +258,7 @@ def test_the_line_s_interval_holds_the_offset_for_a_sensor_out_of_level_that_mis
 def test_three_readings_around_one_instant_are_enough_for_it_alone():
     utc_s = MIDNIGHT + 43_200.0 + np.array([-700.0, 0.0, 700.0])
     clear, _, _ = clear_sky_ghi(SIRTA, utc_s)
-    # Three times 700 s of half an hour, and for the first and the last two times.
+    # Three readings of 700 s fill the half hour around the middle one; around the first and the last are only two.
     assert clear_and_stable(utc_s, clear, SIRTA).tolist() == [False, True, False]
 
 

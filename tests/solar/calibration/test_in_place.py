@@ -36,7 +36,7 @@ def readings(site, weather, begin_utc_s, days, *, model="perez1990", step_s=300.
     utc_s = begin_utc_s + np.arange(0.0, days * DAY_S, step_s)
     utc_s = utc_s[weather.covers(utc_s)]
     utc_s = utc_s[sun_position(utc_s, *site).elevation_deg > 8.0]
-    # Second by second, as the instruments ask, it would take longer than the calibration.
+    # Asking second by second, as the instruments do, would take longer than the calibration.
     volts = np.array(scene._compute(utc_s).sensed_w_m2).T * sensors.volt_per_w_m2
     return utc_s, volts * 1e4 * GAINS
 
@@ -88,7 +88,7 @@ def test_what_a_turned_cube_sees_is_turned_back():
 
 
 def test_the_jackknife_by_hand():
-    # Means of two of the three numbers 1, 2, 6: the jackknife of a mean is its standard error.
+    # The means of each two of the numbers 1, 2, 6: the jackknife of a mean is its standard error.
     each = np.array([[4.0], [3.5], [1.5]])
     assert jackknife_error(each)[0] == pytest.approx(np.std([1.0, 2.0, 6.0], ddof=1) / np.sqrt(3.0))
 
@@ -163,7 +163,7 @@ def test_where_days_agree_the_errors_are_those_of_the_clear_sky_s_level():
     level = clear_sky_anchor(shape.utc_s, global_w_m2, over_zenith * shape.beam_w_m2, SIRTA)
     of_level = found.response * ([level.vertical_error] * 3 + [level.zenith_error])
     np.testing.assert_allclose(errors.response, of_level, rtol=0.03)
-    # A vertical face sees (1 + albedo)/2 of an even light: its share goes up as the ratio does.
+    # A vertical face sees (1 + albedo)/2 of a uniform light: so the albedo's error follows that of the ratio.
     assert errors.albedo == pytest.approx((1.0 + found.albedo) * level.ratio_error, rel=0.03)
     assert (errors.response > of_level).all()
 
@@ -237,7 +237,7 @@ def ghi_of(utc_s):
 
 
 def known(**faces):
-    """Return a level at which the faces that are named have their true responses, give or take the error named."""
+    """Return a level at which the named faces have their true responses, each with the error given."""
     names = ("east", "south", "west", "zenith")
     return Level(tuple(
         Tie(gain, faces[name]) if name in faces else None for name, gain in zip(names, GAINS.tolist(), strict=True)
@@ -271,7 +271,7 @@ def test_two_references_are_weighed():
     wrong = GAINS[3] * 1.01
     ghi = ghi_of(clear(SIRTA)[0])
     between = calibrate_in_place(*clear(SIRTA), SIRTA, level=Level((None, None, None, Tie(wrong, 0.002)), ghi, 0.004))
-    # Weights of 4 and 1.
+    # The references weigh 4 and 1.
     assert between.response[3] == pytest.approx(GAINS[3] * 1.008, rel=0.002)
 
 

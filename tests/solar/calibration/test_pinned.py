@@ -1,6 +1,7 @@
-"""Numbers of the fits under clear sky, to the digits that they settle to: what they weigh and leave out shows in them.
+"""Numbers of the fits under clear sky, to all digits that are stable: they show every weight and every omission.
 
-They are the program's own, of a sky that is made here; whether the fits are right, the tests beside this one say.
+They are the program's own results, for a sky that is made here. Whether the fits are right is for the other tests of
+this folder.
 """
 
 import numpy as np
@@ -23,7 +24,7 @@ GAINS = np.array([1.03, 0.97, 1.02, 0.98])
 
 
 def faces_of(model, standing=STANDING):
-    """Return what a turned and leaning cube reads, with scatter, a cloud over one instant and haze over another."""
+    """Return the readings of a turned and leaning cube, with scatter, one instant in cloud and another in haze."""
     sun, extra = sun_direction(UTC_S, *SITE), extraterrestrial_dni(UTC_S)
     _, dni, dhi = clear_sky_ghi(SITE, UTC_S, 0.12)
     dni[20], dhi[20] = 0.5 * dni[20], 3.0 * dhi[20]

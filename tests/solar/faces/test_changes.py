@@ -1,4 +1,4 @@
-"""Faces that do not change as the light does, when clouds pass before the sun."""
+"""Faces that do not follow the changes of the light when clouds pass before the sun."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ AS_MUCH = np.full(6, 0.4)
 
 
 def half_hour(at_utc_s=JUNE_UTC_S, model="perez1990", beam_w_m2=700.0, albedo=0.2, clouds=PASSING, off=0.03):
-    """Return faces with gains so far off under passing clouds, the same without beam, and the sun's directions."""
+    """Return faces with gain errors under passing clouds, the same without beam, and the sun's directions."""
     utc_s = at_utc_s + 60.0 * MINUTES
     gains = 1.0 + off * np.array([1.0, -1.0, 1.0, -1.0])
     beam, dull = (lay_out(utc_s, share * beam_w_m2 * clouds, np.full(30, 100.0), SITE, 60.0) for share in (1.0, 0.0))

@@ -22,7 +22,7 @@ def half_hour(model="perez1990", beam_w_m2=700.0, albedo=0.2, at_utc_s=MORNING_U
 
 
 def unexplained(**otherwise):
-    """Return misfits of which all are large but those that are said."""
+    """Return misfits that are all large except for the named ones."""
     found = misfits(*half_hour())
     large = {"without": np.full(4, 0.4), "least_without": np.full(4, 0.3), "doubled": np.full(4, 0.4)}
     large |= {"whole": 0.4, "least": 0.3, "swapped": np.full(len(PAIRS), 0.4), "ordinary": 0.4}
@@ -68,7 +68,7 @@ def test_two_faces_that_are_swapped_are_named_or_nobody_is(pair):
 def test_two_faces_are_swapped_only_where_no_face_alone_explains_the_readings_about_as_well():
     swapped = np.array([0.05, 0.4, 0.4, 0.4, 0.4, 0.4])
     assert unexplained(without=np.array([0.4, 0.15, 0.101, 0.4]), swapped=swapped).accused == (0, 1)
-    # Two faces that may be wrong are not told apart; neither is it a swap of others.
+    # Two faces might be wrong and cannot be told apart; then other faces are not called swapped either.
     assert unexplained(without=np.array([0.4, 0.15, 0.099, 0.4]), swapped=swapped).accused == ()
 
 
@@ -112,7 +112,7 @@ def test_a_sun_at_the_horizon_tells_nothing():
 @pytest.mark.parametrize(
     ("without", "accused"),
     [
-        # Without one face 6 % are left at most, and without any other twice as much, and 8 %.
+        # Without the wrong face 6 % are left at most; without any other face twice as much, and at least 8 %.
         ((0.059, 0.13, 0.4, 0.4), (0,)),
         ((0.4, 0.061, 0.4, 0.4), ()),
         ((0.4, 0.4, 0.05, 0.099), ()),
@@ -132,7 +132,7 @@ def test_who_is_accused_leaves_little_and_the_others_clearly_more(without, accus
 def test_faces_are_in_order_that_agree_and_would_contradict_each_other_swapped(whole, swapped, in_order):
     found = unexplained(whole=whole, swapped=np.array([swapped, *[0.0] * 5]))
     assert found.in_order((0, 1)) == in_order
-    # One alone cannot be swapped.
+    # A single face cannot be swapped.
     assert found.in_order((0,)) == (whole < 0.08)
 
 

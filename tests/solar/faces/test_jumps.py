@@ -1,4 +1,4 @@
-"""A face that jumps alone for a minute, and faces that the light changes."""
+"""A face that jumps alone for a minute, and faces that change with the light."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ ALL = [True] * 4
 
 
 def half_hour(at_utc_s, passing, model="perez1990"):
-    """Return faces under a beam of which clouds leave some, with a sensor's noise, and the sun's directions."""
+    """Return faces with a sensor's noise under a beam that clouds weaken to a tenth, and the sun's directions."""
     beam_w_m2 = 700.0 * np.where(passing, 0.1, 1.0)
     weather = lay_out(at_utc_s + 60.0 * MINUTES, beam_w_m2, np.full(30, 100.0), SITE, 60.0)
     faces = faces_under(build_sky(weather, model), 0.2)
@@ -32,7 +32,7 @@ def test_what_a_cloud_takes_for_a_minute_is_no_jump_of_a_face(at_utc_s, model):
 
 
 def by_sorting(faces):
-    """The same by the median of five that a sort gives, which puts NaN behind all numbers."""
+    """The same with the median of five taken by a sort, which puts NaN after all numbers."""
     starts = np.clip(np.arange(len(faces)) - 2, 0, len(faces) - 5)
     middle = np.array([np.sort(faces[start : start + 5], axis=0)[2] for start in starts])
     apart = np.abs(faces - middle)

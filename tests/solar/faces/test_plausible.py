@@ -1,4 +1,4 @@
-"""Which faces can be true, and which follow the light."""
+"""Which faces may be right, and which follow the light."""
 
 import numpy as np
 import pytest
@@ -109,7 +109,7 @@ DIFFERENT_MV = (1.0, 5.0, 2.0, 7.0)
     ("faces_w_m2", "elevation_deg", "expected"),
     [
         ((100.0, 300.0, 80.0, 400.0), 40.0, (OK, OK, OK, OK)),
-        # A hundredth of the second brightest, which is lit above 30 W/m2.
+        # A hundredth of the second brightest face, which counts as lit above 30 W/m2.
         ((2.99, 300.0, 80.0, 400.0), 40.0, (DEAD, OK, OK, OK)),
         ((3.01, 300.0, 80.0, 400.0), 40.0, (OK, OK, OK, OK)),
         ((80.0, -5.0, 300.0, 400.0), 40.0, (OK, DEAD, OK, OK)),
@@ -124,7 +124,7 @@ DIFFERENT_MV = (1.0, 5.0, 2.0, 7.0)
         # 1.3 solar constants at the sun's angle and 100 W/m2: 1137.3 + 100 for the zenith face.
         ((100.0, 300.0, 80.0, 1237.0), 40.0, (OK, OK, OK, OK)),
         ((100.0, 300.0, 80.0, 1238.0), 40.0, (OK, OK, OK, OVER)),
-        # For a vertical one the zenith face and 60 W/m2: 1355.4 + 100 + 60, and 400 + 60 away from the sun.
+        # For a vertical face also the zenith face and 60 W/m2: 1355.4 + 100 + 60, and 400 + 60 away from the sun.
         ((80.0, 1515.0, 80.0, 100.0), 40.0, (OK, OK, OK, OK)),
         ((80.0, 1516.0, 80.0, 100.0), 40.0, (OK, OVER, OK, OK)),
         ((459.0, 300.0, 80.0, 400.0), 40.0, (OK, OK, OK, OK)),
@@ -133,7 +133,7 @@ DIFFERENT_MV = (1.0, 5.0, 2.0, 7.0)
         ((461.0, 300.0, 461.0, 400.0), 40.0, (OK, OK, OK, OVER)),
         ((1310.0, 300.0, 80.0, 1240.0), 40.0, (OVER, OK, OK, OVER)),
         ((461.0, 300.0, 461.0, 0.0), 40.0, (OK, OK, OK, DEAD)),
-        # The west face alone would be accused by it.
+        # By itself this rule would accuse the west face.
         ((40.0, 300.0, 461.0, 0.0), 40.0, (OK, OK, OK, DEAD)),
         ((261.0, 300.0, 0.0, 200.0), 5.1, (OVER, OK, DEAD, OK)),
         ((261.0, 300.0, 0.0, 200.0), 4.9, (OK, OK, OK, OK)),
@@ -147,7 +147,7 @@ def test_what_a_face_cannot_be(faces_w_m2, elevation_deg, expected):
 @pytest.mark.parametrize(
     ("voltages_mv", "same"),
     [
-        # 0.015 mV and two thousandths.
+        # Within 0.015 mV and two thousandths.
         ((5.0, 2.0, 2.0, 5.0249), True),
         ((5.0, 2.0, 2.0, 5.0260), False),
         # The larger of both counts: 5.015/0.998 = 5.02505.

@@ -93,7 +93,7 @@ def test_latitudes_and_days_together_are_each_as_alone(best_tilt):
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_day_of_an_hour_has_its_best_tilt(side):
-    # The sun is before the panel all day: the best one looks along the sum of the sun's directions.
+    # The panel is lit all day: the best one faces along the sum of the sun's directions.
     n, p, d = (355 if side > 0 else 172), np.radians(66.4), np.radians(-23.4498)
     w0 = np.arccos(-np.tan(p) * np.tan(d))
     assert 24.0 / np.pi * w0 < 1.0

@@ -48,7 +48,7 @@ def panel(beta, deviation):
 
 
 def quadrature(phi, n, integrand, points=40_000):
-    """Hours of `integrand(w)` over the day, by the midpoint rule."""
+    """Return the integral of `integrand(w)` over the day, in hours, by the midpoint rule."""
     w0 = float(sun_day(phi, n).w0)
     step = 2.0 * w0 / points
     w = -w0 + (np.arange(points) + 0.5) * step
@@ -66,7 +66,7 @@ def test_the_papers_horizontal_axis_faces_the_sun_all_day_on_the_equator_at_the_
 
 
 def test_a_panel_that_faces_east_gets_the_morning():
-    # Equator, equinox, upright: sin(-w) from -pi/2 to 0 is 12/pi h; with its back lit, twice that.
+    # Equator, equinox, upright: sin(-w) from -pi/2 to 0 is 12/pi h; twice that if its back counts too.
     energy = gain.static_energy(0.0, 90.0, EQUINOX, 90.0)
     assert energy.clip_h == pytest.approx(12.0 / np.pi)
     assert energy.abs_h == pytest.approx(24.0 / np.pi)
@@ -153,7 +153,7 @@ def test_an_azimuth_deviation_to_the_east_is_as_good_as_one_to_the_west(phi, bet
 
 @given(latitudes, tilts, st.floats(1.0, 182.5), deviations)
 def test_the_hemispheres_mirror_each_other_half_a_year_apart(phi, beta, n, deviation):
-    # Cooper's declination changes its sign over half of its 365 days.
+    # Cooper's declination changes its sign after half of its 365 days.
     north, south = gain.daily(phi, beta, n, deviation), gain.daily(-phi, -beta, n + 182.5, deviation)
     for name in ("dual", "static", "static_abs", "vertical", "horizontal"):
         assert getattr(north, name) == pytest.approx(getattr(south, name), abs=1e-7)
@@ -171,7 +171,7 @@ def test_the_lit_face_is_the_mean_of_the_size_and_the_signed_sum(phi, beta, n, d
 
 @given(st.floats(-66.0, 66.0), st.floats(1.0, 182.5), st.floats(-1.0, 1.0), st.floats(-np.pi, np.pi))
 def test_turning_a_panel_about_the_earths_axis_costs_a_two_sided_panel_nothing(phi, n, axial, turned):
-    # Only the part of its normal along the axis counts, for the sum over opposite declinations.
+    # Summed over opposite declinations, only the part of its normal along the axis counts.
     p, equatorial = np.radians(phi), np.sqrt(1.0 - axial**2)
     up = axial * np.sin(p) + equatorial * np.cos(p) * np.cos(turned)
     assume(up >= 0.0)

@@ -1,4 +1,4 @@
-"""The paper's own forms: equal to what it prints and computes, and kept apart from what is right."""
+"""The paper's own forms: equal to what it prints and computes, and kept apart from the correct ones."""
 
 import csv
 

@@ -32,7 +32,7 @@ def test_without_an_atmosphere_the_real_sky_has_the_ratios_of_the_theory(latitud
     horizontal = real_sky.horizontal_irradiance(series, tilt, deviation, albedo=0.0).sum()
     assert dual / static == pytest.approx(float(gain.k_ds(latitude, tilt, n, deviation)), rel=0.01)
     assert dual / vertical == pytest.approx(float(gain.k_dv(latitude, tilt, n)), rel=0.01)
-    # The theory's horizontal axis has a negative back, so it loses a little more near sunrise and sunset.
+    # The theory's horizontal axis counts light on its back as negative: it loses a little more when the sun is low.
     theory = float(gain.k_dh(latitude, tilt, n, deviation))
     assert theory * 0.96 < dual / horizontal < theory * 1.01
 
@@ -107,7 +107,7 @@ def test_the_horizontal_axis_turns_by_the_elevation_across_its_azimuth(latitude,
 def test_the_clear_beam_is_that_of_ineichen_2008_by_hand(altitude_m, n):
     site = Site(35.0, 0.0, altitude_m)
     noon = real_sky.year_instants(0.0, 3600.0)[(n - 1) * 24 + 12 :][:1]
-    # Aerosol 0.1 at 700 nm, 1.5 cm of water, the standard atmosphere's pressure; the earth's way to the sun by Spencer.
+    # Aerosol 0.1 at 700 nm, 1.5 cm of water, the standard atmosphere's pressure; the distance of the sun by Spencer.
     aod, ln_w, ln_p = 0.1, np.log(1.5), np.log((1.0 - 2.25577e-5 * altitude_m) ** 5.25588)
     turn = 2.0 * np.pi * (n - 1) / 365.0
     extra = 1366.1 * (
@@ -128,7 +128,7 @@ def test_the_clear_beam_is_that_of_ineichen_2008_by_hand(altitude_m, n):
 
 def test_the_days_are_those_of_the_place():
     site = Site(30.0, 150.0, 0.0)
-    # Its morning is the evening of the day before in Greenwich.
+    # Morning there is evening of the day before in Greenwich.
     instants = real_sky.daylight(site, real_sky.year_instants(150.0, 3600.0)[7 * 24 : 8 * 24])
     nothing = np.zeros(instants.size)
     series = real_sky.sky_series(site, instants, nothing, nothing, "isotropic")

@@ -1,4 +1,4 @@
-"""What laws of several trackers know alike is worked out once, and no result shows that it is shared."""
+"""Results that the laws of several trackers have in common are computed once, and no law's answer depends on that."""
 
 import gc
 import math
@@ -41,7 +41,7 @@ TWO_DAYS = day_of_scans(BEGIN_UTC_S, 1) + day_of_scans(BEGIN_UTC_S + DAY_S, 2)
 
 
 def drive(numbers, common=None, befalls=None):
-    """Let the laws of some trackers hear all scans; return what each said at its minutes.
+    """Let the laws of some trackers hear all scans; return each law's answers at its minutes.
 
     `befalls` is called with each law before a scan, as (number of the law, count of the scan, law); it returns whether
     the law misses the scan.
@@ -61,7 +61,7 @@ def drive(numbers, common=None, befalls=None):
                 law.turn(utc_s)
                 found = law.aim(Moment(utc_s, None, headings[number]))
                 light = (found.beam_w_m2, found.diffuse_w_m2, found.albedo)
-                # As text, which has every digit and knows NaN for the same.
+                # Compared as text, which has every digit, and in which NaN equals NaN.
                 said[number].append(repr((found.target, *light, found.azimuth_deg, found.why, law.to_dict())))
                 headings[number] = found.target or headings[number]
     return said
@@ -119,7 +119,7 @@ def test_a_face_that_was_read_for_less_than_a_second_has_its_mean():
 
 @pytest.fixture
 def taken_in(monkeypatch):
-    """The lengths of all means that any memory has taken in."""
+    """The lengths of all means that any memory has observed."""
     lengths, observe = [], LightMemory.observe
 
     def counted(memory, faces, sun, elapsed_s):

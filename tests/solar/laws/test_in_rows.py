@@ -1,4 +1,4 @@
-"""The laws among neighbours: out of their shade, or where most is collected with it; and alone as ever."""
+"""The laws among neighbours: out of their shade, or where most light is collected despite it; and alone as ever."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ MORNING = 1458712800.0  # 2016-03-23 06:00 UTC, the sun 7 deg up
 
 @pytest.fixture(scope="module")
 def clear_day():
-    """Return a clear day in March at five minutes, and what the faces read."""
+    """Return a clear day in March in steps of five minutes, and what the faces read."""
     utc_s = 1458691200.0 + 300.0 * np.arange(288)
     weather = lay_out(utc_s, np.full(utc_s.size, 750.0), np.full(utc_s.size, 70.0), LYNGBY, 300.0)
     return weather, faces_under(build_sky(weather, "isotropic"), 0.2)
@@ -75,7 +75,7 @@ def test_the_fast_way_turns_out_of_the_shade_as_the_law_itself_does(clear_day, l
     if law is mu_prime:
         np.testing.assert_allclose(slow, fast, atol=1e-9)
     else:
-        # The fast way follows the sun at every step, and this one from the step before.
+        # The fast way takes the sun of each step, and the law that of the step before.
         np.testing.assert_allclose(slow[2:-3], fast[1:-4], atol=1e-9)
 
 
@@ -165,7 +165,7 @@ def test_the_optimal_law_looks_at_the_minutes_that_a_pose_is_to_last():
 
 @pytest.mark.parametrize("lasts", [False, True])
 def test_the_gain_of_a_move_counts_the_shade_that_is_left_and_the_shade_that_is_come_to(lasts):
-    # With so low a sun the best pose has shade, too.
+    # With so low a sun the best pose has some shade too.
     sun, later = (direction_from_azimuth(265.0, elevation, LYNGBY[0]) for elevation in (5.0, 3.0))
     law = OptimalLaw(OptimalSettings(), LIMITS, group=FIELD)
     law.observe(700.0 * np.maximum(NORMALS @ sun, 0.0) + [40.0, 40.0, 40.0, 70.0], sun, 60.0)
@@ -192,7 +192,7 @@ def test_no_pose_of_a_lattice_of_a_degree_collects_more_than_the_best():
 
 
 def test_the_optimal_law_weighs_the_shade_of_the_pose_that_it_stands_in():
-    """In a pose that has become shaded a move is worth more than its way alone would be."""
+    """A move out of a pose that has become shaded is worth more than its gain without shade."""
     to_sun = direction_from_azimuth(*sun_position(MORNING, *LYNGBY)[:2], LYNGBY[0])
     faces = 700.0 * np.maximum(NORMALS @ to_sun, 0.0)
     faces += np.array([40.0, 40.0, 40.0, 70.0])
@@ -201,7 +201,7 @@ def test_the_optimal_law_weighs_the_shade_of_the_pose_that_it_stands_in():
         for scan in range(120):
             law.observe(Reading(MORNING - 600.0 + 5.0 * scan, 5.0 * scan, tuple(faces)))
     alone = laws[0].aim(Moment(MORNING, tuple(faces), Angles(0.0, 90.0))).target
-    # Where a tracker alone would be content to stay, this one turns out of the shade.
+    # A tracker alone would stay here; this one turns out of the shade.
     stays, turns = (law.aim(Moment(MORNING + 1.0, tuple(faces), alone)) for law in laws)
     assert stays.target is None
     assert turns.target is not None

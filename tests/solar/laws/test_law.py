@@ -1,4 +1,4 @@
-"""What every law that says a direction leaves to its parent."""
+"""What every law that gives a direction leaves to its parent class."""
 
 import math
 
@@ -28,7 +28,7 @@ def test_the_angles_and_the_azimuth_are_those_of_the_direction_in_either_hemisph
 
 
 class Nowhere(DirectionLaw):
-    """Says a direction without a length."""
+    """Gives a direction without a length."""
 
     def direction(self, _now, _to_sun):
         """Return the sum of directions that cancel."""
@@ -36,10 +36,10 @@ class Nowhere(DirectionLaw):
 
 
 class HalfBlind(DirectionLaw):
-    """Says a direction of which one part is no number."""
+    """Gives a direction one part of which is NaN."""
 
     def direction(self, _now, _to_sun):
-        """Return what a law must not."""
+        """Return what a law may not return."""
         return np.array([math.nan, 0.5, 0.5])
 
 
@@ -97,13 +97,13 @@ def test_the_parameters_of_the_sun_vector_are_shares_in_their_bounds(name, usual
 
 
 class OwnSettings(LawSettings):
-    """Of a law that somebody adds, without bounds of its own."""
+    """Settings of a law that somebody adds, without bounds of their own."""
 
     lead_deg: float = 0.0
 
 
 class WrongFromTheStart(LawSettings):
-    """Has a default that nobody may write into a file."""
+    """Has a default that nobody could write into a file."""
 
     lead_deg: float = math.inf
 

@@ -1,4 +1,4 @@
-"""The light behind four faces, and where it is collected best."""
+"""The light that four faces show, and the pose that collects most of it."""
 
 import numpy as np
 import pvlib
@@ -65,7 +65,7 @@ def test_the_light_of_pvlibs_faces_predicts_pvlibs_planes(model, azimuth, elevat
     sun = direction_from_azimuth(azimuth, elevation, LATITUDE)
     light = light_from_faces([plane(*angles) for angles in FACES.values()], sun, 0.2)
     vector = aim_vector(light, sun, 0.2)
-    # M says how much more one plane gets than another, in the sun's vertical plane.
+    # M tells how much more one plane receives than another, in the sun's vertical plane.
     for tilt in (20.0, 50.0):
         up, out = np.cos(np.radians(tilt)), np.sin(np.radians(tilt))
         around = direction_from_azimuth(azimuth, 0.0, LATITUDE)
@@ -129,24 +129,24 @@ SOUTH = direction_from_azimuth(180.0, 40.0, 50.0)
 @pytest.mark.parametrize(("face", "faces", "believed"), [
     (1, (400.0, 2000.0, 400.0, 600.0), True),
     (1, (400.0, 2001.0, 400.0, 600.0), False),
-    # Two fifths of another face that the sun reaches no more, less 1 W/m2 of noise.
+    # Two fifths of another face on which the sun shines no more than on this one, less 1 W/m2 of noise.
     (0, (160.0, 600.0, 400.0, 500.0), True),
     (0, (158.0, 600.0, 400.0, 500.0), False),
     (2, (400.0, 600.0, 160.0, 500.0), True),
     (2, (400.0, 600.0, 158.0, 500.0), False),
     (1, (400.0, 160.0, 400.0, 500.0), True),
     (1, (400.0, 158.0, 400.0, 500.0), False),
-    # A dead one at dawn, when the others have little light of their own.
+    # A dead face at dawn, when the others receive little light themselves.
     (0, (0.3, 9.0, 8.0, 14.0), False),
     (0, (2.5, 9.0, 8.0, 14.0), True),
-    # It is no reason for doubt that the sun shines on the other face alone.
+    # The sun on the other face only is no reason to doubt this one.
     (0, (75.0, 1900.0, 60.0, 500.0), True),
-    # Where nothing else is read, nothing says that a face reads too little.
+    # Without any other reading nothing says that a face reads too little.
     (0, (-0.9, np.nan, np.nan, np.nan), True),
     # 3 % of the zenith.
     (0, (30.0, 30.0, 30.0, 1000.0), True),
     (0, (28.0, 30.0, 30.0, 1000.0), False),
-    # The zenith, by a fifth of the darkest other.
+    # The zenith face, by a fifth of the darkest other.
     (3, (400.0, 600.0, 500.0, 80.0), True),
     (3, (400.0, 600.0, 500.0, 78.0), False),
     (3, (400.0, 600.0, np.nan, 78.0), False),
@@ -191,7 +191,7 @@ def test_the_product_is_that_with_the_normal_of_the_pose():
 
 
 def test_of_many_instants_each_has_its_own_least_face():
-    # The second zenith face is as dark as a dead one beside its own verticals, and not beside those of the first.
+    # Beside its own vertical faces the second zenith face is as dark as a dead one; beside the first ones it is not.
     faces = np.array([[5.0, 6.0, 7.0, 4.0], [400.0, 500.0, 450.0, 4.0], [np.nan] * 4])
     assert zenith_usable(faces).tolist() == [zenith_usable(row).tolist() for row in faces] == [True, False, False]
 
@@ -205,8 +205,8 @@ def test_where_the_sky_gives_less_than_the_ground_takes_the_module_still_looks_a
 DAY, HIGH = (300.0, 410.0, 60.0, 470.0), (0.6, 0.5, 0.62)
 
 
-# Readings that no light explains, with the faces that count, and what this program makes of them (beam, vault and
-# horizon, and where to aim): only there does it show what weighs how much, and which bound holds.
+# Readings that no light explains, with the faces that count, and this program's results (beam, vault and horizon, and
+# where to aim): the weights and the bounds in force show only in such cases.
 @pytest.mark.parametrize(("faces", "sun", "counts", "expected"), [
     (DAY, HIGH, (1, 1, 1, 1), (549.692, 128.522, -38.5567, 300.195, 250.163, 358.137)),
     (DAY, HIGH, (0, 1, 1, 1), (583.375, 107.821, -32.3464, 325.176, 270.98, 368.652)),
@@ -224,7 +224,7 @@ def test_what_is_made_of_readings_that_contradict_each_other(faces, sun, counts,
     assert [*light, *aim_vector(light, sun, 0.2)] == pytest.approx(expected, rel=2e-5, abs=1e-10)
 
 
-# As B = -20, D = 112.8, H = 0 and albedo 0.2 would read: the lit faces darker than the one in the shade.
+# As B = -20, D = 112.8, H = 0 and albedo 0.2 would read: the lit faces are darker than the one in the shade.
 LESS_THAN_NO_BEAM, ASIDE = (56.8, 54.4, 66.4, 100.0), (0.6, 0.48, 0.64)
 
 

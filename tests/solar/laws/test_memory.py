@@ -1,4 +1,4 @@
-"""What the law optimal expects of the sky, worked out beside it reading by reading."""
+"""What the law `optimal` expects of the sky, compared with a calculation reading by reading."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def heard(*readings, settings=SETTINGS):
 
 
 class Beside:
-    """The same, as one would write it on paper."""
+    """The same memory, written as on paper."""
 
     def __init__(self, first):
         self.quick = self.slow = light(first)
@@ -32,7 +32,7 @@ class Beside:
 
     def then(self, faces, elapsed_s):
         new = light(faces)
-        # The beam's quick memory, that of the two parts of the diffuse light, and the slow one of all three.
+        # The quick memory of the beam, that of the two parts of the diffuse light, and the slow memory of all three.
         half_lives_s = np.array([100.0, 400.0, 400.0]), 720.0
         quick_share, slow_share = (1.0 - 0.5 ** (elapsed_s / half_life_s) for half_life_s in half_lives_s)
         self.quick = self.quick + quick_share * (new - self.quick)

@@ -68,7 +68,7 @@ def test_a_short_gap_in_the_beam_moves_nothing_and_a_long_one_does():
 
 
 def test_a_sun_that_no_pose_sees_draws_nothing():
-    # Towards midnight of a summer far in the north: the sun stands behind, where the axis does not go.
+    # Near midnight of a summer far in the north: the sun is behind the tracker, where the axis does not go.
     limits, place, evening = Limits(-50.0, 50.0, 15.0, 60.0), (68.0, 2.2090, 0.0), 1655850600.0  # 2022-06-21 22:30
     sun = sun_direction(evening, *place)
     law = OptimalLaw(replace(SETTINGS, price_per_degree_w_m2=0.0), limits)
@@ -112,7 +112,7 @@ def test_with_one_face_missing_the_sun_is_still_followed(fault):
 
 @pytest.mark.parametrize(("azimuth_deg", "face", "a_deg"), [(80.0, 0, -50.0), (280.0, 2, 50.0)])
 def test_beside_a_low_sun_that_the_dead_face_alone_would_show_the_sun_is_followed(azimuth_deg, face, a_deg):
-    # A clear dawn of April by the minute: of its beam the east face would read 80 to 150 W/m2.
+    # A clear April dawn in steps of a minute: under its beam the east face would read 80 to 150 W/m2.
     law = OptimalLaw(SETTINGS, LIMITS)
     for elevation_deg, side, zenith in ((0.2, 2.5, 4.4), (0.5, 4.0, 6.7), (1.3, 7.4, 11.2), (1.5, 8.4, 12.6)):
         faces = np.array([side, side, side, zenith])
@@ -135,7 +135,7 @@ def test_a_move_is_worth_what_it_gains_and_costs_what_its_way_and_the_thrift_say
     # Without faces the sun counts, as 500 W/m2 of beam, from A 10 to near 0 deg and from B 60 to near 30 deg.
     sun = normal_from_angles(0.0, 30.0)
     choice = OptimalLaw(replace(SETTINGS, thrift=2.0), LIMITS).choose(10.0, 60.0, sun, 1.0)
-    # Each axis ends where one degree more would gain its 0.05 W/m2 and no more.
+    # Each axis stops where another degree would gain exactly its price of 0.05 W/m2.
     short_deg = math.degrees(math.asin(0.05 / (500.0 * math.radians(1.0))))
     assert short_deg == pytest.approx(0.33, abs=0.01)
     assert choice.b_deg == pytest.approx(30.0 + short_deg)
@@ -159,7 +159,7 @@ def test_an_axis_goes_as_far_as_its_last_degree_pays_and_no_further(place, pose,
     def worth(angles):
         return float(product(vector, *angles)) - price * np.abs(angles - here).sum()
 
-    # One axis is chosen after the other: what that gives up is a hundredth of a W/m2.
+    # The axes are chosen one after the other, which loses a hundredth of a W/m2.
     grid = [np.array([one, other]) for one in np.arange(-50.0, 50.1, 1.0) for other in np.arange(15.0, 90.1, 1.0)]
     assert worth(reached) >= max(worth(angles) for angles in grid) - 0.02
     assert LIMITS.contain(*reached)
@@ -182,7 +182,7 @@ def test_a_dear_degree_moves_nothing_and_a_free_one_goes_all_the_way():
 
 
 def test_a_day_s_budget_that_runs_ahead_of_the_daylight_raises_the_price_by_its_sixth_power():
-    # Of the way 0.8 is left for 0.9 of the daylight. Without a price by the degree no axis stops short.
+    # 0.8 of the travel is left for 0.9 of the daylight. Without a price per degree no axis stops short.
     law = OptimalLaw(replace(SETTINGS, price_per_degree_w_m2=0.0), LIMITS)
     sun = normal_from_angles(0.0, 30.0)
     usual = law.choose(10.0, 60.0, sun, 1.0).price_w_m2

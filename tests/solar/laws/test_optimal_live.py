@@ -1,4 +1,4 @@
-"""The law `optimal` as a tracker runs it, beside the law itself fed by hand with means, suns and days."""
+"""The law `optimal` as a tracker runs it, compared with the law itself fed by hand with means, suns and days."""
 
 import math
 import re
@@ -79,7 +79,7 @@ def test_readings_become_means_of_a_quarter_of_a_minute_each_with_its_own_sun(ev
     for reading in readings:
         law.observe(reading)
     utc_s, heading = readings[-1].utc_s, Angles(0.0, 90.0)
-    # The first reading stands for the rhythm of the cube: it takes others to make up a mean.
+    # The first reading counts for the cube's rhythm only: more readings are needed for a mean.
     lone = every_s > first_s
     begin = min(1 + int((15.0 - first_s - 1e-3) // every_s), 3) if lone else 0
     means = in_means(readings[begin + 1 if lone else 0 :], per_mean, per_mean * every_s)
@@ -113,7 +113,7 @@ def test_light_from_before_a_long_gap_is_forgotten(gap_s, forgotten):
     before, after = list(scans(4)), list(scans(3, start_s=NOON + gap_s, dni=0.0, dhi=150.0))
     for reading in (*before, *after):
         law.observe(reading)
-    # The fourth scan before the gap makes no mean with those after it.
+    # The fourth scan before the gap does not form a mean with those after it.
     heard = after if forgotten else [*before[:3], *after]
     aim = law.aim(Moment(after[-1].utc_s, None, Angles(-50.0, 15.0)))
     assert_alike(aim, expected_aim(in_means(heard, 3, 15.0), after[-1].utc_s, (-50.0, 15.0)))
@@ -144,7 +144,7 @@ def test_what_waits_for_long_is_taken_in_all_the_same():
 
 def test_prices_rise_with_the_budget_that_is_used_and_the_daylight_that_is_left():
     law, readings = live(), list(scans(3, start_s=NOON - 14_400.0))
-    # The daylight is that of the day, not of the one before for which it was asked, too.
+    # The daylight of this day counts, although the law was asked for the day before as well.
     law.aim(Moment(NOON - DAY_S, None, Angles(0.0, 90.0)))
     for reading in readings:
         law.observe(reading)
@@ -231,7 +231,7 @@ def test_what_the_last_minutes_of_a_day_showed_belongs_to_that_day():
     for reading in scans(3 * 39):
         law.observe(reading)
         other.observe(reading)
-    # Asked at the day's end, one of them has taken its means in before.
+    # One of them was asked at the day's end, so it has observed its last means already.
     other.aim(Moment(NOON + 600.0, None, Angles(0.0, 90.0)))
     assert law.turn(NOON + DAY_S)
     assert other.turn(NOON + DAY_S)
@@ -302,7 +302,7 @@ def test_without_faces_it_aims_at_the_sun_four_minutes_ahead_in_either_hemispher
 
 
 def test_each_morning_knows_what_the_clear_days_before_taught():
-    # By hand: every clear day of more than an hour goes a fifth of the way from 0.2 to the ground's albedo.
+    # By hand: each clear day of more than an hour moves the albedo a fifth of the way from 0.2 to the ground's.
     utc_s = NOON - DAY_S / 2 + 600.0 * np.arange(3 * 144)
     weather = lay_out(utc_s, np.full(utc_s.size, 800.0), np.full(utc_s.size, 1e-3), SITE, 600.0)
     known = optimal_live.learned_by_day(weather, faces_under(build_sky(weather, "isotropic"), 0.5))

@@ -158,7 +158,7 @@ def test_beyond_the_east_west_plane_the_ephemeris_gives_the_component_that_no_fa
 
 
 def test_a_sun_near_the_poles_azimuth_completes_nothing():
-    # There the small east-west component would blow up whatever error it has.
+    # There any error of the small east-west component would be blown up.
     sun = direction_from_azimuth(30.0, 5.0, 60.0)
     seen = np.array([0.0, 0.2, 0.1])
     assert complete_poleward(seen, sun) == pytest.approx(seen)

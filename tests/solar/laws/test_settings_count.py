@@ -1,4 +1,4 @@
-"""The settings of the laws by the cube count, in the law that runs and in the fast way alike."""
+"""The settings of the laws by the cube take effect, in the law that runs and in the fast way alike."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from solar.laws.law import Moment, TrackerFacts
 
 LYNGBY = Site(55.79064, 12.52505, 50.0)
 NOON = 1465124400.0  # 2016-06-05 11:00
-# South reads 1.5 % of the zenith face more than the sides.
+# South reads more than the sides, by 1.5 % of the zenith face.
 NEARLY_EVEN = (100.0, 103.0, 100.0, 200.0)
 HAZY = (100.0, 140.0, 100.0, 250.0)
 SUNNY = (150.0, 420.0, 150.0, 700.0)

@@ -1,4 +1,4 @@
-"""What the cube teaches of its site."""
+"""What the cube's readings teach about its site."""
 
 import numpy as np
 import pytest
@@ -112,7 +112,7 @@ def test_albedo_and_gains_are_learned_from_one_reading_as_the_equations_say():
     sun = np.array([0.6, 0.5, np.sqrt(1.0 - 0.61)])
     beam, diffuse, albedo = 800.0, 100.0, 0.3
     zenith = beam * sun[2] + diffuse
-    # A tenth of the diffuse light is the horizon's: what a face without beam reads.
+    # The horizon's light is a tenth of the diffuse light; `shaded` is what a face without beam reads.
     shaded = (albedo * zenith + diffuse) / 2.0 + 0.1 * diffuse
     faces = np.array([1.04 * beam * 0.5 + shaded, beam * 0.6 + shaded, shaded, zenith])
     for turned in (False, True):

@@ -1,4 +1,4 @@
-"""Laws in the benchmark: the fast way of each, and the way of any law."""
+"""Laws in the benchmark: the fast way of each law, and the way that works for any law."""
 
 from functools import partial
 
@@ -76,19 +76,19 @@ def test_a_mean_is_of_its_last_steps_and_a_step_that_is_longer_its_own_mean():
     np.testing.assert_array_equal(asked[0], grid)
     by_the_mean(weather, faces, LIMITS, lambda means: asked.append(means) or means[..., :3], mean_s=900.0)
     np.testing.assert_allclose(asked[1][2:], (grid[2:] + grid[1:-1] + grid[:-2]) / 3.0)
-    # Before the first step there was nothing to read.
+    # Before the first step there was no reading.
     assert np.isnan(asked[1][:2]).all()
 
 
 class Listener(Law):
-    """Takes down what it is told, and wants to the sun's side once it knows four faces."""
+    """Notes its calls, and goes back by 3 and 4 deg at each aim but the first."""
 
     def __init__(self, tracker):
         super().__init__(tracker)
         self.heard, self.asked, self.booked = [], [], []
 
     def observe(self, reading):
-        """Take it down."""
+        """Note the reading."""
         self.heard.append(reading)
 
     def affords(self, _distance_deg):
@@ -96,7 +96,7 @@ class Listener(Law):
         return len(self.booked) < 2
 
     def book(self, distance_deg):
-        """Take it down."""
+        """Note the distance."""
         self.booked.append(distance_deg)
 
     def aim(self, now):

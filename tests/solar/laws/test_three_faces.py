@@ -1,4 +1,4 @@
-"""The fourth face by three, and the paper's laws with it."""
+"""The fourth face from three, and the paper's laws with it."""
 
 from functools import partial
 
@@ -56,7 +56,7 @@ def test_a_dead_face_counts_as_one_that_is_missing(face):
     sun, faces = minutes.sun[up], faces[up]
     dead, without = faces.copy(), faces.copy()
     dead[:, face], without[:, face] = 0.3, np.nan
-    # A face without beam beside others without it is as dark as theirs are: nothing contradicts it then.
+    # A dead face that would have no beam is as dark as others without beam: then nothing contradicts it.
     found, expected = completed(dead, sun), completed(without, sun)
     replaced = (found == expected).all(axis=-1)
     assert replaced.mean() > 0.95

@@ -1,4 +1,4 @@
-"""Out of the shade of the rows: pvlib's angle where one axis turns, and the nearest pose where two do."""
+"""Turning out of the shade of rows: pvlib's angle where one axis turns, and the nearest pose where two do."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ FIELD = TrackerGroup.on_map([0, 5, 10, 0, 5, 10], [0, 0, 0, 5, 5, 5], (), (WIDTH
 
 @pytest.fixture(scope="module")
 def year():
-    """Return the suns of a year, every two hours and some minutes, so that all hours come."""
+    """Return the suns of a year, at a step of two hours and some minutes, so that every time of day occurs."""
     utc_s = 1451606400.0 + 8220.0 * np.arange(3800)
     sun = sun_position(utc_s, *LYNGBY)
     up = sun.elevation_deg > 0.5
@@ -60,7 +60,7 @@ def test_two_axes_find_the_nearest_pose_without_shade_and_no_steeper_one(year):
     turned = np.flatnonzero(FIELD.worst_share(sun, *wanted) > 0.0)
     assert turned.size > 8
     for row in turned:
-        # The lattice's own poses are up to half a degree from the best.
+        # The poses of the lattice are up to half a degree from the best.
         nearer = separation_deg(lattice, before[row]) < separation_deg(normals[row], before[row]) - 0.4
         level = nearer & (lattice[:, 2] >= before[row, 2])
         assert (FIELD.worst_share(sun[row], every_a.ravel()[level], every_b.ravel()[level]) > 0.0).all()

@@ -48,7 +48,7 @@ def test_the_shaded_share_of_every_place_is_that_of_rays_traced_one_by_one(size_
         seen = [traced(offsets, sun, a_deg, b_deg, size_m) for offsets in group.offsets_m]
         np.testing.assert_allclose(found, seen, atol=3.0 / SIDE)
         worst = group.worst_share(sun, a_deg, b_deg)
-        # The worst is of one neighbour; several together shade more.
+        # The worst share is from one neighbour; several together shade more.
         assert worst <= found.max() + 1e-9 or worst == pytest.approx(found.max())
         together += bool((found > worst + 0.01).any())
     assert together > 3
@@ -61,14 +61,14 @@ def test_long_rows_shade_each_other_as_pvlib_says():
     a_deg = np.where(azimuth < 180.0, -45.0, 45.0)
     expected = shaded_fraction1d(90.0 - elevation, azimuth, 180.0, a_deg, collector_width=2.0, pitch=5.0)
     np.testing.assert_allclose(group.worst_share(sun, a_deg, 90.0), expected, atol=1e-4)
-    # Of two rows the one towards the sun has none.
+    # Of two rows, the one towards the sun has no shade.
     np.testing.assert_allclose(group.shade(sun, a_deg, 90.0).share, expected / 2.0, atol=1e-4)
     assert (expected > 0.3).any()
     assert (expected == 0.0).any()
 
 
 def test_bypass_groups_take_the_beam_that_pvlib_s_martinez_takes():
-    # Due east, the shadow is shifted across the groups alone: it touches as many as it is wide.
+    # With the sun due east or west the shadow moves only across the groups: it touches as many as it covers.
     for elevation_deg, side in ((4.0, 1), (9.0, 1), (15.0, 1), (4.0, -1), (9.0, -1), (15.0, -1)):
         sun = direction_from_azimuth(180.0 - 90.0 * side, elevation_deg, LYNGBY_DEG)
         places = field(2, 1).shade_of_each(sun, -45.0 * side, 90.0)
@@ -135,7 +135,7 @@ def test_a_module_of_one_piece_and_one_without_bypass_are_modules():
 
 def test_who_stands_higher_on_the_map_is_higher():
     group = TrackerGroup.on_map([0.0, 3.0], [0.0, 4.0], [0.0, 1.5], (2.0, 1.0), 48.0)
-    # The frame looks south, east and up: north is behind it.
+    # The frame's axes point south, east and up: north is negative.
     far = group.offsets_m.reshape(-1, 3)
     np.testing.assert_allclose(far[far[:, 2] > 0], [[-4.0, 3.0, 1.5]], atol=1e-9)
 
@@ -143,7 +143,7 @@ def test_who_stands_higher_on_the_map_is_higher():
 def test_who_stands_nowhere_level_with_another_shades_it_too():
     group = TrackerGroup.on_map([0.0, 3.0], [0.0, 4.0], [0.0, 1.5], (2.0, 2.0), 48.0)
     sun = np.array([-4.0, 3.0, 1.5]) / np.sqrt(27.25)
-    # The sun stands behind the neighbour's middle: all is dark.
+    # The sun is behind the neighbour's middle: all is shaded.
     assert group.worst_share(sun, -30.0, 90.0) == pytest.approx(1.0)
 
 

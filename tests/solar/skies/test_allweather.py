@@ -28,7 +28,7 @@ def test_a_horizontal_plane_receives_the_global_irradiance(elevation, dni, dhi):
 
 def test_light_round_the_sun_falls_on_the_faces_that_look_there():
     east, south, west, _ = (sky_at(30, 700, 120).irradiance_on(n[None, :], 0.0)[0] for n in NORMALS)
-    # The beam alone gives 606 on south; what it gets beyond that is twice and more of what the sides get.
+    # The beam alone gives 606 on south; what south gets beyond that is more than twice what the sides get.
     assert south - 700 * np.cos(np.radians(30)) > 2 * east
     assert east == pytest.approx(west, rel=1e-6)
 
@@ -52,8 +52,8 @@ def test_many_planes_and_many_instants_broadcast():
 
 
 # Two skies for each of the eight kinds of day: elevation [deg], DNI, DHI, and what the sky gives on planes that look
-# east, south, north and south at a tilt of 37 deg [W/m2]. The formula summed over patches of 1 deg, no polynomial,
-# gives the same within 1.6 %.
+# east, south, north and south at a tilt of 37 deg [W/m2]. The formula itself, summed over patches of 1 deg, gives the
+# same within 1.6 %.
 SKIES = [
     (20, 0, 40, 18.074, 18.281, 17.572, 35.465),
     (50, 10, 300, 125.205, 149.231, 109.303, 281.497),

@@ -7,7 +7,7 @@ from solar.frames import FACE_NORMALS, direction_from_azimuth
 from solar.skies.cie import cie_sky
 
 NOON_UTC_S = 1465128000.0
-# Of the standard: each type's a, b, c, d, e, and the clearness from which it is alone in the blend.
+# From the standard: each type's a, b, c, d, e, and the clearness at which the blend is this type alone.
 TYPES = {
     1: (4.0, -0.70, 0.0, -1.0, 0.0, 1.0),
     6: (0.0, -1.0, 2.0, -1.5, 0.15, 1.3),
@@ -25,7 +25,7 @@ def sky_at(elevation, dni, dhi, utc_s=NOON_UTC_S, azimuth=180.0, structure=1.0):
 
 
 def by_the_formula(kind, sun, planes):
-    """Return what planes get of a standard sky that gives a horizontal one 1, summed over patches of 1 deg."""
+    """Return the irradiance on planes under a standard sky that gives 1 on a horizontal one, by patches of 1 deg."""
     a, b, c, d, e, _ = TYPES[kind]
     sine = (np.arange(90) + 0.5) * np.pi / 180
     azimuth = (np.arange(360) + 0.5) * np.pi / 180
@@ -72,7 +72,7 @@ def test_a_horizontal_plane_receives_the_global_irradiance_whatever_the_clouds(d
 
 
 def lateral(light):
-    """East less west, of their mean: what no symmetric sky shows while the sun is south."""
+    """Return east less west, as a share of their mean: symmetric skies give 0 while the sun is south."""
     east, west = (light.irradiance_on(FACE_NORMALS[face][None, :], 0.0) for face in (0, 2))
     return (east - west) / (east + west)
 

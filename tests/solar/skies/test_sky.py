@@ -43,9 +43,9 @@ def test_transposition_agrees_with_pvlib_in_every_sky_and_on_every_plane(model, 
     elevation, sun_azimuth = random.uniform(lowest_deg, 90.0, count), random.uniform(0.0, 360.0, count)
     tilt, azimuth = random.uniform(0.0, 180.0, count), random.uniform(0.0, 360.0, count)
     zenith, air_mass = 90.0 - elevation, get_relative_airmass(90.0 - elevation)
-    # Brightness up to 1, beyond which it is bounded here and not there.
+    # Brightness up to 1: beyond that it is bounded here and not in pvlib.
     dhi = random.uniform(0.001, 1.0, count) * EXTRA / air_mass
-    # The ratio of beam to diffuse light spreads the skies over all clearness bins.
+    # Such ratios of beam to diffuse light spread the skies over all clearness bins.
     dni = np.where(random.random(count) < 0.1, 0.0, dhi * 10.0 ** random.uniform(-2.0, 1.5, count))
     expected = irradiance.get_total_irradiance(
         tilt, azimuth, zenith, sun_azimuth, dni, dni * np.cos(np.radians(zenith)) + dhi, dhi,
