@@ -1,4 +1,4 @@
-"""The tests lie as what they test."""
+"""Tests lie in the same folders as what they test."""
 
 import pytest
 
@@ -23,6 +23,6 @@ def test_every_folder_of_tests_has_its_source(top):
 
 def test_every_test_lies_with_a_source_or_in_a_tier_of_its_own():
     tiers = {"campaign", "firmware", "fuzz", "mutation", "support", "system"}
-    # Those at the top look at the whole house.
+    # Tests at the top look at the whole house.
     places = {path.relative_to(ROOT / "tests").parts[0] for path in (ROOT / "tests").rglob("*/test_*.py")}
     assert places <= tiers | set(MIRRORED)

@@ -1,4 +1,4 @@
-"""What the names in the source promise, read from the source itself."""
+"""Whether the source keeps what its names promise, read from the source itself."""
 
 import ast
 from collections import defaultdict
@@ -25,7 +25,7 @@ class Call(NamedTuple):
 
 @cache
 def found():
-    """Return the classes and the calls by name of the whole source: one walk for both tests, which keeps no tree."""
+    """Return the classes and the calls by name of the whole source, from one walk for both tests that keeps no tree."""
     classes, calls = [], []
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):

@@ -1,7 +1,7 @@
 """Every parser of bytes from outside, each behind one call that may raise nothing.
 
-What a parser is allowed to raise is caught here; what else comes out of it is a defect. Where more can be said of a
-result than that it came about, it is asserted.
+Whatever a parser is allowed to raise is caught here; anything else that it raises is a defect. Where more is known of a
+result than that there is one, it is asserted.
 """
 
 import contextlib
@@ -56,7 +56,7 @@ class Parser:
     build
         Returns the call that takes one input.
     words
-        What its language is made of, for mutations.
+        Words and signs of its language, for mutations.
     """
 
     build: Callable[[], Take]
@@ -99,11 +99,11 @@ def _datagrams() -> Take:
 
 
 def _packs() -> Take:
-    """The pack itself, as a receiver without a key takes it: past the signature, every rule of the format."""
+    """The pack itself, as a receiver without a key takes it: all rules of the format, without the signature."""
     receiver, scans, clock = _receiver(None)
 
     def take(data: bytes) -> None:
-        # Whatever cube the last input named has been gone for long.
+        # The cube that the last input named has been gone for long enough.
         clock.now_s += HELD_S + 0.1
         receiver.datagram_received(data, ("127.0.0.1", 40000))
         for scan in scans:
@@ -143,7 +143,7 @@ def _screens() -> Take:
 
 
 class _Replies:
-    """A line on which an instrument answers whatever the input says, line by line, and then is silent."""
+    """A line on which an instrument answers with the lines of the input, and then is silent."""
 
     def __init__(self, data: bytes) -> None:
         self._lines = iter(data.decode("latin-1").split("\n"))
@@ -245,7 +245,7 @@ def _loads() -> Take:
 
 
 def _file(read: Callable[[Path], object], name: str, mode: int = 0o600) -> Take:
-    """A reader of files: its only way out besides a result is one sentence for a person."""
+    """A reader of files, which may fail only with one sentence for a person."""
     folder = Path("/dev/shm") if os.access("/dev/shm", os.W_OK) else Path(tempfile.gettempdir())
     path = folder / f"fuzz-{os.getpid()}-{name}"
 

@@ -1,4 +1,4 @@
-"""Modbus from outside: frames of both kinds at both ends, and what sensors and converters say in right frames."""
+"""Modbus from outside: frames of both kinds at both ends, and what sensors and converters reply in correct frames."""
 
 import contextlib
 import math
@@ -28,13 +28,13 @@ _QUESTIONS = (
 
 
 def pieces(data: bytes) -> list[bytes]:
-    """Return an input as a line may give it: the first byte says in how many bytes at a time."""
+    """Return an input in pieces, as from a line: the first byte sets the size of the pieces."""
     step = data[0] % 61 + 1 if data else 1
     return [data[place : place + step] for place in range(1, len(data), step)]
 
 
 def replies() -> Take:
-    """What comes back to a question, over RTU and TCP; the first byte chooses the question too."""
+    """What comes back to a question, over RTU and TCP; the first byte also chooses the question."""
 
     def take(data: bytes) -> None:
         choice = data[0] if data else 0
@@ -75,7 +75,7 @@ class _Table:
 
 
 def questions() -> Take:
-    """What a client asks of our server, over RTU and TCP; each question that is understood gets one right reply."""
+    """A client's questions to our server, over RTU and TCP; each question that is understood gets one correct reply."""
     table = _Table()
 
     def take(data: bytes) -> None:
@@ -95,7 +95,7 @@ def questions() -> Take:
 
 
 class _Path:
-    """A line whose replies are right frames around the words of an input, until there are no more."""
+    """A line whose replies are correct frames around the words of an input, until there are no more."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -121,7 +121,7 @@ def _bus(data: bytes) -> ModbusBus:
 
 
 def sensors() -> Take:
-    """What pyranometers of each make say; the first byte chooses the make."""
+    """The replies of pyranometers of each make; the first byte chooses the make."""
     maps = [make_of(name, RegisterMapSettings()) for name in get_args(MakeName)]
     maps.append(make_of("map", RegisterMapSettings(number_type="float32", status_register=9)))
 
@@ -138,7 +138,7 @@ def sensors() -> Take:
 
 
 def labjack() -> Take:
-    """What a LabJack says."""
+    """The replies of a LabJack."""
 
     def no_meter():
         raise AssertionError("a LabJack switches nothing")

@@ -1,4 +1,4 @@
-"""A slice of the fuzzing: every kept input, some thousands of mutations, and that a parser that raises is noticed."""
+"""A part of the fuzzing: every kept input, thousands of mutations, and a parser that raises, which must be noticed."""
 
 import random
 import subprocess

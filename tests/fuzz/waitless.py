@@ -1,4 +1,4 @@
-"""Runs what never waits for anything."""
+"""Runs coroutines that never wait."""
 
 from collections.abc import Coroutine
 

@@ -108,7 +108,7 @@ def test_a_frame_gives_its_faces_by_name(law):
 
 @pytest.mark.parametrize("law", [heliocube.mu_prime, heliocube.sun_vector])
 def test_a_frame_without_the_faces_by_name_is_told_which_are_missing(law):
-    # Four columns as an array has, of which nobody knows which is which.
+    # Four columns, as an array has, but two of the names are unknown: nobody can say which face is which.
     frame = pd.DataFrame({"zenith": [540.0], "west_w_m2": [150.0], "south": [620.0], "east_w_m2": [310.0]})
     why = "no column east, west: east, south, west and zenith are needed; found: zenith, west_w_m2, south, east_w_m2"
     for faces in (frame, frame.iloc[0]):

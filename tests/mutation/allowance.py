@@ -1,4 +1,4 @@
-"""How long the tests of one change may take, in processor time: a busy machine is not to decide what is caught."""
+"""How long the tests of one change may take, in processor time: a busy machine must not decide what is caught."""
 
 import os
 import resource
@@ -6,13 +6,13 @@ import time
 from pathlib import Path
 
 _LOOK_EVERY_S = 0.01
-# What waits takes no processor time; a test that waits for ever ends too.
+# A test that waits uses no processor time; with this limit one that waits forever ends too.
 _REAL_PER_PROCESSOR_S = 8.0
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
 def ended_within(child: int, limit_s: float) -> int | None:
-    """Wait for a child and return its status, or None where its seconds of processor time are over before."""
+    """Wait for a child and return its status, or None if it uses up its seconds of processor time first."""
     ends_s = time.monotonic() + _REAL_PER_PROCESSOR_S * limit_s
     while time.monotonic() < ends_s and _spent_s(child) < limit_s:
         done, status = os.waitpid(child, os.WNOHANG)
@@ -23,12 +23,12 @@ def ended_within(child: int, limit_s: float) -> int | None:
 
 
 def spent_by_children_s() -> float:
-    """Return the processor time [s] of all children that have ended, with theirs."""
+    """Return the processor time [s] of all children that have ended, and of their children."""
     spent = resource.getrusage(resource.RUSAGE_CHILDREN)
     return spent.ru_utime + spent.ru_stime
 
 
 def _spent_s(child: int) -> float:
-    # After the name, which may have blanks in it: user and system time, and those of its children that have ended.
+    # The fields after the name, which may contain blanks: user and system time, its own and that of ended children.
     fields = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()
     return sum(int(ticks) for ticks in fields[11:15]) / _TICKS_PER_S

@@ -1,4 +1,4 @@
-"""The blocks of a function: statements that are reached together, but for what raises or returns between them."""
+"""The blocks of a function: statements that are reached together, unless something between them raises or returns."""
 
 import ast
 import hashlib
@@ -9,19 +9,19 @@ HITS = "_reached_blocks"
 
 
 def digest(file: Path) -> str:
-    """Return what tells one text of a source from another."""
+    """Return a text that tells two versions of a source apart."""
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def block_of_line(path: str, source: bytes) -> dict[int, str]:
-    """Return the block, ``path:first line``, of each line of a function; a function's head is of its first block."""
+    """Return the block, ``path:first line``, of each line of a function; its head belongs to its first block."""
     return {line: f"{path}:{first}" for line, first in _Blocks(ast.parse(source)).of_line.items()}
 
 
 def marked(path: str, source: bytes, known: list[str]) -> str:
-    """Return the source with a mark at the beginning of each block, and add the blocks to those that are known."""
+    """Return the source with a mark at the beginning of each block, and append the blocks to the known ones."""
     module = ast.parse(source)
-    # From behind, so that what stands before keeps its place.
+    # From the end, so that earlier places stay valid.
     for statements, place, first in reversed(_Blocks(module).beginnings):
         mark = ast.parse(f"{HITS}[{len(known)}] = 1").body[0]
         statements.insert(place + _is_docstring(statements[place]), mark)

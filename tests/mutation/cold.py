@@ -1,6 +1,7 @@
-"""Puts one change to its tests in a process that reads source and tests anew.
+"""Puts one change to its tests in a process that imports source and tests anew.
 
-That is for what happens while a file is read: limits, fields of settings, and functions that are only called then.
+That is needed for code that runs while a file is imported: limits, fields of settings, and functions that are only
+called then.
 """
 
 import contextlib
@@ -22,7 +23,7 @@ from tests.mutation.operators import Mutant
 from tests.mutation.tree import begin_afresh, copy_into
 from tests.mutation.verdict import Verdict, applied
 
-# Read once, before the forks: a test's process then begins in a fraction of a second.
+# Imported once, before the forks: a test's process then begins in a fraction of a second.
 LIBRARIES = ("numpy", "pandas", "pvlib", "pydantic", "pyarrow", "scipy.interpolate", "scipy.optimize", "scipy.special")
 PLAIN = (
     "-q",
@@ -46,14 +47,14 @@ _reached: Reached
 
 
 def settle(folder: Path, reached: Reached) -> None:
-    """Give this worker a tree of its own."""
+    """Give this worker its own tree."""
     global _tree, _reached
     _reached = reached
     _tree = make_ready(folder)
 
 
 def make_ready(folder: Path) -> Path:
-    """Make this process a worker, and return the tree of its own."""
+    """Make this process a worker, and return its own tree."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for library in LIBRARIES:
@@ -62,7 +63,7 @@ def make_ready(folder: Path) -> Path:
 
 
 def attempt(work: tuple[Mutant, float]) -> Verdict:
-    """Put a change to its tests until one is red or the seconds are over."""
+    """Put a change to its tests until one fails or the seconds are over."""
     mutant, limit_s = work
     began_s = time.monotonic()
     with applied(mutant, _tree):
@@ -71,7 +72,7 @@ def attempt(work: tuple[Mutant, float]) -> Verdict:
 
 
 class _Chosen:
-    """A pytest plugin that keeps these tests in this order, and all of a file that is named as a whole."""
+    """A pytest plugin that keeps these tests in this order; a file that is named keeps all of its tests."""
 
     def __init__(self, tests: list[str], path: str) -> None:
         self.files = list(dict.fromkeys(test.partition("::")[0] for test in tests))
@@ -80,7 +81,7 @@ class _Chosen:
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items):
-        """Leave out the others; what was not there when the tests were looked at comes last."""
+        """Leave out all others; tests that are newer than the notes come last."""
         places = [self._place_of(item.nodeid) for item in items]
         ordered = sorted(zip(places, range(len(items)), items, strict=True))
         items[:] = [item for place, _, item in ordered if place < math.inf]
@@ -93,7 +94,7 @@ class _Chosen:
 
 
 def _first_red(mutant: Mutant, limit_s: float) -> tuple[str | None, bool]:
-    """Run tests until one is red; return its name, or None where none is, and whether the time was enough."""
+    """Run tests until one fails; return its name, or None, and whether the time was long enough."""
     before_s = spent_by_children_s()
     for tests in _reached.stages(mutant):
         left_s = limit_s - (spent_by_children_s() - before_s)
@@ -106,7 +107,7 @@ def _first_red(mutant: Mutant, limit_s: float) -> tuple[str | None, bool]:
 
 
 def _status(chosen: _Chosen, limit_s: float) -> int | None:
-    """Run tests in a process of their own; return 0 for green, and None where the time was too short."""
+    """Run tests in a process of their own; return 0 if all pass, and None if the time was too short."""
     child = os.fork()
     if child == 0:
         _run_and_exit(chosen)

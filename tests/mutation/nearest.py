@@ -1,4 +1,4 @@
-"""Which tests to put a change to, and in which order."""
+"""Which tests a change is put to, and in which order."""
 
 import ast
 import functools
@@ -14,22 +14,22 @@ from tests.mutation.operators import Mutant
 from tests.support import ROOT
 
 OURS = ("solar", "drivers", "daemon")
-# Tests that start processes or brokers tell little of one line, and late.
+# Tests that start processes or brokers tell little about one line, and late.
 _TOO_FAR = {"campaign", "docs", "firmware", "fuzz", "measurements", "mutation", "support", "system"}
-# Holds every default and bound of the settings.
+# This test contains every default and bound of the settings.
 _OF_SETTINGS = "tests/daemon/config/test_file.py::test_the_reference_document_is_current"
 _CACHED = re.compile(r"^ *@(functools\.)?(lru_cache|cache|cached_property)\b", re.MULTILINE)
-# So many files are collected at once: it takes a second each, for tests of which the first may be red.
+# How many files are collected at once: each takes a second, and the very first test may fail.
 _AT_ONCE = 8
 
 
 class Reached:
-    """What `tests.mutation.reach` has noted, or nothing; a change is put to the nearest tests then."""
+    """The notes of `tests.mutation.reach`. Without notes a change is put to the nearest tests."""
 
     def __init__(self, kept: Path | None = None) -> None:
         noted = json.loads(kept.read_text()) if kept else {"tests": {}, "sources": {}}
         self._sources = noted["sources"]
-        # What has moved since would be asked for in vain.
+        # Tests whose file has moved since cannot be found.
         there = {test: entry for test, entry in noted["tests"].items() if (ROOT / _file(test)).is_file()}
         self._seconds = {test: entry["seconds"] for test, entry in there.items()}
         self._files = {_file(test) for test in self._seconds}
@@ -39,10 +39,10 @@ class Reached:
                 self._tests[block].add(test)
 
     def stages(self, mutant: Mutant) -> list[list[str]]:
-        """Return tests and whole test files to be run together, one lot after the other.
+        """Return tests and whole test files to run together, one lot after the other.
 
-        First those of the module, then those that import it, those of its folder, and all others that reach the line,
-        or what takes its value. Files that nobody has looked at are run whole where they lie near.
+        First those of the module, then those that import it, those of its folder, and then all others that reach the
+        line, or use its value. Files without notes are run whole if they lie near.
         """
         near = _nearest(mutant.path)
         reaching = self._reaching(mutant)
@@ -61,7 +61,7 @@ class Reached:
         return bool(self._reaching(mutant))
 
     def is_new(self, test: str, path: str) -> bool:
-        """Whether a test lies near a module and was not there, or not green, when they were looked at."""
+        """Whether a test lies near a module and did not exist, or did not pass, when the notes were taken."""
         return test not in self._seconds and _file(test) in (*_nearest(path)[0], *_nearest(path)[1])
 
     def _reaching(self, mutant: Mutant) -> set[str]:
@@ -96,7 +96,7 @@ def _blocks(path: str) -> dict[int, str]:
 
 @functools.cache
 def _remembers(path: str) -> bool:
-    """Whether something of a file is worked out once: of all tests that live by it only the first was seen there."""
+    """Whether a file caches results: then only the first of the tests that depend on one was seen to reach the code."""
     return _CACHED.search((ROOT / path).read_text()) is not None
 
 
@@ -114,7 +114,7 @@ def _names(path: str) -> dict[str, set[int]]:
 
 
 def _blocks_that_name(mutant: Mutant) -> Iterator[str]:
-    """Yield the blocks that use what a line outside of functions sets; those of its file, where that cannot be told."""
+    """Yield the blocks that use what a line outside of functions sets; all blocks of its file, if that is unknown."""
     names = _set_in(mutant)
     private = all(name.startswith("_") for name in names)
     paths = [mutant.path] if private else _sources()

@@ -1,6 +1,6 @@
-"""Small wrong changes of Python source: what a slip of the hand could make of a line, one at a time.
+"""Small wrong changes of Python source, as a slip of the hand might make them, one at a time.
 
-A change replaces the text of one node of the syntax tree. Left alone is what no test should hold: annotations,
+A change replaces the text of one node of the syntax tree. What no test should depend on is left alone: annotations,
 docstrings, log lines, the words of messages, `__repr__`, and that `zip` is strict.
 """
 
@@ -22,7 +22,7 @@ _OPPOSITE = {
     ast.In: ast.NotIn,
     ast.NotIn: ast.In,
 }
-# Moved by one instead of turned round; told from each other only where the bound is a whole number.
+# The bound is moved by one instead of turned round; only with a whole number as bound can a test tell the two apart.
 _BOUND = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt}
 _ARITHMETIC = {
     ast.Add: ast.Sub,
@@ -39,7 +39,7 @@ _ARITHMETIC = {
 }
 _OTHER_CALL = {"min": "max", "max": "min", "any": "all", "all": "any", "minimum": "maximum", "maximum": "minimum"}
 _MAY_BE_LEFT_OUT = {"abs", "sorted", "reversed"}
-# Of `zip`, of arrays of numbers, of files, and for people: nothing that a line of ours decides by.
+# Options of `zip`, of arrays, of files, and texts for people: no line of ours decides by them.
 _NOT_LEFT_OUT = {
     "strict",
     "dtype",
@@ -57,7 +57,7 @@ _LOGGERS = {"log", "_log", "logger", "_LOG", "LOG"}
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """One change: in which file, line and function ("" in none), what is replaced, and what goes in."""
+    """One change: its file, line and function ("" outside of functions), the replaced part, and the new text."""
 
     path: str
     line: int
@@ -70,7 +70,7 @@ class Mutant:
 
     @property
     def key(self) -> str:
-        """Name the change without the number of its line, so that it stays the same when others move."""
+        """Name the change without its line number, so that the name stays when other lines move."""
         return f"{self.path} | {self.was} | {self.now}"
 
     def applied(self, source: bytes) -> bytes:
@@ -79,7 +79,7 @@ class Mutant:
 
 
 def mutants(path: str, source: bytes) -> list[Mutant]:
-    """Return every change of a file; of two that are written alike in one line, the first."""
+    """Return every change of a file; of two that read the same in one line, only the first."""
     found = {}
     for mutant in _Walk(path, source).changes():
         found.setdefault((mutant.line, mutant.was, mutant.now), mutant)
@@ -160,7 +160,7 @@ def _is_beside_the_point(node: ast.AST) -> bool:
 
 
 def _changed(node: ast.AST) -> Iterator[tuple[ast.AST, ast.AST | str]]:
-    """Yield what a node can become, each with the node whose text it replaces."""
+    """Yield the changes of a node, each with the node whose text it replaces."""
     match node:
         case ast.If(test=test) | ast.While(test=test) | ast.IfExp(test=test):
             if isinstance(test, ast.Name | ast.Attribute | ast.Call | ast.Await):
@@ -257,12 +257,12 @@ def _calls(node: ast.Call) -> Iterator[ast.AST]:
         yield _with(node, func=func)
     if name in _MAY_BE_LEFT_OUT and len(node.args) == 1 and not node.keywords:
         yield node.args[0]
-    # To leave out a field of a record is noticed by Python itself.
+    # Python itself notices if a field of a record is left out.
     is_record = name is not None and name[0].isupper()
     for place, keyword in enumerate(() if is_record else node.keywords):
         if keyword.arg is not None and keyword.arg not in _NOT_LEFT_OUT:
             yield _with(node, keywords=node.keywords[:place] + node.keywords[place + 1 :])
         if keyword.arg == "axis" and isinstance(keyword.value, ast.UnaryOp):
-            # Of a table -1 and 1 are the same axis.
+            # In a table, -1 and 1 are the same axis.
             first = _with(keyword, value=ast.Constant(0))
             yield _with(node, keywords=[*node.keywords[:place], first, *node.keywords[place + 1 :]])

@@ -1,10 +1,10 @@
 """Note which lines each test reaches, and how long it takes, so that a change is put to those tests, wherever they lie.
 
-Usage: ``python -m tests.mutation.reach reach.json tests/daemon``, then ``tests.mutation.run --reach reach.json``. Tests
-that are noted again replace what was known of them; all others stay. What else is given goes to pytest.
+Usage: ``python -m tests.mutation.reach reach.json tests/daemon``, then ``tests.mutation.run --reach reach.json``. New
+notes of a test replace its old ones; those of all others stay. Other arguments go to pytest.
 
-A tracer makes these tests three times as long (coverage 7.17, Python 3.11). Instead each block of our functions gets a
-statement of its own in a copy of the tree, which sets one byte: that costs next to nothing.
+A tracer makes these tests three times as long (coverage 7.17, Python 3.11). Instead, in a copy of the tree, each block
+of our functions gets a statement that sets one byte: that costs next to nothing.
 """
 
 import argparse
@@ -25,7 +25,7 @@ from tests.support import ROOT
 
 
 def main() -> None:
-    """Run the tests that are named and write down what they reach."""
+    """Run the named tests and note what they reach."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("kept", type=Path, metavar="FILE", help="where it is written, as JSON")
     parser.add_argument("tests", nargs="+", help="files and folders of tests; what else is given goes to pytest")
@@ -43,12 +43,12 @@ def main() -> None:
             code = pytest.main([*options, *asked], plugins=[plugin])
         finally:
             plugin.write(kept, sources)
-    # Tests that are red in a copy of the tree are left out, and said.
+    # Tests that fail in a copy of the tree are left out, and named.
     sys.exit(0 if code == pytest.ExitCode.TESTS_FAILED else code)
 
 
 class Reach:
-    """A pytest plugin: for each test that passes, its seconds and the blocks that it reaches, ``path:first line``."""
+    """A pytest plugin that notes for each test that passes its seconds and the blocks that it reaches."""
 
     def __init__(self, hits: bytearray, blocks: list[str]) -> None:
         self._hits = hits
@@ -73,7 +73,7 @@ class Reach:
             self._failed.add(report.nodeid)
 
     def write(self, kept: Path, sources: dict[str, str]) -> None:
-        """Write down what is known, with what is there of other tests."""
+        """Write the notes down, together with those of other tests."""
         known = json.loads(kept.read_text()) if kept.exists() else {"tests": {}}
         passed = {test: entry for test, entry in self._tests.items() if test not in self._failed}
         kept.write_text(json.dumps({"sources": sources, "tests": known["tests"] | passed}))

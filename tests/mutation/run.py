@@ -30,7 +30,7 @@ from tests.mutation.warm import is_of_a_function, keeps_its_cells, tried_warm
 from tests.support import ROOT
 
 EQUIVALENT = Path(__file__).with_name("equivalent.toml")
-# The parts where a slip costs most: what computes, what moves, what stops, and what is believed.
+# The parts where a slip costs most: they compute, move, stop, or decide what is believed.
 PARTS = (
     "solar",
     "drivers",
@@ -81,12 +81,12 @@ def main() -> None:
 def _tried(
     chosen: list[Mutant], reached: Reached, arguments: argparse.Namespace, folder: Path
 ) -> Generator[Verdict, None, None]:
-    """Put each change to its tests, those of functions in copies of a process that has read everything already."""
+    """Put each change to its tests; changes of functions in copies of a process that has imported everything."""
     sources = {path: (ROOT / path).read_bytes() for path in {mutant.path for mutant in chosen}}
     functions, others = [], []
     for mutant in chosen:
         tests = list(itertools.chain.from_iterable(reached.stages(mutant)))
-        # What no test reaches may be called while the tests are read.
+        # A function that no test reaches may be called while the tests are imported.
         source = sources[mutant.path]
         warm = reached.knows(mutant) and is_of_a_function(mutant, source) and keeps_its_cells(mutant, source)
         (functions if warm else others).append((mutant, tests))
@@ -147,7 +147,7 @@ def _line(name: str, are_caught: list[bool]) -> None:
 
 
 def _interval(hits: int, tries: int, z: float = 1.96) -> tuple[float, float]:
-    """Return Wilson's interval of a share; at z = 1.96 it holds 95 times in a hundred."""
+    """Return Wilson's interval of a share; at z = 1.96 it holds the true share 95 times in a hundred."""
     share = hits / tries
     middle = share + z * z / (2 * tries)
     half = z * math.sqrt(share * (1 - share) / tries + z * z / (4 * tries * tries))

@@ -1,4 +1,4 @@
-"""What counts as a small wrong change, and that the list of those that nothing can notice is of this source."""
+"""What counts as a small wrong change, and that the list of unnoticeable changes belongs to this source."""
 
 import ast
 

@@ -106,6 +106,6 @@ def test_a_change_goes_to_the_tests_of_its_module_first_and_then_to_all_others_t
         return [test for stage in Reached(notes).stages(mutant) for test in stage if "::" in test]
 
     assert note({path: digest(ROOT / path)}) == [near, far]
-    # Of a source that was another one then, each test that reaches the file may reach the line.
+    # If the source has changed since, every test that reaches the file may reach the line.
     elsewhere = note({path: "another"}, blocks=[f"{path}:1"])
     assert set(elsewhere) == {near, far, "tests/solar/skies/test_sky.py::test_elsewhere"}

@@ -1,4 +1,4 @@
-"""A change of a function is put into the function that is there, wherever it is held."""
+"""A change of a function is put into the existing function, wherever it is referenced."""
 
 import gc
 import importlib
@@ -52,7 +52,7 @@ def program(tmp_path, monkeypatch):
     (tmp_path / "changed_while_it_runs.py").write_bytes(SOURCE)
     monkeypatch.syspath_prepend(tmp_path)
     module = importlib.import_module("changed_while_it_runs")
-    # As it is once the tests have been read.
+    # As the warm process does it (warm.py), once the tests are imported.
     gc.freeze()
     yield module, Program(tmp_path)
     del sys.modules["changed_while_it_runs"]

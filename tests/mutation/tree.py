@@ -1,4 +1,4 @@
-"""A copy of the tree, to change as one likes."""
+"""A copy of the tree, to change at will."""
 
 import shutil
 import subprocess
@@ -9,7 +9,7 @@ from tests.support import ROOT, SHARED
 
 
 def copy_into(folder: Path) -> Path:
-    """Copy what git knows or might know, and return the tree's path."""
+    """Copy the files that git knows or does not ignore, and return the tree's path."""
     tree = folder / "tree"
     listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
     for name in subprocess.run(listed, cwd=ROOT, check=True, capture_output=True, text=True).stdout.split("\0"):
@@ -24,7 +24,7 @@ def copy_into(folder: Path) -> Path:
 
 
 def begin_afresh() -> None:
-    """Have the tests import the tree of the current folder, and nothing of this one."""
+    """Make the tests import the tree of the current folder, and nothing of this one."""
     for name in [name for name in sys.modules if name.partition(".")[0] in {"tests", "solar", "drivers", "daemon"}]:
         del sys.modules[name]
     sys.path[:] = [str(Path.cwd()), *(path for path in sys.path if Path(path or ".").resolve() != ROOT)]

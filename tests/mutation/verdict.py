@@ -1,4 +1,4 @@
-"""What the tests say to a change."""
+"""What the tests say about a change."""
 
 import contextlib
 import os
@@ -11,7 +11,7 @@ from tests.mutation.operators import Mutant
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The test that was red, if one was, and whether the time was enough for all."""
+    """The test that failed, if any, and whether the time was enough for all."""
 
     mutant: Mutant
     red: str | None
@@ -31,7 +31,7 @@ class Verdict:
 
 @contextlib.contextmanager
 def applied(mutant: Mutant, tree: Path) -> Iterator[bytes]:
-    """Have the change in the tree for a while, and yield the source without it."""
+    """Apply the change in the tree for a while, and yield the source without it."""
     file = tree / mutant.path
     source, times = file.read_bytes(), file.stat()
     file.write_bytes(mutant.applied(source))

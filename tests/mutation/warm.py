@@ -1,7 +1,7 @@
-"""Puts changes of functions to their tests in copies of one process that has read source and tests already.
+"""Puts changes of functions to their tests in copies of one process that has imported source and tests already.
 
-A change is put into the functions that are there, as their code: nothing is read again, and a copy begins in some
-milliseconds, where a process that reads anew what it needs takes seconds (tests.mutation.cold).
+A change replaces the code of the existing functions. Nothing is imported again, and a copy begins in some milliseconds;
+a process that imports anew takes seconds (tests.mutation.cold).
 """
 
 import ast
@@ -28,7 +28,7 @@ from tests.mutation.operators import Mutant
 from tests.mutation.tree import begin_afresh
 from tests.mutation.verdict import Verdict, applied
 
-# A change can make a loop endless; of 4,700 tests that compute the longest takes less on an idle machine.
+# A change can make a loop endless. The longest of 4,700 tests that compute takes less than this on an idle machine.
 _ONE_TEST_S = 30
 _RED = 1
 _ENDS_WITHIN_S = 5.0
@@ -37,7 +37,7 @@ Work = tuple[Mutant, list[str]]
 
 
 def is_of_a_function(mutant: Mutant, source: bytes) -> bool:
-    """Whether the change is one of code that runs when a function is called, not when its file is read."""
+    """Whether the change is in code that runs when a function is called, not when its file is imported."""
     below = list(ast.parse(source).body)
     while below:
         node = below.pop()
@@ -50,7 +50,7 @@ def is_of_a_function(mutant: Mutant, source: bytes) -> bool:
 
 
 def keeps_its_cells(mutant: Mutant, source: bytes) -> bool:
-    """Whether the functions can take the new code: one that says `super()` no more has a cell less, and cannot."""
+    """Whether the functions can take the new code: without its `super()` it has a cell less, and they cannot."""
     before, after = (
         [code.co_freevars for code in _codes(compile(text, mutant.path, "exec"))]
         for text in (source, mutant.applied(source))
@@ -59,7 +59,7 @@ def keeps_its_cells(mutant: Mutant, source: bytes) -> bool:
 
 
 def tried_warm(work: list[Work], reached: Reached, limit_s: float, jobs: int, folder: Path) -> Iterator[Verdict]:
-    """Yield what the tests say, as it comes; each test may be the name of a file, for all of it."""
+    """Yield the verdicts as they come; a test may also be the name of a file, for all of its tests."""
     if not work:
         return
     context = multiprocessing.get_context("fork")
@@ -109,7 +109,7 @@ def _serve(warm: "_Warm", work: list[Work], folder: Path) -> None:
 
 
 class _Warm:
-    """A pytest plugin that reads the tests, and instead of running them all runs those that each change asks for."""
+    """A pytest plugin that collects the tests, and instead of running them all runs those that each change asks for."""
 
     def __init__(self, work, reached, todo, done, limit_s):
         self._work = work
@@ -155,7 +155,7 @@ class _Warm:
         return [name for name in dict.fromkeys(names) if name in self._items]
 
     def _is_green(self, name):
-        """Whether a test is green without a change: what is red here anyway tells nothing."""
+        """Whether a test passes without a change: one that fails anyway tells nothing."""
         if name not in self._green:
             red, _ = self._first_red(lambda: None, [name])
             if red is None:
@@ -163,7 +163,7 @@ class _Warm:
         return name in self._green
 
     def pytest_runtest_logreport(self, report):
-        """End this copy at the first test that is red."""
+        """End this copy at the first test that fails."""
         if report.failed and self._tell is not None:
             os.write(self._tell, report.nodeid.encode())
             os._exit(_RED)
@@ -204,7 +204,7 @@ class _Warm:
 
 
 class _Order:
-    """What was red for a neighbour comes first; otherwise the order stays."""
+    """An order in which tests that have noticed a neighbouring change come first; otherwise it stays."""
 
     def __init__(self) -> None:
         self._red: dict[str, Counter[str]] = defaultdict(Counter)
@@ -222,13 +222,13 @@ class _Order:
 
 
 class Program:
-    """The functions of a tree that are there, and what they remember of earlier calls."""
+    """The existing functions of a tree, and their caches."""
 
     def __init__(self, tree: Path) -> None:
         self._tree = tree
         self._functions = defaultdict(list)
         self._caches = []
-        # What somebody has frozen, the collector does not name.
+        # The collector does not list frozen objects.
         gc.unfreeze()
         for found in gc.get_objects():
             if type(found) is types.FunctionType:
@@ -241,7 +241,7 @@ class Program:
         return code is not None and Path(code.co_filename).is_relative_to(self._tree)
 
     def with_change(self, mutant: Mutant, source: bytes):
-        """Return what puts the change into the functions of its file."""
+        """Return a function that puts the change into the functions of its file."""
         file = str(self._tree / mutant.path)
         codes = _new_codes(file, source, mutant.applied(source))
 
@@ -256,9 +256,9 @@ class Program:
 
 
 def _new_codes(file: str, source: bytes, changed: bytes) -> dict[tuple[str, int], types.CodeType]:
-    """Return for each function, by name and line, the code that it has after the change.
+    """Return the code of each function after the change, by name and line.
 
-    A change may move the lines below it, so that the functions of one name are told apart by their order.
+    A change may move the lines below it, so functions of the same name are told apart by their order.
     """
     before, after = (list(_codes(compile(text, file, "exec"))) for text in (source, changed))
     of_name = defaultdict(list)
@@ -270,7 +270,7 @@ def _new_codes(file: str, source: bytes, changed: bytes) -> dict[tuple[str, int]
         key = code.co_qualname, code.co_firstlineno
         same = of_name[code.co_qualname]
         other = same.pop(0) if same else code
-        # Two lambdas of one line cannot be told from each other; what calls them has its new code all the same.
+        # Two lambdas in one line cannot be told apart; but the function that creates them gets its new code anyway.
         if times[key] == 1 and other.co_freevars == code.co_freevars:
             new[key] = other
     return new
