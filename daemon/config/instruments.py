@@ -81,10 +81,10 @@ class Instruments(Section):
     """How the instruments are reached. There is no silent fallback from one kind to another."""
 
     kind: Literal["simulated", "real"] = Field(
-        "simulated", description="Simulated ones in this process, or real ones at the addresses below."
+        "simulated", description="Simulated instruments in this process, or real ones at the addresses below."
     )
     bench: bool = Field(
-        False, description="The addresses are a bench's: all that is shown and recorded is marked as simulated."
+        False, description="The addresses are a bench's: everything shown and recorded is marked as simulated."
     )
     cube: Annotated[SerializeAsAny[CubeDriverSettings], BeforeValidator(CUBE.settle)] = Field(
         default_factory=CUBE.defaults

@@ -9,7 +9,7 @@ from daemon.config.sections import Sections
 
 
 def the_bridge_is_signed_or_not(settings: Sections) -> Iterator[Conflict]:
-    """`bridge.insecure` stands without `bridge.key_file`; beyond this machine one of the two is set."""
+    """`bridge.insecure` and `bridge.key_file` exclude each other; beyond this machine one of the two is set."""
     bridge = settings.bridge
     if bridge.insecure and bridge.key_file is not None:
         reason = "contradicts bridge.key_file, which asks for signed scans; remove one of the two"
@@ -31,14 +31,14 @@ def the_bridge_is_signed_or_not(settings: Sections) -> Iterator[Conflict]:
 
 
 def an_interface_has_a_group(settings: Sections) -> Iterator[Conflict]:
-    """`bridge.multicast_interface` stands only with `bridge.multicast_group`."""
+    """`bridge.multicast_interface` is allowed only with `bridge.multicast_group`."""
     if settings.bridge.multicast_interface is not None and settings.bridge.multicast_group is None:
         reason = "has no effect without bridge.multicast_group"
         yield Conflict("bridge.multicast_interface", reason, ("bridge.multicast_group",))
 
 
 def what_needs_a_broker_has_one(settings: Sections) -> Iterator[Conflict]:
-    """`bridge.transport = "mqtt"`, `mqtt.wind.topic` and `mqtt.safe.topic` stand only with `mqtt.enabled`."""
+    """`bridge.transport = "mqtt"`, `mqtt.wind.topic` and `mqtt.safe.topic` need `mqtt.enabled`."""
     if settings.mqtt.enabled:
         return
     if settings.bridge.transport == "mqtt":
@@ -50,7 +50,7 @@ def what_needs_a_broker_has_one(settings: Sections) -> Iterator[Conflict]:
 
 
 def an_archive_gets_what_a_store_keeps(settings: Sections) -> Iterator[Conflict]:
-    """`mqtt.archive` stands only with `mqtt.enabled`, and on a simulated rig with `store.directory`."""
+    """`mqtt.archive` needs `mqtt.enabled`, and on a simulated rig `store.directory`."""
     if settings.mqtt.archive and not settings.mqtt.enabled:
         yield Conflict("mqtt.archive", "needs mqtt.enabled = true and a broker", ("mqtt.enabled",))
     if settings.mqtt.archive and settings.store.directory is None and settings.instruments.kind != "real":
@@ -59,7 +59,7 @@ def an_archive_gets_what_a_store_keeps(settings: Sections) -> Iterator[Conflict]
 
 
 def the_broker_is_known_as_asked(settings: Sections) -> Iterator[Conflict]:
-    """Certificate files of `mqtt` stand only with `mqtt.tls`, and a certificate with its key."""
+    """Certificate files of `mqtt` need `mqtt.tls`, and a key needs its certificate."""
     mqtt = settings.mqtt
     for name in ("ca_file", "certificate_file", "certificate_key_file"):
         if getattr(mqtt, name) is not None and not mqtt.tls:
@@ -69,13 +69,13 @@ def the_broker_is_known_as_asked(settings: Sections) -> Iterator[Conflict]:
 
 
 def the_two_words_differ(settings: Sections) -> Iterator[Conflict]:
-    """`mqtt.safe.safe` and `mqtt.safe.unsafe` are two words."""
+    """`mqtt.safe.safe` and `mqtt.safe.unsafe` are two different words."""
     if settings.mqtt.safe.safe == settings.mqtt.safe.unsafe:
         yield Conflict("mqtt.safe.unsafe", "must differ from mqtt.safe.safe", ("mqtt.safe.safe",))
 
 
 def quiet_hours_have_both_ends(settings: Sections) -> Iterator[Conflict]:
-    """`notify.quiet_from` and `notify.quiet_until` go together, and are two times."""
+    """`notify.quiet_from` and `notify.quiet_until` are set together, and differ."""
     yield from conflicts_of_quiet_hours(settings.notify)
 
 

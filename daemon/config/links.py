@@ -70,9 +70,9 @@ class StoreSettings(Section):
     directory: FilePath | None = Field(
         None,
         examples=["records"],
-        description="Folder of both. If it is not set, real instruments have theirs in systemd's $STATE_DIRECTORY, by"
-        " the name of this file, or else beside it: records for heliocube.toml, NAME-records for NAME.toml. A simulated"
-        " rig keeps nothing then.",
+        description="Folder of both. If it is not set, a real rig has a folder with the name of this file in systemd's"
+        " $STATE_DIRECTORY, or else one beside this file: records for heliocube.toml, NAME-records for NAME.toml. A"
+        " simulated rig then keeps nothing.",
     )
     batch_s: float = Field(
         5.0, ge=0.1, le=300, description="Longest time until a record is written; a crash loses no more than this."
@@ -88,7 +88,7 @@ class StoreSettings(Section):
 class ApiSettings(Section):
     """The local HTTP interface, for `heliocube status`, `heliocube stow` and other programs on this machine."""
 
-    enabled: bool = Field(default=True, description="Whether there is one.")
+    enabled: bool = Field(default=True, description="Whether the interface is served.")
     listen: ListenAddress = Field(
         DEFAULT_LISTEN,
         description="Address and port to serve on. Everyone who reaches it can read the state; beyond this machine"
@@ -103,8 +103,8 @@ class ApiSettings(Section):
     hosts: tuple[HostName, ...] = Field(
         (),
         strict=False,
-        description="Names that requests may be for, such as that of a proxy, besides localhost and this machine's"
-        " addresses. Others are refused: a page of the web could read the state under its own name.",
+        description="Further names, such as that of a proxy, that requests may be for, besides localhost and this"
+        " machine's addresses. Other names are refused, because a web page could read the state under its own name.",
     )
 
 
@@ -145,7 +145,9 @@ class NotifySettings(Section):
         " names.",
     )
     dashboard: WebAddress | None = Field(
-        None, examples=["https://tracker.lab/"], description="Link in each message, as its readers can open it."
+        None,
+        examples=["https://tracker.lab/"],
+        description="Link in each message, an address that its readers can open.",
     )
     at_least: Literal["notice", "warning", "critical"] = Field(
         "warning", description="The least severity that is sent."
@@ -160,11 +162,12 @@ class NotifySettings(Section):
         20,
         ge=1,
         le=1000,
-        description="Messages an hour to each address; more are gathered into one; critical ones have as many more.",
+        description="Most messages an hour to each address; further ones are gathered into one. Critical ones are"
+        " counted apart.",
     )
     poll_every_s: float = Field(10.0, ge=1, le=120, description="How often the services are asked [s].")
     silent_after_s: Duration = Field(
-        120.0, ge=10, description="A service that has not answered for this long is a critical message [s]."
+        120.0, ge=10, description="When a service has not answered for this long, a critical message is sent [s]."
     )
     heartbeat: WebAddress | None = Field(
         None,
@@ -172,7 +175,7 @@ class NotifySettings(Section):
         description="Address that is requested (GET) at regular intervals while this process works; a monitoring"
         " service there alerts you when that stops.",
     )
-    heartbeat_every_s: Duration = Field(300.0, ge=10, description="How often [s].")
+    heartbeat_every_s: Duration = Field(300.0, ge=10, description="How often that address is requested [s].")
 
 
 class ArchiveSettings(Section):
@@ -190,7 +193,7 @@ class ArchiveSettings(Section):
         None,
         examples=["archive.password"],
         description="File of one line, the user's password at the database, mode 0600 or 0640. Left out: the"
-        " password in the file of PGPASSFILE.",
+        " password from the file that PGPASSFILE names.",
     )
     topics: tuple[TopicFilter, ...] = Field(
         ("+/+/records",),
@@ -203,18 +206,18 @@ class ArchiveSettings(Section):
 
 
 class SunspecSettings(Section):
-    """The trackers as a SunSpec device on Modbus TCP, for a control room. Modbus knows neither password nor cipher."""
+    """The trackers as a SunSpec device on Modbus TCP, for a control room. Modbus has no password and no encryption."""
 
-    enabled: bool = Field(default=False, description="Whether there is one.")
+    enabled: bool = Field(default=False, description="Whether the device is served.")
     listen: ListenAddress = Field(
         "127.0.0.1:5020",
         description="Address and port to serve on; 502 is the usual port and needs a privilege. Everyone who reaches it"
-        " can read, and write where manual is true: beyond this machine in a closed network alone.",
+        " can read, and write if manual is true: serve other machines only in a closed network.",
     )
     unit: int = Field(1, ge=1, le=247, description="Address of the device.")
     manual: bool = Field(
         default=False,
-        description="Whether clients may set model 601 to manual, a goto or hold as of any operator, and back.",
+        description="Whether clients may set model 601 to manual (a goto or hold like any operator's) and back.",
     )
 
 
@@ -231,7 +234,7 @@ class WindInput(Section):
 
 
 class SafeInput(Section):
-    """Somebody on the broker who says whether it is safe to track, such as a weather station or a switch."""
+    """A source on the broker that says whether it is safe to track, such as a weather station or a switch."""
 
     topic: Topic | None = Field(
         None, examples=["dome/safety"], description="Topic with the safe or unsafe message. Left out: there is none."
@@ -276,13 +279,15 @@ class MqttSettings(Section):
         description="Name of the connection; two with one name keep disconnecting each other. Left out: made of prefix"
         " and name.",
     )
-    keepalive_s: int = Field(5, ge=2, le=60, description="Longest silence; a hung broker is noticed within twice this.")
+    keepalive_s: int = Field(
+        5, ge=2, le=60, description="Longest silence; a broker that hangs is noticed within twice this."
+    )
     prefix: Topic = Field("heliocube", description="What all topics of the installation begin with.")
     name: TopicLevel | None = Field(
         None,
         examples=["roof"],
-        description="Level of this tracker below the prefix, or of this cube; the store uses the name too. Left out:"
-        " tracker, or cube.",
+        description="Topic level of this tracker, or of this cube, below the prefix; the store uses the name too. Left"
+        " out: tracker, or cube.",
     )
     state_every_s: float = Field(10.0, ge=1, le=3600, description="Time from one message with the state to the next.")
     queue_messages: int = Field(

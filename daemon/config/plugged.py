@@ -193,8 +193,8 @@ LOAD = Plugged(
     path="load",
     group=plugins.LOADS,
     default="none",
-    title="The electronic load that traces the I-V curve of the module on the tracker, in open circuit otherwise.",
-    about="Whether there is one, and which; a real one goes with real instruments.",
+    title="The electronic load that traces I-V curves of the tracker's module, which is in open circuit otherwise.",
+    about="Whether there is a load, and which; a real one needs real instruments.",
     built_in={"none": NoLoadSettings, "simulated": SimulatedLoadSettings},
 )
 
@@ -203,7 +203,7 @@ CUBE = Plugged(
     group=plugins.CUBES,
     default=MULTIPLEXED,
     title="What reads the cube's four faces.",
-    about="Which driver that is; gains, plausibility and rhythm are those of [cube] for all of them.",
+    about="Which driver reads the faces; gains, plausibility and rhythm are those of [cube] for every driver.",
     built_in={},
 )
 

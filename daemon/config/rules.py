@@ -51,7 +51,7 @@ def limits_are_ordered(settings: Sections) -> Iterator[Conflict]:
 
 
 def positions_are_inside_limits(settings: Sections) -> Iterator[Conflict]:
-    """Night, stow and snow positions lie inside `limits`; only the default of the last one is cut to them."""
+    """Night, stow and snow positions lie inside `limits`; only the default of the snow position is cut to them."""
     for position in ("night", "stow", "snow"):
         for axis in "ab":
             ends = (f"limits.{axis}_min_deg", f"limits.{axis}_max_deg")
@@ -114,7 +114,7 @@ def the_positioner_reaches_its_limits(settings: Sections) -> Iterator[Conflict]:
 
 
 def the_faces_can_be_told_apart(settings: Sections) -> Iterator[Conflict]:
-    """No two sensors of `instruments.cube` share what tells them apart, and what is said of their registers fits."""
+    """Sensors of `instruments.cube` differ in line or address, and in serial number; their registers fit together."""
     section = "instruments.cube"
     for key, reason, others in settings.instruments.cube.conflicts():
         yield Conflict(f"{section}.{key}", reason, tuple(f"{section}.{other}" for other in others))
@@ -158,7 +158,7 @@ def every_angle_can_be_arrived_at(settings: Sections) -> Iterator[Conflict]:
 
 
 def a_scan_fits_its_period(settings: Sections) -> Iterator[Conflict]:
-    """All readings of a scan, each settling and conversion, fit into `cube.scan_every_s` where a multiplexer reads."""
+    """Where a multiplexer reads, all readings of a scan, with settling and conversion, fit into `cube.scan_every_s`."""
     settle_s = settings.instruments.multiplexer.settle_s
     meter = settings.instruments.voltmeter
     readings = len(FACES) + sum(getattr(settings.cube, name) is not None for name in SELF_TESTS)
@@ -180,7 +180,7 @@ def a_scan_fits_its_period(settings: Sections) -> Iterator[Conflict]:
 
 
 def the_range_reaches_bright_sun(settings: Sections) -> Iterator[Conflict]:
-    """With its gain, each face stays within 1.2 times `instruments.voltmeter.range_v` up to 1000 W/m2."""
+    """Up to 1000 W/m2, each face's voltage stays within 1.2 times `instruments.voltmeter.range_v`, by its gain."""
     largest_mv = _OVER_RANGE * settings.instruments.voltmeter.range_v * 1e3
     for name in FACES:
         face, key = getattr(settings.cube, name), f"cube.{name}.gain_w_m2_per_mv"
@@ -218,7 +218,7 @@ def a_simulated_clock_starts_in_time(settings: Sections) -> Iterator[Conflict]:
 
 
 def a_group_is_whole(settings: Sections) -> Iterator[Conflict]:
-    """All lists of `rows` name the same trackers, two or more, and the size of their modules stands with them."""
+    """All lists of `rows` have an item for each tracker, two or more, and the size of the modules is set too."""
     rows = settings.rows
     count = len(rows.east_m)
     for name in ("north_m", "up_m"):
@@ -276,7 +276,7 @@ def thresholds_have_hysteresis(settings: Sections) -> Iterator[Conflict]:
 
 
 def a_curve_fits_its_period(settings: Sections) -> Iterator[Conflict]:
-    """All points of a curve, each its settling and 30 ms for two exchanges, fit into `load.period_s`."""
+    """All points of a curve, each with its settling and 30 ms for two exchanges, fit into `load.period_s`."""
     load = settings.load
     needed_s = load.points * (load.settle_s + _LOAD_EXCHANGES_S) + _SWEEP_ENDS_S
     if load.driver != "none" and needed_s > load.period_s:
@@ -285,14 +285,14 @@ def a_curve_fits_its_period(settings: Sections) -> Iterator[Conflict]:
 
 
 def a_real_rig_has_no_simulated_load(settings: Sections) -> Iterator[Conflict]:
-    """`load.driver = "simulated"` stands only with simulated instruments."""
+    """`load.driver = "simulated"` is allowed only with simulated instruments."""
     if settings.load.driver == "simulated" and settings.instruments.kind == "real":
         reason = 'cannot be on a real rig; name the load, or set "none"'
         yield Conflict("load.driver", reason, ("instruments.kind",))
 
 
 def each_instrument_has_a_way_of_its_own(settings: Sections) -> Iterator[Conflict]:
-    """No two of voltmeter, positioner and load of a real rig have a port, or a VISA name without one, in common."""
+    """Voltmeter, positioner and load of a real rig each have a port of their own or, without one, a VISA name."""
     instruments = settings.instruments
     if instruments.kind != "real":
         return

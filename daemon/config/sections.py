@@ -92,7 +92,7 @@ class CubeSettings(Section):
     calibration_file: FilePath | None = Field(
         None,
         examples=["calibration.toml"],
-        description="File of 'heliocube calibrate'; its gains and offsets replace those of the faces below.",
+        description="File that 'heliocube calibrate' writes; its gains and offsets replace those of the faces below.",
     )
     self_test_channel: Channel | None = Field(
         None,
@@ -102,7 +102,8 @@ class CubeSettings(Section):
     second_self_test_channel: Channel | None = Field(
         None,
         examples=[4],
-        description="Another such input, with all address lines inverted: only both together detect every stuck line.",
+        description="Another short-circuited input, whose address has all lines inverted: only both inputs together"
+        " detect every stuck line.",
     )
     self_test_limit_mv: Positive = Field(
         0.5, le=100, description="Largest voltage of a short-circuited input that passes the self-test."
@@ -130,8 +131,8 @@ class WindowSettings(Section):
         0.25,
         gt=0,
         le=1,
-        description="Share of the span that good readings must cover for a decision. With a quarter, a cube that was"
-        " away for 70 s steers again with its first scan.",
+        description="Share of the span that good readings must cover for a decision. With 0.25, the first scan of a"
+        " cube that was away for 70 s is enough.",
     )
 
 
@@ -149,9 +150,9 @@ class LimitSettings(Section):
 
 
 class RowsSettings(Section):
-    """The trackers that may shade each other, this one among them. Without positions there is none to think of.
+    """The trackers that may shade each other, this one among them. Without positions no shade is considered.
 
-    Every tracker of the group gets the same section: all are taken to stand in one pose, and turn back together.
+    Every tracker of the group gets the same section: all are assumed to stand in one pose and to turn back together.
     """
 
     east_m: tuple[Place, ...] = Field(
@@ -177,7 +178,7 @@ class RowsSettings(Section):
         ge=0,
         le=100,
         description="Groups of cells with a bypass diode each, side by side across the width: shade on any part"
-        " of one takes all of its power. 0 counts the shaded area alone.",
+        " of one takes all of its power. 0: only the shaded area is lost.",
     )
     turn_back: Literal["if-it-pays", "always"] = Field(
         "if-it-pays",
@@ -232,7 +233,7 @@ class MotionSettings(Section):
         300,
         ge=1,
         le=10000,
-        description="Moves in a solar day beyond which no law moves the tracker; they are made to last until sunset.",
+        description="Moves in a solar day beyond which no law moves the tracker; they are spread to last until sunset.",
     )
     attempts: int = Field(3, ge=1, le=10, description="Attempts before a move is given up and reported as a fault.")
     retry_after_s: Duration = Field(600.0, description="Time after a fault until moves are tried again.")
@@ -266,7 +267,7 @@ class SafetySettings(Section):
         15.0,
         ge=15,
         le=90,
-        description="Angle B of the snow position: steep sheds snow and hail. The default goes as far as limits allow.",
+        description="Angle B of the snow position: steep sheds snow and hail. The default is cut to the limits.",
     )
     stow_wind_m_s: WindSpeed = Field(15.0, description="Wind speed from which the tracker is stowed.")
     release_wind_m_s: WindSpeed = Field(10.0, description="Wind speed below which stow may end.")

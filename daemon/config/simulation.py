@@ -31,7 +31,7 @@ WeatherFile = Annotated[FilePath, AfterValidator(_no_misspelt_weather)]
 class SimulationSettings(Section):
     """The simulated rig: its sky, its clock and its imperfections.
 
-    Real instruments do not look here, but for start_utc and anchor_utc: with instruments.bench they are its time.
+    Real instruments ignore this section, except that start_utc and anchor_utc set their time with instruments.bench.
     """
 
     weather: WeatherName | WeatherFile = Field("variable", description="Sky by name, or a file of measured weather.")
@@ -46,7 +46,9 @@ class SimulationSettings(Section):
         description="Start of the simulated clock. Left out: now at speed 1, else a bright October morning of 2022.",
     )
     speed: Positive = Field(
-        60.0, le=1000, description="How many times faster than real time; a machine too slow for it takes longer."
+        60.0,
+        le=1000,
+        description="How many times faster than real time it runs; a machine too slow for it takes longer.",
     )
     anchor_utc: AwareDatetime | None = Field(
         None,

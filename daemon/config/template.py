@@ -45,11 +45,12 @@ above as they are.
 
 - Each tracker has the name of its table. The sections above hold for it, except for what its table says differently:
   `site`, `law`, `windows`, `limits`, `rows`, `motion`, `safety`, `load`, and `positioner` for `instruments.positioner`.
-- The same rules hold for what results. No two real trackers share a port, and all stand on the side of the equator that
-  `site` is on, as the cube does.
-- What a tracker keeps is in a folder of its name in `store.directory`; its topics are below `mqtt.prefix` and its name.
-- What a tracker without a table has kept there holds for those that get a table, until a person releases it. So nothing
-  that was stopped is let go by a new line in a file, or by another name.
+- The rules below hold for each tracker's resulting settings. No two real trackers share a port, and all stand on the
+  same side of the equator as `site` and the cube.
+- Each tracker keeps its files in a folder of its name in `store.directory`. Its topics are below `mqtt.prefix` and its
+  name.
+- If a tracker without a table has kept a stop, a storm or a doubt, that holds for every tracker that gets a table,
+  until a person releases it. So a new line in the file, or another name, releases no stopped tracker.
 
 ```toml
 [[tracker]]
@@ -74,19 +75,19 @@ The service reads one TOML file.
 
 - `heliocube config init DIR` writes one in which every key is explained, with a new bridge key and a new token of the
   local interface beside it.
-- `heliocube config check FILE` lists everything that is wrong with a file at once, also missing addresses and a folder
-  that cannot be written to. It says in which roles a real rig can run; `--role tracker` asks for one role only. Without
+- `heliocube config check FILE` lists all mistakes of a file at once, among them missing addresses and a folder that
+  cannot be written to. It says in which roles a real rig can run; `--role tracker` asks for one role only. Without
   FILE it takes the one in `HELIOCUBE_CONFIG`.
-- `heliocube run` lists the same mistakes and refuses to start. Only with wrong topics and JSON paths it starts
-  ([why](decisions/0011-a-wrong-topic-does-not-stop-the-tracker.md)); but while a safety input cannot be heard the
-  tracker does not track, and after that input's time limit it is stowed.
+- `heliocube run` lists the same mistakes and refuses to start. It starts only if nothing but topics and JSON paths is
+  wrong ([why](decisions/0011-a-wrong-topic-does-not-stop-the-tracker.md)). Then, while a safety input cannot be heard,
+  the tracker does not track, and after that input's time limit it is stowed.
 - `heliocube config migrate FILE` updates a file: its tracker gets a table of its own, and keys get their present names.
-  The old file is kept beside it, as `FILE.before-RELEASE`. A file of an earlier version works without that. An upgrade
-  does it with `--keys-only`, which leaves a tracker without a name as it is.
+  The old file is kept beside it, as `FILE.before-RELEASE`. A file of an earlier version also works without an update.
+  An upgrade runs this command with `--keys-only`, which leaves a tracker without a name as it is.
 
-Every key may be left out and has its default then. Units are in the names: `_s` seconds, `_deg` degrees, `_w_m2` W/m2,
-`_m_s` m/s, `_mv` millivolts. Unknown keys are errors. Relative paths start from the folder of the file. Times carry
-their UTC offset and stand without quotes: `2022-10-14T06:00:00Z`.
+A key that is left out has its default. Units are in the names: `_s` seconds, `_deg` degrees, `_w_m2` W/m2, `_m_s` m/s,
+`_mv` millivolts. Unknown keys are errors. Relative paths start from the folder of the file. Times carry their UTC
+offset and stand without quotes: `2022-10-14T06:00:00Z`.
 
 This page is made from the models in `daemon/config/`; regenerate it with `python -m daemon.config.template`.
 """

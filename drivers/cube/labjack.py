@@ -51,26 +51,26 @@ class LabjackSettings(CubeDriverSettings):
     line: ModbusLine | None = Field(
         None,
         examples=["tcp:192.168.1.60:502"],
-        description="The line that the LabJack or the sensors are on; a LabJack is on Modbus TCP alone.",
+        description="The line that the LabJack or the sensors are on; a LabJack is only on Modbus TCP.",
     )
     inputs: tuple[int, ...] = Field(
         (0, 2, 4, 6),
         strict=False,
         min_length=4,
         max_length=4,
-        description="Inputs AIN of east, south, west and zenith. A T7 measures each against the next odd one.",
+        description="Inputs AIN of east, south, west and zenith. A T7 measures each against the next odd input.",
     )
     range_v: LabjackRange = Field(
         1.0,
-        description="Measuring range of a T7, from minus to plus; 0.1 V ends at 1000 W/m2 of 0.1 mV, which clouds"
-        " exceed. A T8 takes its next wider one: 0.018, 0.15, 1.2 or 11 V.",
+        description="Measuring range of a T7, from minus to plus. At 0.1 mV per W/m2, 0.1 V ends at 1000 W/m2, which"
+        " clouds exceed. A T8 takes its next wider one: 0.018, 0.15, 1.2 or 11 V.",
     )
     resolution_index: int = Field(
         8,
         ge=0,
         le=16,
-        description="Resolution index of the LabJack, higher is finer and slower: 8 is the best of a T7, 12 of a"
-        " T7-Pro, 16 of a T8.",
+        description="Resolution index of the LabJack, higher is finer and slower: the finest is 8 for a T7,"
+        " 12 for a T7-Pro, 16 for a T8.",
     )
 
     def conflicts(self) -> Iterator[SettingsConflict]:

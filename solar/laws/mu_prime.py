@@ -20,7 +20,7 @@ class MuPrimeSettings(LawSettings):
         0.01,
         ge=0,
         le=0.5,
-        description="Differences between faces below this share of the zenith are noise of a uniform sky, not sun.",
+        description="Differences between faces below this share of the zenith count as noise of a uniform sky.",
     )
 
 

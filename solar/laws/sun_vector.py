@@ -25,13 +25,13 @@ class SunVectorSettings(LawSettings):
         0.01,
         ge=0,
         le=0.5,
-        description="Differences between faces below this share of the zenith are noise of a uniform sky, not sun.",
+        description="Differences between faces below this share of the zenith count as noise of a uniform sky.",
     )
     gain_uncertainty: float = Field(
         0.03,
         ge=0,
         le=0.2,
-        description="Standard error of a face's gain, as a share; a beam that such errors explain is not pointed at.",
+        description="Standard error of a face's gain, as a share; a beam that such errors may explain is ignored.",
     )
 
     def seen(self, faces: Array | tuple[float, ...]) -> Array:

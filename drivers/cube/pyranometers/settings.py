@@ -18,9 +18,11 @@ _WITH_SERIAL = ("smp", "hukseflux", "hukseflux-pv")
 
 
 class RegisterMapSettings(DriverSettings):
-    """Where a pyranometer of make "map" has its numbers; registers count from 0. A face may say otherwise."""
+    """Where a pyranometer of make "map" has its numbers; registers count from 0. A face may set its own."""
 
-    function: Literal[3, 4] = Field(3, description="Function that reads: 3 holding registers, 4 input registers.")
+    function: Literal[3, 4] = Field(
+        3, description="Modbus function that reads: 3 holding registers, 4 input registers."
+    )
     register_number: int = Field(
         0, ge=0, le=65535, description="First register of the irradiance, counted from 0 (40001 of a manual is 0)."
     )
@@ -34,7 +36,9 @@ class RegisterMapSettings(DriverSettings):
         examples=[3],
         description="Register whose bits mark the irradiance as unusable; read together with it.",
     )
-    status_bits: int = Field(65535, ge=1, le=65535, description="Which of its bits mean that.")
+    status_bits: int = Field(
+        65535, ge=1, le=65535, description="Bits of the status register that mark the irradiance as unusable."
+    )
     serial_register: int | None = Field(
         None,
         ge=0,
@@ -53,7 +57,7 @@ class RegisterMapSettings(DriverSettings):
 
 
 class PyranometerSettings(DriverSettings):
-    """One sensor. Left out, make, line and map are those of all four."""
+    """One sensor. Make, line and map are those of all four sensors where they are not set here."""
 
     address: int = Field(1, ge=1, le=247, description="Its address on the line.")
     serial: int | None = Field(
@@ -69,9 +73,9 @@ class PyranometerSettings(DriverSettings):
     line: ModbusLine | None = Field(
         None, examples=["tcp:192.168.1.41:502"], description="Its line, if it differs from that of the others."
     )
-    function: Literal[3, 4] | None = Field(None, examples=[4], description='Make "map": the function, if another.')
+    function: Literal[3, 4] | None = Field(None, examples=[4], description='Make "map": the function, if it differs.')
     register_number: int | None = Field(
-        None, ge=0, le=65535, examples=[2], description='Make "map": the first register, if another.'
+        None, ge=0, le=65535, examples=[2], description='Make "map": the first register, if it differs.'
     )
     number_type: NumberType | None = Field(
         None, examples=["int16"], description='Make "map": number format of the irradiance, if it differs.'

@@ -42,7 +42,7 @@ class ScanningMeterSettings(CubeDriverSettings):
 
     meter: Make = Field(
         "keithley2000-scan",
-        description="Which: a Keithley 2000 with 2000-SCAN (or a DMM6500 set to SCPI2000), a DMM6500, a DAQ6510, or an"
+        description="Model: a Keithley 2000 with 2000-SCAN (or a DMM6500 set to SCPI2000), a DMM6500, a DAQ6510, or an"
         " Agilent 34970A, 34972A or DAQ970A.",
     )
     resource: VisaOrSocket | None = Field(
@@ -54,7 +54,7 @@ class ScanningMeterSettings(CubeDriverSettings):
         min_length=4,
         max_length=4,
         examples=[[101, 102, 103, 104]],
-        description="Channels of east, south, west and zenith. Left out: 1 to 4, or 101 to 104 by the make.",
+        description="Channels of east, south, west and zenith. Left out: 1 to 4, or 101 to 104, as the meter counts.",
     )
     meter_range_v: MeterRange = Field(1.0, description="Measuring range; the meter reads up to 1.2 times this.")
     nplc: float = Field(1.0, ge=0.02, le=10, description="Integration time, in periods of the mains.")

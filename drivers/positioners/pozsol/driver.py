@@ -31,7 +31,7 @@ Banner = Annotated[str, Field(pattern=r"^[ -#%-~]{4,80}$"), text_of("banner")]
 
 
 class AxisGeometry(DriverSettings):
-    """How one axis turns motor travel into an angle; what is not of the positioner's unit is not looked at."""
+    """How one axis turns motor travel into an angle; keys of another unit than the positioner's are ignored."""
 
     low_deg: float = Field(ge=-180, le=180, description="Angle of the tracker at the low end switch, position 0.")
     arm_1_mm: Positive = Field(300.0, le=3000, description="Unit mm: one fixed side of the actuator's triangle.")
@@ -78,7 +78,7 @@ class PozsolSettings(PositionerSettings):
         "mm", description="What the unit counts positions in: mm with linear actuators, deg with slew drives."
     )
     status_layout: Literal["unknown", "stm", "lpc"] = Field(
-        "unknown", description="Where the status word has axis B's bits; what B's moves show takes precedence."
+        "unknown", description="Where axis B's bits are in the status word; what B's moves show takes precedence."
     )
     a_axis: AxisGeometry = AxisGeometry(low_deg=-52.0, apex_deg=90.0)
     b_axis: AxisGeometry = AxisGeometry(low_deg=13.0, apex_deg=37.5)
