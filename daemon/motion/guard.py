@@ -103,9 +103,7 @@ class Guard:
         self.own_mode = OwnMode()
         self._own_moves: tuple[str, ...] = ()
         self._reported_pose: Pose | None = None
-        self._pressed_s = float("-inf")
-        self._reported_buttons_s = float("-inf")
-        self._judged_s = float("-inf")
+        self._pressed_s = self._reported_buttons_s = self._judged_s = float("-inf")
         self._sleeps = SleepGauge(clock)
         self._strayed_at: Telemetry | None = None
         self._reset_before = False
@@ -329,6 +327,8 @@ class Guard:
             return
         if stray.jump:
             self.doubts.doubt("jump", f"{stray.text}, the reference may be lost: {self.doubts.remedy}")
+            # On the rest of a way the unit would go on by the wrong count, perhaps beyond a limit.
+            self.halt_wanted |= self.rested is None
         elif self.stray is None:
             self.stray = stray
             self._strayed_at = telemetry

@@ -67,6 +67,19 @@ def test_a_jump_of_the_count_is_a_doubt_and_stops_nothing():
     run_motion(scenario)
 
 
+def test_a_jump_of_the_count_on_the_rest_of_a_way_stops_the_axes():
+    async def scenario(rig):
+        rig.motion.order(Target(-20.0, 60.0, "test"))
+        await rig.until(lambda: rig.moves, 60.0)
+        halts = rig.unit.sent.count("halt")
+        rig.unit.put(30.0, 60.0)
+        await rig.until(lambda: rig.motion.doubt, 1.0)
+        await rig.until(lambda: rig.unit.sent.count("halt") > halts, 1.0)
+        assert rig.motion.unexplained is None
+
+    run_motion(scenario)
+
+
 def test_a_fault_that_comes_up_halts_both_axes_once():
     async def scenario(rig):
         await asleep(rig)
