@@ -13,7 +13,7 @@ _FORM = re.compile(r"\[(?P<v6>[^\[\]]*)\]:(?P<port6>[0-9]{1,5})|(?P<v4>[^:\[\]]*
 
 ANY_INTERFACE = "0.0.0.0"  # noqa: S104 - the kernel's word for its own choice
 SEND_NO_MORE_ONCE_CLOSED = socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)
-"""Option of a socket: what a stalled network still owes the other side is dropped when this side has closed."""
+"""Option of a socket: closing it drops the bytes that have not been delivered yet, as on a stalled network."""
 
 
 class BridgeError(UserError):

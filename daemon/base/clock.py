@@ -9,9 +9,9 @@ from functools import lru_cache
 from typing import Protocol
 
 FIRST_UTC_S, END_UTC_S = 0.0, 7_258_118_400.0
-"""Instants of records and of the sun that make sense: from 1970, where a clock begins that was never set, to 2199."""
+"""Records and sun positions have times in this range: from 1970, where a clock that was never set begins, to 2199."""
 LEAST_SHOWN_UTC_S, MOST_SHOWN_UTC_S = -6e10, 2.5e11
-"""Instants that a calendar has: one beyond them could be kept and never be shown."""
+"""Kept times lie in this range, because a date and time can be shown for no other."""
 
 
 class Clock(Protocol):

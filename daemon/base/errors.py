@@ -10,21 +10,21 @@ class ExitCode(IntEnum):
     """What the program ends with. 1 is Python's own, for a defect."""
 
     GOOD = 0
-    """It was done; of a command: its effect was seen, whole or under way. Of a check: all is well."""
+    """All is well. After a command: telemetry has shown its effect, complete or under way."""
     MISTYPED = 2
-    """The command line, a file or a value is wrong: nothing was asked of the service, or it could not mean anything."""
+    """The command line, a file or a value is wrong: the service was not asked, or the request made no sense."""
     NOT_SEEN = 3
-    """The service took the command, and telemetry did not show its effect in time."""
+    """The service took the command, but telemetry did not show its effect in time."""
     ALARMS = 4
-    """Of a check: the service works, and something is the matter; of a test message: not everybody got it."""
+    """From a check: the service works, but something is amiss. From a test message: not everybody got it."""
     UNREACHABLE = 5
-    """Nothing answers there, or something that is not heliocube."""
+    """The service cannot be reached: nothing answers at its address, or something that is not heliocube."""
     REFUSED = 6
-    """The service answers, and does not do it: the token is not its own, or the tracker may not move like that now."""
+    """The service refuses: the token is not its own, or the tracker may not move like that now."""
     UNWRITTEN = 7
-    """Standard output takes no more, so nobody has read what came of it; what was asked may have been done."""
+    """The answer cannot be written to standard output, so nobody has read it; the command may have been carried out."""
     INTERRUPTED = 130
-    """Ctrl-C ended it; what was done by then is kept where the last line says so. The same as of any program."""
+    """Ctrl-C ended the program, which has this code for it as every program has; the last line says what is kept."""
 
 
 class UserError(Exception):

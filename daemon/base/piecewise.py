@@ -9,11 +9,11 @@ from typing import Any
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 READ_AT_ONCE = 1024
-"""Of what a connection has sent, at one turn of the loop [bytes]: the limit of a head holds only for what does not come
-at once, and hundreds of small parts of a body would be taken apart in one go."""
+"""Most bytes that are read from a connection in one turn of the loop. If more were read at once, a head longer than the
+limit would pass, and hundreds of small parts of a body would be taken apart in one go."""
 
 LONGEST_HEAD = 16 << 10
-"""Of a request [bytes]."""
+"""Most bytes of a request's head."""
 TOO_LONG = f"the head of this request is longer than {LONGEST_HEAD} bytes; a browser sends fewer without its cookies"
 # Room for what comes at once with a head that is too long: three times as much, and more.
 _MOST_UNREAD = 1 << 16

@@ -31,7 +31,7 @@ _ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
 TRACKER: ContextVar[str] = ContextVar("tracker", default="")
-"""Which of several trackers, or of several services, the present task works for: every line that it logs says so."""
+"""Which of several trackers, or of several services, the present task works for: every line that it logs names it."""
 
 
 def configure(stream: "SupportsWrite[str]", journal: bool, level: int = logging.INFO) -> None:

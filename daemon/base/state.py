@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("heliocube.state")
 
 ROOM_BYTES = 4096
-"""That a spare has from the beginning: a block of most file systems."""
+"""Size of a new spare: one block of most file systems."""
 # Bytes of a kept file: many times what any can grow to.
 _LONGEST = 8 << 20
 _CLOSE_WITHIN_S = 3.0

@@ -304,7 +304,7 @@ _ALL = (
 )
 
 KINDS: dict[str, AlarmKind] = {kind.name: kind for kind in _ALL}
-"""By name, the most severe first."""
+"""Every kind by its name, the most severe first."""
 
 
 def as_typed(text: str, tracker: str | None) -> str:
