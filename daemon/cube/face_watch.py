@@ -24,7 +24,7 @@ _BLOCK_S = 60.0
 # A cube that is read once a minute, and now and then a little early, fills a block with two readings.
 _LONGEST_BLOCK_S = 150.0
 BLOCKS = 5
-"""Minutes whose mean is judged: a passing shadow and the edge of a cloud are no faults."""
+"""The faces are judged by their means over so many minutes: a passing shadow or the edge of a cloud is no fault."""
 _NO_BLOCKS = np.empty((0, 3, len(FACES)))
 BAD_LOOKS = 3
 _GOOD_LOOKS = 10

@@ -22,7 +22,7 @@ _SHORTEST_LOOK_S = 0.5
 _AXES: tuple[AxisName, AxisName] = ("a", "b")
 _TURN_DEG = 360.0
 CLEAR = "nothing moves before a person has looked and said 'heliocube clear'"
-"""How what moved by itself, or does not stop, is told at its end."""
+"""The end of every sentence about an axis that moved by itself, or does not stop."""
 
 
 def jitter(expected: PositionerSettings) -> float:

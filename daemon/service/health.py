@@ -25,7 +25,7 @@ _MEASURE_EVERY_S = 0.1
 _WORST_OF_S = 60.0
 
 LATE_UP_TO_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1.0)
-"""Bounds of the counts of a `LoopState`; the last count has all."""
+"""Upper bounds of the counts of a `LoopState`, whose last count has no bound and includes all measurements."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ from daemon.tracker.wishes import PROGRAM, Wish, Wishes, WishFile
 log = logging.getLogger("heliocube.service")
 
 STARTED_NAME = "started.json"
-"""The file of the last start: it is written by every start."""
+"""Name of the file that tells of the last start; every start writes it."""
 
 
 class Started(BaseModel):

@@ -14,9 +14,10 @@ log = logging.getLogger("heliocube.control")
 FILE_NAME = "day.json"
 _ALARM = "day-budget"
 _FOR_THE_SUN = 0.25
-"""Of the travel: the sun's own day takes some 250 degrees, its afternoon half of that."""
+"""Share of the day's travel that is kept for following the sun by the clock, which takes some 250 degrees in a day and
+half of that in an afternoon."""
 _AT_ONCE = 0.1
-"""Of the moves: so many may be made before their time, because clouds do not come evenly over the day."""
+"""Share of the day's moves that may be made ahead of time, because clouds do not come evenly over the day."""
 _SEE = "see motion.moves_per_day and motion.travel_per_day_deg"
 
 

@@ -16,7 +16,7 @@ log = logging.getLogger("heliocube.control")
 
 FILE_NAME = "operator.json"
 PROGRAM = "heliocube"
-"""Who holds the tracker where no person does: the service itself, after a change of its release or of its name."""
+"""`by` of a hold that the service itself has set, after another release or another name of a tracker."""
 
 # Many programs give the time of a command in whole seconds.
 _WHOLE_SECONDS_S = 1.0
