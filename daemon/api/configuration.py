@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 KEY = "configuration"
-"""In a query: the configuration whose service is meant, a path once or more."""
+"""Key of a query that names the configuration whose service is meant, by one path or several."""
 
 _LONGEST_PATH = 200
 

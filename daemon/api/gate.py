@@ -17,7 +17,7 @@ from daemon.api.turns import CrowdedError, ReadTurns
 _LONGEST_READ = 16 << 20
 _PAUSE_S = 0.002
 GIVEN_UP = "heliocube.given-up"
-"""Among the extensions of a request whose sender has cut the connection off."""
+"""This key is among the extensions of a request if its sender has cut the connection off."""
 _BEARER = {"WWW-Authenticate": "Bearer"}
 
 

@@ -25,7 +25,7 @@ from daemon.base.reconnect import Outage
 _log = logging.getLogger("heliocube.bridge")
 
 Peer = tuple[Any, ...]
-"""Host, port, and for IPv6 two numbers more."""
+"""A socket's address: host and port, and for IPv6 two more numbers."""
 
 # At most this many datagrams, about a millisecond, are read before the event loop's other tasks have their turn.
 _BATCH = 64

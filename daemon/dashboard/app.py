@@ -27,7 +27,7 @@ from daemon.dashboard.upstream import Fleet, Upstream
 
 STATIC = Path(__file__).with_name("static")
 KEPT = "is_kept"
-"""In the state of a request's scope: its connection is not given up for a new one."""
+"""This name is True in the state of a request whose connection must not be closed in favour of a new one."""
 
 _NO_SERVICE = "what answers is not a service of heliocube: see dashboard.services"
 _NO_OBJECT = "the body is not a JSON object"

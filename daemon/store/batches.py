@@ -17,11 +17,11 @@ from daemon.store.store import Origin
 from daemon.store.tables import COLUMNS
 
 FORMAT = 1
-"""Of the message; a reader refuses another."""
+"""Version of the message's form; a reader refuses any other."""
 MOST_ROWS = 500
-"""Of one page: some 100 kB."""
+"""Most records of one page, some 100 kB."""
 MOST_NUMBER = 1 << 53
-"""No record has this number or a later one."""
+"""The numbers of records are smaller than this."""
 _MOST_ROWS_TAKEN = 5000
 _COLUMNS = dict(COLUMNS.values())
 _ORIGIN = {field.name: field.type for field in fields(Origin)}

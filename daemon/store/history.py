@@ -17,9 +17,9 @@ from daemon.base.errors import UserError
 from daemon.store.schema import columns_of, open_for_reading
 
 MOST_ROWS = 40_000
-"""Of numbers in one page: more than two days of scans."""
+"""Most rows of numbers in one page: more than two days of scans."""
 MOST_LINES = 2000
-"""Of words in one page."""
+"""Most rows of words in one page."""
 
 _DAY_S = 86400.0
 # Few enough that other threads do not wait long for the interpreter.

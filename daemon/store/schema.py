@@ -47,7 +47,7 @@ RUN_COLUMNS = (
     "tracker",
     "id",
 )
-"""Of the table `runs` after its number, in the order of `daemon.store.store.Origin`; an archive has the same order."""
+"""Columns of the table `runs` after its number, in the order of `daemon.store.store.Origin` and of an archive."""
 _DAYS = "CREATE TABLE days (day INTEGER PRIMARY KEY)"
 
 
