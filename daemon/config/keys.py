@@ -19,7 +19,7 @@ from daemon.config.sections import Sections
 
 _LONGEST_VALUE = 60
 Chosen = tuple[tuple[str, str], ...]
-"""Paths of sections that name a driver, and the names."""
+"""The path of each section that names a driver, and the driver's name."""
 
 _BARE_NAME = re.compile(r"[A-Za-z0-9_-]+")
 _UNITS = {

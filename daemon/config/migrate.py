@@ -18,7 +18,7 @@ from daemon.config.plugged import DRIVER, SECTIONS
 from daemon.config.trackers import NAME_FORM, NAME_IN_WORDS
 
 RENAMED = {f"{path}.{each.former}": DRIVER for path, each in SECTIONS.items() if each.former}
-"""Keys by their path that have another name in the same section now."""
+"""Former paths of keys, and the name that each key has in the same section now."""
 
 _HEADER = re.compile(r"\s*\[\[?\s*([^\]]+?)\s*\]")
 _KEY = re.compile(r"(\s*)([A-Za-z0-9_-]+)(\s*=.*)", re.DOTALL)

@@ -17,11 +17,11 @@ from drivers.settings import LoadSettings
 
 DEFAULT_LAW = "mu-prime"
 FALLBACK_LAW = "chronometric"
-"""Points by ephemeris alone: what is left while there are no good readings."""
+"""This law points by ephemeris alone, and so can do without good readings."""
 
 DRIVER = "driver"
 MULTIPLEXED = "multiplexed"
-"""The cube whose keys stand in sections of their own."""
+"""The cube's driver whose keys stand in sections of their own."""
 PYRANOMETERS = "modbus-pyranometers"
 LABJACK = "labjack"
 SCANNING_METER = "scanning-meter"
@@ -208,7 +208,7 @@ CUBE = Plugged(
 )
 
 SECTIONS = {each.path: each for each in (LAW, CUBE, POSITIONER, LOAD)}
-"""All of them, by their path."""
+"""All sections of this kind, by their path."""
 
 
 def law_names() -> tuple[str, ...]:
