@@ -42,7 +42,7 @@ _ALIVE = 8
 
 
 class Archived(BaseModel):
-    """How far the archive has each run, by its identifier: the last number that it has confirmed."""
+    """How far the archive has each run: by the run's identifier, the last number that the archive has confirmed."""
 
     model_config = ConfigDict(extra="forbid")
 

@@ -13,7 +13,7 @@ FILE_NAME = "told.json"
 
 
 class ToldAlarm(BaseModel):
-    """One alarm that was on, as `/api/state` has it."""
+    """One alarm that was on and has been told, as `/api/state` had it."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 
@@ -25,12 +25,12 @@ class ToldAlarm(BaseModel):
     acknowledged_at: str | None = None
 
     def as_shown(self) -> dict[str, Any]:
-        """Return it as an alarm that is on. It has no time, so that one that is still on is told once more."""
+        """Return it as an alarm that is on, but without its time: so an alarm that is still on is told once more."""
         return {**self.model_dump(), "state": "raised", "raised_at": ""}
 
 
 class ToldService(BaseModel):
-    """What was told of one service: that it does not answer, and the alarms that were on."""
+    """What people were told of one service: whether it did not answer, and which alarms were on."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -39,7 +39,7 @@ class ToldService(BaseModel):
 
 
 class ToldOfAll(BaseModel):
-    """The same of all services, by their address."""
+    """What people were told of all services, by the services' addresses."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 

@@ -63,7 +63,10 @@ class Active:
 
 
 class Travel(BaseModel):
-    """What both laws have moved on a solar day, counted from 1970: degrees, A and B added, and moves."""
+    """How far [deg, A and B added] and how often the law in the shadow and the active law moved on a solar day.
+
+    `day` is counted from 1970.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 

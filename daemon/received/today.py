@@ -31,7 +31,7 @@ _Energy = Field(default=0.0, ge=0.0, allow_inf_nan=False)
 
 
 class Insolation(BaseModel):
-    """Of a solar day, counted from 1970, as far as it is known.
+    """What planes have received on a solar day, over the time that is known; `day` is counted from 1970.
 
     Attributes
     ----------

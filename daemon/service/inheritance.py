@@ -32,7 +32,7 @@ STARTED_NAME = "started.json"
 
 
 class Started(BaseModel):
-    """The last start [s of UTC], of which version, and its number among all starts with this folder; 0: not known."""
+    """Time of the last start [s of UTC], its version, and its number among all starts with this folder (0: unknown)."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 

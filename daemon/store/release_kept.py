@@ -28,7 +28,7 @@ _FORGOTTEN = "that this release has been started"
 
 
 class ReleaseKept(BaseModel):
-    """The release of the last start, and how long it has run [s] since copies are kept for it."""
+    """The release that was started last, and how long it has run [s] since copies are kept for it."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 

@@ -22,7 +22,7 @@ _SEE = "see motion.moves_per_day and motion.travel_per_day_deg"
 
 
 class Used(BaseModel):
-    """What the laws have used of a solar day, counted from 1970: degrees, A and B added, and moves."""
+    """The travel [deg, A and B added] and the moves of the laws on a solar day; `day` is counted from 1970."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -31,7 +31,7 @@ class Used(BaseModel):
     moves: int = Field(default=0, ge=0)
 
     def plus(self, travelled_deg: float, moves: int) -> "Used":
-        """Return the count with these added."""
+        """Return a count with this travel and these moves added."""
         return Used(day=self.day, travelled_deg=self.travelled_deg + travelled_deg, moves=self.moves + moves)
 
 

@@ -26,7 +26,7 @@ _POLL_EVERY_S = 1.0
 
 
 class KeptSafety(BaseModel):
-    """Which sources stowed, with their reasons, and since when; the time is for people and releases nothing."""
+    """Which sources stowed the tracker, their reasons, and since when; that time is for people and ends no stow."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 

@@ -36,20 +36,20 @@ _DONE_TO_IT = {
 
 
 class Wish(BaseModel):
-    """One thing that was asked for.
+    """One wish of a person, or of the service itself.
 
     Attributes
     ----------
     why, by
-        The reason and the person, each one line; `by` is empty where nobody said.
+        The reason and the person, each one line; `by` is empty if no name was given.
     since_utc_s
-        When; None where that is not known.
+        When it was asked for first; None if that is not known.
     goto_deg
-        Where to, A and B [deg], of a hold that is a goto's; None of any other.
+        A and B [deg] of the position, if the hold comes from a goto; None for all other wishes.
     again_utc_s
-        When it was asked for last, of what was asked for again; None of any other.
+        When it was asked for last; None if it was asked for only once.
     also
-        Who else has asked for it since, or with which other reasons; None where nobody has.
+        Later requests for the same, by other persons or with other reasons; None if there are none.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -68,7 +68,7 @@ class Wish(BaseModel):
 
     @property
     def everybodys(self) -> tuple["Wish", ...]:
-        """What each person asked for, the first in front."""
+        """The wish and the later requests for the same, the first in front."""
         return (self, *(self.also or ()))
 
     def tells(self, why: str, by: str) -> bool:
@@ -113,7 +113,7 @@ Kept = Annotated[Wish | None, BeforeValidator(_from_text)]
 
 
 class Wishes(BaseModel):
-    """What is asked for; None where it is not. `buttons` is asked by pressing one at the unit."""
+    """The wishes in force, None for each that nobody has. `buttons`: a person has pressed a button at the unit."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 

@@ -18,7 +18,7 @@ _Utc = Annotated[float, Field(ge=LEAST_SHOWN_UTC_S, le=MOST_SHOWN_UTC_S)]
 
 
 class KeptAlarm(BaseModel):
-    """One alarm; times are UTC [s]."""
+    """One alarm in the file; its times are UTC [s]."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -51,7 +51,7 @@ class KeptAlarm(BaseModel):
 
 
 class KeptAlarms(BaseModel):
-    """Those of one tracker, or of the cube, by name."""
+    """The alarms of one tracker, or of the cube, by their names."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 

@@ -18,9 +18,9 @@ class SetupAnswers(BaseModel):
     Attributes
     ----------
     answers
-        What is settled.
+        The answers that are settled.
     offered
-        What was settled before a person went back: the next time it is what Enter takes.
+        Also the answers that were settled before a person went back: at these steps Enter takes them again.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
