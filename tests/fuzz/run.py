@@ -1,4 +1,4 @@
-"""Feed inputs to the parsers of outside bytes, guided by the coverage that they reach, and count them.
+"""Feed inputs to a parser of bytes from outside, and keep each input that makes it raise.
 
 Usage: ``python -m tests.fuzz.run NAME --inputs 1000000`` (names: ``--list``). With atheris (``pip install atheris``,
 which is not among the locked tools) libFuzzer chooses the inputs by the branches that they reach; without it they are
@@ -34,11 +34,13 @@ def main() -> None:
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("name", nargs="?", help="of a parser")
-    parser.add_argument("--list", action="store_true", help="name the parsers")
-    parser.add_argument("--inputs", type=int, default=100_000, help="how many")
-    parser.add_argument("--seed", type=int, default=1, help="of the choice")
-    parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()), help="folder for what it finds")
+    parser.add_argument("name", nargs="?", help="which parser")
+    parser.add_argument("--list", action="store_true", help="print the names of the parsers")
+    parser.add_argument("--inputs", type=int, default=100_000, help="how many inputs")
+    parser.add_argument("--seed", type=int, default=1, help="chooses the inputs: the same seed gives the same ones")
+    parser.add_argument(
+        "--keep", type=Path, default=Path(tempfile.gettempdir()), help="folder for inputs that make a parser raise"
+    )
     found = parser.parse_args()
     if not (found.list or found.name):
         parser.error("name a parser; --list names them")

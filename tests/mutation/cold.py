@@ -1,4 +1,4 @@
-"""Puts one change to its tests in a process that imports source and tests anew.
+"""Runs the tests of one change in a process that imports source and tests anew.
 
 That is needed for code that runs while a file is imported: limits, fields of settings, and functions that are only
 called then.

@@ -1,4 +1,4 @@
-"""Which tests a change is put to, and in which order."""
+"""Which tests are run for a change, and in which order."""
 
 import ast
 import functools

@@ -1,10 +1,10 @@
-"""Note which lines each test reaches, and how long it takes, so that a change is put to those tests, wherever they lie.
+"""Note which lines each test reaches and how long it takes, so that all tests that reach a change are run for it.
 
 Usage: ``python -m tests.mutation.reach reach.json tests/daemon``, then ``tests.mutation.run --reach reach.json``. New
 notes of a test replace its old ones; those of all others stay. Other arguments go to pytest.
 
-A tracer makes these tests three times as long (coverage 7.17, Python 3.11). Instead, in a copy of the tree, each block
-of our functions gets a statement that sets one byte: that costs next to nothing.
+With a tracer these tests take three times as long (coverage 7.17, Python 3.11). Instead, in a copy of the tree, each
+block of our functions gets a statement that sets one byte, which costs next to nothing.
 """
 
 import argparse
@@ -27,8 +27,8 @@ from tests.support import ROOT
 def main() -> None:
     """Run the named tests and note what they reach."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("kept", type=Path, metavar="FILE", help="where it is written, as JSON")
-    parser.add_argument("tests", nargs="+", help="files and folders of tests; what else is given goes to pytest")
+    parser.add_argument("kept", type=Path, metavar="FILE", help="file for the notes, as JSON")
+    parser.add_argument("tests", nargs="+", help="files and folders of tests; other arguments go to pytest")
     known, for_pytest = parser.parse_known_args()
     kept, asked = known.kept.absolute(), [*known.tests, *for_pytest]
     sources = {str(file.relative_to(ROOT)): digest(file) for folder in OURS for file in (ROOT / folder).rglob("*.py")}

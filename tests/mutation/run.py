@@ -1,12 +1,12 @@
-"""Tell which share of small wrong changes of the source some test notices, by a sample, and name those that none does.
+"""Make a sample of small wrong changes of the source, print which share the tests notice, and name the unnoticed ones.
 
 Usage: ``python -m tests.mutation.run --sample 250 --seed 7`` (``--help`` for the rest). Everything happens in a copy of
-the tree. Each change is put to the tests that lie nearest: those of its module, those that import it, those of its
-folder, in this order, until one is red or `--limit` seconds of processor time are over. With `--reach`, which knows the
-lines that each test reaches (tests.mutation.reach), it is put to all that reach its line, those of its module first,
-the quickest first; without, what tests further away would notice is not asked, so the share is rather too low. What is
-left alive is printed with what was changed. A change that no test can notice is listed in equivalent.toml with the
-reason and is not counted. Ctrl-C ends it early and tells the share of what has been tried.
+the tree. For each change the nearest tests are run: those of its module, those that import the module, those of its
+folder, in this order, until one fails or `--limit` seconds of processor time are over. With `--reach`, which names the
+notes of tests.mutation.reach, all tests that reach the changed line are run, those of its module first, the quickest
+first. Without it the share is rather too low, because tests further away might notice a change. A change that no test
+notices is *alive*, and is printed. A change that no test can notice is listed in equivalent.toml with the reason, and
+is not counted. After Ctrl-C the script prints the share for the changes that it has tried.
 """
 
 import argparse
@@ -100,15 +100,17 @@ def _tried(
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("paths", nargs="*", default=PARTS, help="files and folders to change (the parts that count)")
-    parser.add_argument("--sample", type=int, default=250, help="how many changes")
-    parser.add_argument("--seed", type=int, default=1, help="of the choice")
-    parser.add_argument("--jobs", type=int, default=1, help="how many at a time")
-    parser.add_argument("--limit", type=float, default=120.0, help="processor seconds of tests for one change")
-    parser.add_argument("--reach", type=Path, help="what tests.mutation.reach has noted")
-    parser.add_argument("--only", help="of the sample, what begins with this path")
-    parser.add_argument("--verbose", action="store_true", help="print what was caught, too")
-    parser.add_argument("--list", action="store_true", help="print all changes, and try none")
+    parser.add_argument(
+        "paths", nargs="*", default=PARTS, help="files and folders to change (default: where a slip costs most)"
+    )
+    parser.add_argument("--sample", type=int, default=250, help="how many changes to try")
+    parser.add_argument("--seed", type=int, default=1, help="chooses the sample: the same seed gives the same one")
+    parser.add_argument("--jobs", type=int, default=1, help="how many changes to try at a time")
+    parser.add_argument("--limit", type=float, default=120.0, help="processor time for the tests of one change [s]")
+    parser.add_argument("--reach", type=Path, help="file that tests.mutation.reach has written")
+    parser.add_argument("--only", help="of the sample, try only changes of files whose path begins so")
+    parser.add_argument("--verbose", action="store_true", help="also print the changes that were noticed")
+    parser.add_argument("--list", action="store_true", help="print all possible changes, and try none")
     return parser.parse_args()
 
 

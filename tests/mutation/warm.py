@@ -1,4 +1,4 @@
-"""Puts changes of functions to their tests in copies of one process that has imported source and tests already.
+"""Runs the tests of changed functions in copies of one process that has imported source and tests already.
 
 A change replaces the code of the existing functions. Nothing is imported again, and a copy begins in some milliseconds;
 a process that imports anew takes seconds (tests.mutation.cold).
