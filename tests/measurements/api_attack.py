@@ -3,10 +3,11 @@
 Usage: python tests/measurements/api_attack.py [--clients N] [--idle N] [--stops N] [--processes N] [--only KIND ...]
        [--fill SECONDS] [--seed N]
 
-Starts `heliocube run` on the simulated rig, lets it fill its memory with scans, and attacks it from other processes
-over loopback: one kind of attack after the other, each beside N clients that ask for all pages, each page as soon as
-the last has come, and beside N connections that send nothing or half of a request. Meanwhile stops are given, as POSTs
-and as `heliocube stop` from a shell. A stop is answered when telemetry has shown the axes standing.
+The script starts `heliocube run` on the simulated rig, lets the service fill its memory with scans, and attacks it
+from other processes over loopback, by one kind of attack after the other. During each of them, N clients (--clients)
+fetch all pages one after the other without a pause, and N connections (--idle) send nothing or half of a request.
+Meanwhile stops are given, as POSTs and as `heliocube stop` from a shell. A stop is answered when telemetry has shown
+the axes standing.
 """
 
 import argparse
@@ -325,7 +326,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--clients", type=int, default=40)
     parser.add_argument("--idle", type=int, default=64)
-    parser.add_argument("--processes", type=int, default=1, help="that attack, each with so many clients")
+    parser.add_argument("--processes", type=int, default=1, help="attacking processes, each with that many clients")
     parser.add_argument("--stops", type=int, default=20)
     parser.add_argument("--fill", type=float, default=180.0, help="seconds at 60 times real speed before the attack")
     parser.add_argument("--seed", type=int, default=random.randrange(2**32))

@@ -1,16 +1,16 @@
-"""What an archive takes: rows a second, bytes a row, and every record once whoever is killed.
+"""How many rows a second an archive takes, of how many bytes, and whether it has each record once after kills.
 
     python -m tests.measurements.archive rate [--rounds 20]
     python -m tests.measurements.archive kill --trackers 50 --minutes 10
     python -m tests.measurements.archive hour --trackers 50
 
 `rate` writes pages of 1,000 installations, as they come from a broker, into a PostgreSQL of its own at full speed, and
-then one day of it to Parquet. From the bytes of a row and one tracker's rows a day it computes the sizes of plants.
-`kill` runs a broker, a PostgreSQL, two `heliocube archive`, and a store with its feed for each of the trackers, at a
+then one day of them to Parquet. From the bytes of a row and one tracker's rows a day it computes the sizes of plants.
+`kill` runs a broker, a PostgreSQL, two processes `heliocube archive`, and a store with its feed for each tracker, at a
 fixed pace (a scan each 5 s, a pose each 10 s, a decision each 5 min, one event a minute). It kills broker and database
 with SIGKILL twice each and one of the archive's processes once, and then counts the records. `hour` runs the same
-processes and imitates an hour without a database: while it is away, the stores take in an hour's records within half a
-minute.
+processes and imitates an hour without a database: while the database is down, the stores take in an hour's records
+within half a minute.
 """
 
 import argparse
@@ -291,7 +291,7 @@ def main():
     parser.add_argument("what", choices=("rate", "kill", "hour"))
     parser.add_argument("--trackers", type=int, default=50)
     parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--rounds", type=int, default=20, help="of 50,000 rows")
+    parser.add_argument("--rounds", type=int, default=20, help="how many times 50,000 rows are written")
     asked = parser.parse_args()
     if asked.what == "rate":
         rate(asked.rounds)

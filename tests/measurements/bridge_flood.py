@@ -2,12 +2,11 @@
 
 Usage: ``python tests/measurements/bridge_flood.py [--rate 10000] [--seconds 20] [--repeats 3]``
 
-A tracker as a process of its own, bound to one core, hears a cube that sends 20 signed scans a second. Meanwhile
-somebody sends RATE datagrams a second: forged ones (a right header, another key), replayed ones (500 recorded scans of
-this and of earlier sessions), noise and oversized ones. The first three rows are a flood from a socket of its own. The
-last one comes from the cube's own address and port, as from one who can forge addresses: there the kernel cannot keep
-them apart.
-Everything stays on loopback.
+A tracker as a process of its own, bound to one core, hears a cube that sends 20 signed scans a second. Meanwhile an
+attacker sends RATE datagrams a second: forged ones (a right header, another key), replayed ones (500 recorded scans of
+this and of earlier sessions), noise and oversized ones. In the first three rows they come from a socket of the
+attacker. In the last row they come from the cube's own address and port, as from an attacker who can forge addresses:
+there the kernel cannot tell the attacker from the cube. Everything stays on loopback.
 """
 
 import argparse
@@ -150,8 +149,8 @@ def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rate", type=int, default=10_000, help="hostile datagrams a second")
-    parser.add_argument("--seconds", type=float, default=20.0, help="of each flood")
-    parser.add_argument("--repeats", type=int, default=3, help="of each row")
+    parser.add_argument("--seconds", type=float, default=20.0, help="how long each flood lasts")
+    parser.add_argument("--repeats", type=int, default=3, help="how many floods a row is made of")
     arguments = parser.parse_args()
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, set(cores[1:] or cores))

@@ -1,11 +1,12 @@
-"""How well calibration in place finds the level of the gains in 30 days: docs/calibration.md, A tie for the level.
+"""How well calibration in place finds the level of the gains in 30 days: docs/calibration.md, "A tie for the level".
 
     python -m tests.measurements.calibration_level FOLDER [PROCESSES]
 
 FOLDER holds the measured weather of a year (2016-03.csv.gz to 2016-09.csv.gz, or another year's). A cube of known flaws
 stands under a sky: the one that calibration assumes (perez1990), or a foreign one, which is the radiance of the
 all-weather model (perez1993) or CIE skies with drifting clouds (cie). Each reference is off by half of its own
-uncertainty, upwards and downwards in turn. Takes a quarter of an hour on two cores; gives the same numbers every time.
+uncertainty, upwards and downwards in turn. The run takes a quarter of an hour on two cores, and always gives the same
+numbers.
 """
 
 import multiprocessing

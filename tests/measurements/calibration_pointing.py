@@ -2,7 +2,7 @@
 
     python tests/measurements/calibration_pointing.py FOLDER
 
-FOLDER holds the measured weather (2016-MM.csv.gz). Takes some minutes; gives the same numbers every time.
+FOLDER holds the measured weather (2016-MM.csv.gz). The run takes some minutes, and always gives the same numbers.
 """
 
 import sys

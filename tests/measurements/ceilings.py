@@ -1,17 +1,18 @@
-"""How much of the bound anything could take: ceilings of pointing on minute data, and what a lateral term is worth.
+"""How near to the bound any pointing by minute data could come, and what a lateral term of the light is worth.
 
     python -m tests.measurements.ceilings LAT,LON,ALT WEATHER... [--sky SKY] [--prices 1,2,4] [--without-trees]
 
-Prints the share of the gain of the bound over ideal chronometric, and the travel, for:
+The script prints which share of the bound's gain over ideal chronometric each of these has, and its travel:
 
-- the light of the same minute as the faces show it, with moves at once and at the drive's speed, and with a lateral
-  term of the diffuse light that uses the fourth face;
-- the light of the minute before;
-- boosted trees on the history of the faces, fitted on every second day and judged on the others, which expect the next
-  minute or the mean of five, with moves at once and with the prices of `optimal`, beside `optimal` on the same days;
-- a plan that knows the day beforehand and pays for each degree.
+- pointing by the light of the same minute, as the faces show it: with moves at once and at the drive's speed, and with
+  a lateral term of the diffuse light that uses the fourth face;
+- pointing by the light of the minute before;
+- pointing by boosted trees that predict the next minute, or the mean of the next five, from the history of the faces.
+  They are fitted on every second day and judged on the others, with moves at once and with the prices of `optimal`,
+  beside `optimal` on the same days;
+- a plan that knows the light of the day beforehand and pays for each degree.
 
-The trees need scikit-learn, which the project does without: `pip install scikit-learn`, or leave them out.
+The trees need scikit-learn, which the project itself does not use: `pip install scikit-learn`, or leave them out.
 """
 
 import argparse

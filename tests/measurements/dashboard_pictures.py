@@ -1,9 +1,9 @@
-"""Takes the pictures of the dashboard that docs/dashboard.md shows, and those of other states to look at.
+"""Takes the pictures of the dashboard that docs/dashboard.md shows, and pictures of other states to look at.
 
     python -m tests.measurements.dashboard_pictures [DIR]
 
-Each view on phone, tablet and desktop, light and dark, of ten simulated trackers; then a stop, and a service that does
-not answer. Pictures for the docs are written to docs/dashboard.
+The pictures show ten simulated trackers, each view on phone, tablet and desktop, light and dark; then a stop, and a
+service that does not answer. Pictures for the docs are written to docs/dashboard.
 """
 
 import sys

@@ -1,11 +1,11 @@
-"""Whether the service's memory stays flat and its store as large as documented, over weeks without a restart.
+"""Whether memory stays flat and the store grows no larger than documented, over weeks without a restart.
 
 Usage: python tests/measurements/endurance.py [--days N]
 
 One service in one process on simulated instruments under virtual time, with its store on disk. Every ten minutes the
 pages of the local interface are fetched; a client listens to its events; an operator gives each command once a day.
-Prints for every midnight the resident memory after a collection and the store's size, and at the end how much memory
-has grown since the end of day 2.
+At every midnight the script prints the resident memory after a garbage collection and the store's size, and at the end
+how much the memory has grown since the end of day 2.
 """
 
 import argparse

@@ -2,8 +2,8 @@
 
 Usage: python tests/measurements/face_faults.py FOLDER [DAY OF THE MONTH...]
 
-FOLDER holds the months of a year at Lyngby. The days named are taken of January, April, July and October; by default 5,
-12, 19 and 26. A fault is there from dawn. The watch itself judges, minute by minute.
+FOLDER holds the months of a year at Lyngby. The days of the month are taken from January, April, July and October; by
+default they are 5, 12, 19 and 26. A fault is there from dawn. The service's own watch judges, minute by minute.
 """
 
 import logging

@@ -3,17 +3,18 @@
 Usage: python tests/measurements/face_weeks.py FOLDER [--law LAW ...] [--month M ...] [--kind KIND ...] [--scan SECONDS]
 [--day DAY] [--still HOUR] [--soiled SHARE] [--sky SKY ...] [--site LAT,LON,ALT] [--quick]
 
-FOLDER holds the months of a year at Lyngby, or at --site; `clear`, `overcast`, `variable` and `broken` are the weather
-that the simulator makes of 2023. Seven days of each month, from the 8th on or from --day, are replayed through the
-service's own code under Perez' sky, or those of --sky, with a real sensor's noise. A fault is there from the first
-midnight, but `frozen` and `held` begin at noon (UTC) of the first day, or at the hour of --still. `held` stands still
-but for its noise, `stuck` does so at 300 W/m2; `shaded` has no beam while the sun is within 30 deg of the direction of
-the face; `soiled` keeps 80 % of its light, or the share of --soiled; `loose` reads 0 or 1350 W/m2 in a tenth of the
-minutes, at random, as a loose contact does. --kind without a kind is the healthy week alone.
+FOLDER holds the months of a year at Lyngby, or at --site. In its place, `clear`, `overcast`, `variable` or `broken`
+asks for weather that the simulator makes for 2023. Seven days of each month, from the 8th on or from --day, are
+replayed through the service's own code under Perez' sky, or the skies of --sky, with a real sensor's noise. A fault is
+there from the first midnight, but `frozen` and `held` begin at noon (UTC) of the first day, or at the hour of --still.
+A `held` face keeps its reading but for its noise, and a `stuck` one reads 300 W/m2 with its noise. A `shaded` face has
+no beam while the sun is within 30 deg of the face's direction. A `soiled` face keeps 80 % of its light, or the share of
+--soiled. A `loose` face reads 0 or 1350 W/m2 in a tenth of the minutes, at random, as with a loose contact. --kind
+without a kind runs only the healthy week.
 
---quick runs the watch alone and drives `optimal` as `heliocube energy` does: it takes a third of the time, and its
-shares are within some three points. By default June and December of `optimal` are run; --month 4 6 10 12 --law optimal
-mu-prime runs everything, in 20 minutes.
+--quick runs the watch alone and drives `optimal` as `heliocube energy` does. It takes a third of the time, and its
+shares differ by some three points at most. By default June and December are run with `optimal`; --month 4 6 10 12 --law
+optimal mu-prime runs everything, in 20 minutes.
 """
 
 import argparse

@@ -4,7 +4,7 @@
 
 With `odd`, the sequences are bytes that nobody who knows the unit would send.
 
-Needs qemu-arm and the firmware's build beside the repository. About half a second a sequence.
+The script needs qemu-arm, and the firmware's build beside the repository. A sequence takes about half a second.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""What many trackers in one process cost: processor, memory, lateness of decisions and of the loop, stop of all.
+"""What many trackers in one process cost: processor time, memory, late decisions, a late loop, the time of a stop.
 
 Usage: python tests/measurements/fleet.py [--seconds S] [--trackers N ...] [--law LAW ...] [--virtual] [--profile]
 
@@ -6,10 +6,10 @@ Each line is measured in a process of its own, on a morning of broken clouds, in
 simulated positioners on in-memory lines, the bridge over UDP on loopback, every interval as in the configuration, and a
 scrape of /metrics every 15 s as Prometheus does it. The figures are taken after the start, which has its own column. A
 decision's lateness runs from when it was due, or from the scan that it waited for, until its order has been given. At
-the end all trackers are stowed by one command and, under way, stopped by another. Their time runs from the command to
-the packet on the wire of the last tracker.
+the end one command stows all trackers, and another stops them while they move. The time of each runs from the command
+to the packet on the wire of the last tracker.
 
-In virtual time every figure is the CPU time computed meanwhile, including that of the thread that writes /metrics.
+In virtual time every figure is CPU time, including that of the thread that writes /metrics.
 """
 
 import argparse

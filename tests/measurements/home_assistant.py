@@ -1,11 +1,11 @@
-"""Home Assistant itself on the service's broker: every entity has to appear and to show a value, every button to work.
+"""Check with Home Assistant itself, on the service's broker, that each entity shows a value and each button works.
 
 Usage: python -m tests.measurements.home_assistant PYTHON [VERSION] [--with REQUIREMENT] [--keep-open]
 
-Home Assistant is installed for the interpreter PYTHON in a temporary folder; which Python it needs depends on the
-version (2024.11: 3.12, with "josepy<2", which it does not ask for itself; 2025.1: 3.13). It is set up as a person does
-it, with a user and the broker's address. Beside it run mosquitto and a service on the simulated rig at real speed; all
-of them answer on loopback alone. --keep-open waits at the end, so that the pages can be looked at.
+Home Assistant is installed for the interpreter PYTHON in a temporary folder. Which Python it needs depends on its
+version: 2024.11 needs 3.12 and "josepy<2", which it does not ask for itself; 2025.1 needs 3.13. The script sets it up
+as a person does, with a user and the broker's address. Beside it run mosquitto and a service on the simulated rig at
+real speed; all of them answer on loopback only. --keep-open waits at the end, so that the pages can be looked at.
 """
 
 import argparse
@@ -173,11 +173,13 @@ def main() -> None:
     """Install, start, look, command, and kill the service."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n", maxsplit=1)[0])
     parser.add_argument("python", metavar="PYTHON", help="interpreter for Home Assistant")
-    parser.add_argument("version", metavar="VERSION", nargs="?", default=VERSION, help=f"of Home Assistant [{VERSION}]")
     parser.add_argument(
-        "--with", metavar="REQUIREMENT", dest="others", action="append", default=[], help="also install"
+        "version", metavar="VERSION", nargs="?", default=VERSION, help=f"version of Home Assistant [{VERSION}]"
     )
-    parser.add_argument("--keep-open", action="store_true", help="wait at the end")
+    parser.add_argument(
+        "--with", metavar="REQUIREMENT", dest="others", action="append", default=[], help="install this too"
+    )
+    parser.add_argument("--keep-open", action="store_true", help="wait at the end, so that the pages can be looked at")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as place, contextlib.ExitStack() as stack:
         folder = Path(place)

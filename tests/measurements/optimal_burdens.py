@@ -1,11 +1,11 @@
-"""What the law `optimal` keeps of the bound's gain when something is wrong: faces, noise, gains, the ground, a budget.
+"""How much of the bound's gain `optimal` keeps if faces, noise, gains, the ground or a budget are against it.
 
-Last come the paper's laws with one face missing or dead.
+The last lines are the paper's laws with one face missing or dead.
 
 Usage: python tests/measurements/optimal_burdens.py LAT,LON,ALT WEATHER... [--sky SKY] [--scan SECONDS]
 
-The weather is by the minute, the tracker at 0.9 deg/s, as in `heliocube energy`; --scan 10 interpolates the weather for
-readings every 10 s. The worst day is over ideal chronometric. Three minutes for a year.
+The weather has a value a minute, and the tracker turns at 0.9 deg/s, as in `heliocube energy`; --scan 10 interpolates
+the weather for readings every 10 s. The worst day is told against ideal chronometric. A year takes three minutes.
 """
 
 import argparse

@@ -1,9 +1,9 @@
-"""What rows of trackers take from each other in a year, and what turning back gives: on measured weather, by a model.
+"""What rows of trackers take from each other in a year, and what turning back gains: a model on measured weather.
 
 Usage: python tests/measurements/rows.py FOLDER [--columns 5] [--rows 2] [--pitch 2.5] [--every 4] [--laws optimal ...]
        [--shade-costs area thirds all]
 
-FOLDER holds the months of weather at Lyngby; of their days every so many-th is driven, in steps of five minutes.
+FOLDER holds the months of weather at Lyngby. Only every fourth day (--every 4) is driven, in steps of five minutes.
 """
 
 import argparse
@@ -52,8 +52,8 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--columns", type=int, default=5)
     parser.add_argument("--rows", type=int, default=2)
-    parser.add_argument("--pitch", type=float, default=2.5, help="of the trackers, in widths of the module")
-    parser.add_argument("--every", type=int, default=4, help="of the days, which are driven")
+    parser.add_argument("--pitch", type=float, default=2.5, help="distance between trackers, in widths of the module")
+    parser.add_argument("--every", type=int, default=4, help="drive only every so many-th day")
     parser.add_argument("--laws", nargs="+", choices=LAWS, default=list(LAWS))
     parser.add_argument("--shade-costs", nargs="+", choices=COSTS, default=list(COSTS))
     asked = parser.parse_args()

@@ -1,4 +1,4 @@
-"""How late a byte comes through a pseudo-terminal, by the shares of the processors of what else runs.
+"""How late a byte comes through a pseudo-terminal while other processes have several shares of the processors.
 
     python -m tests.measurements.shares [--seconds 15]
 
@@ -58,7 +58,7 @@ def measured(seconds):
 def main():
     """Measure and print one line for each pair of shares."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=15.0, help="for each pair of shares")
+    parser.add_argument("--seconds", type=float, default=15.0, help="how long each pair of shares is measured")
     seconds = parser.parse_args().seconds
     print(f"{os.cpu_count()} processors, {os.uname().release}")
     for session in (0, SMALL_SHARE):

@@ -2,9 +2,9 @@
 
 Usage: python tests/measurements/slow_disk.py [--runs N] [--fsync-s S]
 
-A service on the simulated rig at real speed keeps its state in a folder. In each run it is sent somewhere, and stopped
-over HTTP in mid-move, right after a hold, whose writing the stop might have to wait for. The time ends with the stop's
-answer, which comes when telemetry shows both axes standing.
+A service on the simulated rig at real speed keeps its state in a folder. In each run the tracker is sent somewhere and
+stopped over HTTP in mid-move, right after a hold: the stop might have to wait until the hold is written. The time ends
+with the stop's answer, which comes when telemetry shows both axes standing.
 """
 
 import argparse

@@ -4,8 +4,8 @@ Usage: python tests/measurements/stop_latency.py [--runs N] [--load N] [--firmwa
 
 In each run the tracker is sent far away and stopped in mid-move: first in all runs by a POST to the service, then in
 all runs by `heliocube stop` from a shell. The time runs from just before the command's start until the true pose no
-longer changes. --load keeps so many processes busy meanwhile; --firmware uses the maker's firmware, whose server is in
-DIR, in place of the bench.
+longer changes. Meanwhile --load keeps that many processes busy. --firmware uses the maker's firmware, whose server is
+in DIR, in place of the bench.
 """
 
 import argparse
@@ -87,8 +87,8 @@ def measure(unit, tracker, runs):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=10)
-    parser.add_argument("--load", type=int, default=0, help="busy processes beside it")
-    parser.add_argument("--firmware", type=Path, help="directory of the firmware's server")
+    parser.add_argument("--load", type=int, default=0, help="other processes that keep the processors busy")
+    parser.add_argument("--firmware", type=Path, help="directory of the firmware's server, in place of the bench")
     chosen = parser.parse_args()
     # These processes end by themselves even if this one dies.
     script = BUSY.format(seconds=60 + 25 * chosen.runs)

@@ -1,4 +1,4 @@
-"""What wrong and missing readings cost: replays of measured days, energy at the poses against chronometric and bound.
+"""What energy wrong and missing readings cost, by replays of measured days, against chronometric and the bound.
 
 Usage: python tests/measurements/wrong_readings.py LAT,LON,ALT WEATHER... [--law LAW] [--every DAYS] [--from DAY]
        [--days N] [--scan SECONDS] [--sky SKY] [--seed SEED] [--case CASE ...]
