@@ -19,10 +19,10 @@ test test-quick: export OPENBLAS_NUM_THREADS = 1
 help:
 	@echo "make run   [ARGS='--speed 1']   the service on the simulated rig with its dashboard, 60 times real speed, until Ctrl-C"
 	@echo "make test  [ARGS='-k bridge']   the whole test suite"
-	@echo "make test-quick                 in a minute: one part at a time, without a rig and without real processes"
-	@echo "make mutations [ARGS='solar']   which share of small wrong changes the tests notice: before a release, on an idle machine"
+	@echo "make test-quick                 the fast tests, in about a minute: none with a simulated rig or real processes"
+	@echo "make mutations [ARGS='solar']   which share of small mistakes, put into a copy of the source, the tests notice: before a release, on an idle machine"
 	@echo "make lint                       ruff, ruff format --check, mypy (for Linux and for Windows), import-linter"
-	@echo "make docs                       the documentation as a site, in site/html; a link that leads nowhere ends it"
+	@echo "make docs                       the documentation as a site, in site/html; fails if a link leads nowhere"
 	@echo "make deb                        the Debian package of this checkout, in dist/"
 	@echo "make format                     ruff's fixes and formatting"
 	@echo "make clean                      remove the virtual environment and caches"

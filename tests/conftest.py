@@ -80,7 +80,7 @@ def pytest_addoption(parser):
         default="with",
         help="tests that pass real time: with the others (default), only those, or all others",
     )
-    parser.addoption("--quick", action="store_true", help="only tests of one part, without a rig, live or slow ones")
+    parser.addoption("--quick", action="store_true", help="only fast tests: not the live and slow ones, nor whole rigs")
 
 
 def pytest_ignore_collect(collection_path, config):
