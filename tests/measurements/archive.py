@@ -1,4 +1,4 @@
-"""How many rows a second an archive takes, of how many bytes, and whether it has each record once after kills.
+"""How many rows a second an archive takes, how many bytes a row needs, and whether kills lose or double records.
 
     python -m tests.measurements.archive rate [--rounds 20]
     python -m tests.measurements.archive kill --trackers 50 --minutes 10
