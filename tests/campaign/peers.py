@@ -35,7 +35,7 @@ directory = "{folder}/records"
 [safety]
 fallback_after_s = 5.0
 """
-"""There is no cube. The tracker follows the sun as soon as it knows that."""
+"""No cube sends scans: the tracker follows the sun by the clock as soon as `fallback_after_s` has passed."""
 REAL = """
 [instruments]
 kind = "real"

@@ -331,7 +331,7 @@ PARSERS = {
     "mqtt-inputs": Parser(_inputs, (b"safe", *_JSON)),
     "mqtt-credentials": Parser(lambda: _file(load_user, "credentials"), (b":", b"\n")),
 }
-"""All of them, by name."""
+"""All parsers, by name."""
 
 
 def corpus(name: str) -> Iterator[bytes]:

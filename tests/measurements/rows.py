@@ -32,14 +32,14 @@ LIMITS = Limits()
 AT_ONCE = 1000
 LAWS = {"chronometric": chronometric, "mu-prime": mu_prime, "optimal": optimal_live}
 COSTS = {"area": 0, "thirds": 3, "all": 1}
-"""The groups of cells that shade takes as a whole; with none it takes its own area."""
+"""How many groups of cells a module has. Shade takes whole groups; without groups it takes its own area."""
 EVENING_UTC_S = 1474646400.0
 """2016-09-23 16:00, the sun 9 deg above the west."""
 DECISIONS = 60
 
 
 class Field(NamedTuple):
-    """A field to drive in: the group always turning back, the group doing so if it pays, and what shade takes."""
+    """A field of trackers. `always` turns back whenever there is shade, `group` only if it pays; `taken`: W/m2 lost."""
 
     always: TrackerGroup
     group: TrackerGroup
