@@ -5,7 +5,7 @@ from collections import deque
 from enum import Enum
 
 REMIND_AFTER_S = (600.0, 3600.0, 21600.0)
-"""When reminders follow the first report: 10 min, 1 h and 6 h later, then every 6 h. That is at most 9 in a day."""
+"""When reminders follow the first report: 10 min, 1 h and 6 h later, then every 6 h; at most 6 come in a day."""
 _HOUR_S, _WINDOW_S = 3600.0, 43200.0
 # More than a device can be lost within an hour.
 _MOST = 10_000
