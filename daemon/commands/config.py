@@ -41,7 +41,8 @@ def check(
     role: Annotated[
         RoleChoice | None,
         typer.Option(
-            help="What the process will do. If left out: the role of the unit that starts this file, or any possible."
+            help="What the process will do. If left out: the role of the unit that starts this file, or else any role"
+            " that the file allows."
         ),
     ] = None,
     probe: Annotated[

@@ -134,8 +134,8 @@ def absent_addresses(settings: "Settings") -> list[str]:
         if part.enabled
     }
     return [
-        f"{key}: {parse_address(text).host} is not an address of this machine now; a service waits for it, and"
-        " nothing comes in there until it is"
+        f"{key}: {parse_address(text).host} is not an address of this machine now; until it is, a service"
+        " waits for it and receives nothing there"
         for key, text in named.items()
         if not is_here(parse_address(text))
     ]

@@ -372,8 +372,9 @@ def main() -> None:
     except OSError as error:
         if _NO_CACHE in str(error):
             say(
-                "heliocube: what draws the pictures needs a folder of its own, and finds neither in the user's home nor"
-                f" among the temporary files room for one: free space there, or set {_NO_CACHE} to a folder",
+                "heliocube: matplotlib, which draws the pictures, needs a folder of its own, and there is no room for"
+                " one in the user's home or among the temporary files: free space there, or set"
+                f" {_NO_CACHE} to a folder",
                 err=True,
             )
             sys.exit(ExitCode.MISTYPED)

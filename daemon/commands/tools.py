@@ -69,8 +69,8 @@ def send_csv(
     bridge = override(settings, {"bridge": changes}).bridge
     if bridge.key_file is None and not bridge.insecure:
         raise UserError(
-            "bridge send-csv signs what it sends: name its key with --key FILE or --config FILE, or send without, in a"
-            " closed lab only, by --insecure"
+            "bridge send-csv signs its datagrams: name the key with --key FILE or --config FILE, or, in a closed lab"
+            " only, send them unsigned with --insecure"
         )
     secret = load_key(bridge.key_file) if bridge.key_file is not None else None
     with progress_bar(Console(stderr=True), "sending") as progress:

@@ -103,17 +103,18 @@ def fill(
     read = counted(found.read, "record was", "records were")
     typer.echo(f"{store}: {read} read; {found.added} of them are new in {address}, as {name}")
     if found.aside:
-        warn(f"{counted(found.aside, 'record')} not taken by the database, and set aside: {_HOW_TO_RETRY}")
+        refused = counted(found.aside, "record was", "records were")
+        warn(f"{refused} not taken by the database, and set aside: {_HOW_TO_RETRY}")
     if found.damaged:
         warn(f"{counted(found.damaged, 'record is', 'records are')} damaged in {store} and left out")
     if found.unsound:
         runs = ", ".join(map(str, found.unsound))
-        warn(f"what {store} knows of run {runs} is damaged: its records are left out")
+        warn(f"the entry of run {runs} in {store} is damaged: the run's records are left out")
 
 
 @app.command()
 def retry(config: ConfigOption = None, to: ToOption = None, as_json: JsonOption = False) -> None:
-    """Write the records that were set aside because the database did not take them; those that it takes now."""
+    """Try again to write the records that were set aside because the database did not take them."""
     from daemon.archive.aside import retry as write_again
 
     address = database(config, to)
@@ -191,7 +192,7 @@ def database(config: Path | None, named: str | None) -> "ArchiveAddress":
     settings = beside(config, one_section(config, read_tables(config), "archive", ArchiveSettings))
     url = named or settings.database
     if url is None:
-        raise UserError("no database is named: set archive.database in the file of --config, or name it on the line")
+        raise UserError("no database is named: set archive.database in the file of --config, or name it with --to")
     address = parse_archive(url)
     return (
         address if settings.password_file is None else replace(address, password=load_password(settings.password_file))

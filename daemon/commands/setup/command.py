@@ -74,14 +74,14 @@ def setup(
         _finish(dialogue, screen, file)
     except (KeyboardInterrupt, EOFError):
         screen.say("")
-        screen.say(f"Left. What was answered is in {place}; go on with: heliocube setup {file}")
+        screen.say(f"Left. Your answers are in {place}; go on with: heliocube setup {file}")
         raise typer.Exit(LEFT) from None
     place.unlink(missing_ok=True)
 
 
 def _greet(screen: "SetupScreen", file: Path, place: Path, answered: int) -> None:
     screen.say(f"Setting up {file}.", "bold")
-    screen.say("Enter takes what stands in brackets, 'back' takes the latest answer back, Ctrl-C leaves.")
+    screen.say("Enter takes the answer in brackets, 'back' takes the latest answer back, Ctrl-C leaves.")
     if answered:
         screen.say(f"{counted(answered, 'answer is', 'answers are')} there from before, in {place}.")
 
@@ -171,7 +171,7 @@ def _move(dialogue: "SetupDialogue", say: Callable[[str], object]) -> float | st
     with stop_keys() as keys:
         if keys is None:
             raise UserError(
-                "nothing is moved without a terminal, because a key is what stops the motion: run this in a terminal"
+                "nothing is moved without a terminal, because it takes a key to stop the motion: run this in a terminal"
             )
         try:
             speed = _run(first_move(build_positioner(settings, clock), bounds, clock, say, keys.pressed, look))
@@ -188,11 +188,11 @@ def _before_the_move(dialogue: "SetupDialogue", screen: "SetupScreen") -> None:
     settings = dialogue.settings()
     for line in (
         f"A and B will move by two degrees and back, one by one, inside {settings.limits.limits()};",
-        "then A moves once more for you to stop it with a key. Before that, all of this has to be so:",
+        "then A moves once more for you to stop it with a key. Before that, all of this must be true:",
         "- somebody stands at the mechanics with a hand on the SUPPLY SWITCH OF THE MOTORS",
         "- nobody is within reach of the arms; no tools, no cables lie across their way",
         "- the wind is below 5 m/s, and the motors' supply is on",
-        "A key stops the axes as long as this program and the cable live: it is no emergency stop.",
+        "A key stops the axes only while this program and the cable work: it is no emergency stop.",
     ):
         screen.say(f"  {line}")
 

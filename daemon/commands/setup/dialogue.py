@@ -109,7 +109,7 @@ class SetupDialogue:
         if not said.isprintable():
             raise UserError(
                 f"{ascii(said)[:60]} has a key that is no letter, such as an arrow, or a letter that is not UTF-8: type"
-                " it again without"
+                " it again without that"
             )
         value = self.offered() if not said else _meant(step, said, self._key(step))
         if value is None and not step.optional:
@@ -204,8 +204,8 @@ class SetupDialogue:
             return
         if self._own and not self._own.get("instruments.bench", False):
             raise UserError(
-                f"{self.file} is there and not a bench's, whose addresses and clock would take its place: practise"
-                " with a file of its own, such as 'heliocube setup practice.toml'"
+                f"{self.file} is there already and is not of a bench, and the bench's addresses and clock would replace"
+                " its own: practise with another file, such as 'heliocube setup practice.toml'"
             )
         if folder is None:
             return

@@ -57,6 +57,6 @@ def keep_answers(place: Path, kept: SetupAnswers) -> None:
         replace_file(place, kept.model_dump_json(indent=1) + "\n")
     except OSError as error:
         raise UserError(
-            f"{place} cannot be written ({error.strerror}), and so neither could the configuration beside it: name a"
-            " file in a folder of yours, or run this as the user who owns that one"
+            f"{place} cannot be written ({error.strerror}), nor could the configuration beside it: name a file in"
+            " a folder of yours, or run this as the user who owns this folder"
         ) from None

@@ -174,7 +174,7 @@ def _cube(known: Known) -> Iterator[SetupStep]:
         name=LOOK_CUBE,
         chapter=chapter,
         kind="action",
-        question="Read the four faces now: nothing can move by it.",
+        question="Read the four faces now: this moves nothing.",
         open_end="read the cube: heliocube probe, with --config {file}: docs/hardware.md",
     )
     if known.answers.get(LOOK_CUBE) not in (None, SKIPPED):
@@ -217,7 +217,7 @@ def _load(known: Known) -> Iterator[SetupStep]:
             name=LOOK_LOAD,
             chapter=chapter,
             kind="action",
-            question="Ask it who it is: its input stays as it is.",
+            question="Read its identity now: its input stays as it is.",
             open_end="look at the electronic load: heliocube probe load --config {file}",
         )
 
@@ -277,7 +277,7 @@ def _move(known: Known) -> Iterator[SetupStep]:
         name=WAY,
         chapter=chapter,
         kind="confirm",
-        question="Did each of these moves go the way that was named, as seen by whoever stands there?",
+        question="Did each of these moves go in the direction named above, as seen by the person at the mechanics?",
         choices=("yes", "no"),
         refused="then the axes are swapped or reversed: leave with Ctrl-C, switch the motors' supply off, and see"
         " docs/hardware.md; 'back' makes the move once more",
@@ -294,7 +294,7 @@ def _move(known: Known) -> Iterator[SetupStep]:
             name=name,
             chapter=chapter,
             kind="confirm",
-            question=f"To be seen once, now or later: {question}.",
+            question=f"See this once, now or later: {question}.",
             choices=("yes", LATER),
             default=LATER,
             open_end=question,

@@ -22,7 +22,7 @@ def troubles(state: dict[str, Any], health: dict[str, Any]) -> list[str]:
         f"{_of(alarm['tracker'], state)}{alarm['name']} ({_state(alarm)}): {alarm['text']}; {_remedy(alarm, state)}"
         for alarm in state["alarms"]
     ]
-    cube = f"{_last_scan(state)}; check supply, cables and adapters of the cube, and the way from its process"
+    cube = f"{_last_scan(state)}; check supply, cables and adapters of the cube, and the link from its process"
     down = [
         f"{text}{cube if text.startswith('cube: ') else ''}"
         for text in health["down"]
@@ -96,7 +96,7 @@ def _remedy(alarm: dict[str, Any], state: dict[str, Any]) -> str:
     if alarm["state"] != "cleared":
         return remedy
     whose = alarm["tracker"] if len(_trackers(state)) > 1 else None
-    return as_typed(f"look what it was, then `heliocube alarms ack {alarm['name']}`", whose)
+    return as_typed(f"see what it was, then `heliocube alarms ack {alarm['name']}`", whose)
 
 
 def _trackers(state: dict[str, Any]) -> dict[str, dict[str, Any]]:

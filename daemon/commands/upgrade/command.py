@@ -27,7 +27,8 @@ def self_check(
     role: Annotated[
         RoleChoice | None,
         typer.Option(
-            help="What the process does. If left out: the role of the unit that starts this file, or any possible."
+            help="What the process does. If left out: the role of the unit that starts this file, or else any role"
+            " that the file allows."
         ),
     ] = None,
     as_json: JsonOption = False,
@@ -121,7 +122,7 @@ def rollback(
 ) -> None:
     """Go back to the release before the last upgrade and keep the records made since; every tracker is held.
 
-    The units are stopped and started again. What only the newer release can read is kept in files beside the old ones.
+    The units are stopped and started again. Files that only the newer release can read are kept beside the old ones.
     """
     import os
 

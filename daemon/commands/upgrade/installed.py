@@ -69,7 +69,7 @@ class Program:
             )
         except subprocess.TimeoutExpired:
             raise UserError(
-                f"{command} has not answered within {_WITHIN_S:g} s: see what keeps it, such as a slow disk, and give"
+                f"{command} has not answered within {_WITHIN_S:g} s: see what delays it, such as a slow disk, and give"
                 " the command again; it goes on where it was"
             ) from None
 

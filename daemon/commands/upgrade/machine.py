@@ -125,7 +125,7 @@ def wind_source(settings: Settings) -> Iterator[Finding]:
         subject = "wind source" if len(settings.trackers) == 1 else f"wind source of {name}"
         topics = [part.topic for part in (own.mqtt.wind, own.mqtt.safe) if own.mqtt.enabled and part.topic]
         if topics:
-            text = f"{', '.join(topics)} at {own.mqtt.host}; whether it is heard is seen once the service runs"
+            text = f"{', '.join(topics)} at {own.mqtt.host}; only the running service can tell whether it is heard"
             yield Finding(subject, text)
         elif not own.real:
             yield Finding(subject, "simulated")

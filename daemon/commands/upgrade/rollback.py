@@ -126,7 +126,7 @@ def _file(config: Path, to: Program) -> Iterator[str]:
     newer = first_free(config.with_name(f"{config.name}.newer-{release()}"))
     write_new(newer, toml_text(config), config.stat())
     rewrite_file(config, toml_text(old))
-    yield f"{config}: as it was before the upgrade; what you have changed since is in {newer} alone"
+    yield f"{config}: as it was before the upgrade; your changes since then are only in {newer}"
 
 
 def _give_to_owner(directory: Path) -> None:

@@ -35,7 +35,7 @@ def program(settings: Settings, role: str) -> Iterator[Finding]:
     """Yield which heliocube the running service is, if it is another release than this."""
     started = last_started(settings.store.directory, CUBE_FILE_NAME if role == Role.CUBE else FILE_NAME)
     if started is not None and started != release():
-        yield Finding("service", f"still runs heliocube {started}", "restart it, so that it is what is installed")
+        yield Finding("service", f"still runs heliocube {started}", "restart it, so that it runs the installed release")
 
 
 def service(state: dict[str, Any], health: dict[str, Any]) -> Iterator[Finding]:

@@ -152,6 +152,6 @@ def test_fill_goes_on_behind_a_record_that_is_refused(database, ask, writer, tmp
     sender.store.close()
     code, out, err = heliocube("archive", "fill", str(tmp_path / "roof"), "--name", "lab/roof", "--to", database)
     assert (code, "30 records were read; 29 of them are new" in out) == (0, True)
-    assert "warning: 1 record not taken by the database, and set aside: see why in heliocube.set_aside" in " ".join(
+    assert "warning: 1 record was not taken by the database, and set aside: see why in heliocube.set_aside" in " ".join(
         err.split()
     )

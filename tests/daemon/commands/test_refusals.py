@@ -118,7 +118,7 @@ WRONG = {
     "dashboard --config deep.toml": "deep.toml is not TOML: its brackets are nested too deeply",
     "config check sky.toml": "simulation.weather: there is no weather file at ",
     "config init file": "file is the name of a file: name the folder that heliocube.toml is to be in",
-    "bridge send-csv file": "name its key with --key FILE or --config FILE",
+    "bridge send-csv file": "name the key with --key FILE or --config FILE",
     "gain --points none.csv": "there is no points file at none.csv",
     "gain --points file": "points file file has no column phi_deg; found: mine",
     "gain": "give --lat or --lat-range, such as --lat 48.7 or --lat-range 0:65:1",

@@ -144,7 +144,7 @@ def test_what_is_damaged_in_a_store_keeps_nothing_else_out_of_the_archive(databa
     assert (code, out) == (0, f"{tmp_path}: 2 records were read; 2 of them are new in {database}, as plant/both\n")
     assert err == (
         f"heliocube: warning: 1 record is damaged in {tmp_path} and left out\n"
-        f"heliocube: warning: what {tmp_path} knows of run 2 is damaged: its records are left out\n"
+        f"heliocube: warning: the entry of run 2 in {tmp_path} is damaged: the run's records are left out\n"
     )
     answer = json.loads(heliocube(*fill, "--json")[1])
     assert (answer["damaged"], answer["unsound"], answer["added"]) == (1, [2], 0)

@@ -106,7 +106,7 @@ def test_a_real_rig_takes_nothing_from_the_file_of_a_practice(file):
 def test_a_bench_takes_no_other_file_s_place(file, bench):
     file.write_text("[mqtt]\nenabled = true\nhost = 'broker'\n")
     dialogue = dialogue_of(file, "tracker")
-    with pytest.raises(UserError, match="practise with a file of its own"):
+    with pytest.raises(UserError, match="practise with another file"):
         dialogue.take("bench")
     dialogue.take("real")
     assert dialogue.settings().mqtt.enabled

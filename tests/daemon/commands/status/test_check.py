@@ -116,7 +116,7 @@ def test_an_alarm_that_came_and_went_in_the_night_says_from_when_to_when_and_how
         (line,) = verdict(state, health)[0][1:]
         assert re.fullmatch(
             rf"motor-current \(raised 2022-10-12 {raised}, over since 2022-10-12 {over}\): axis A draws 5 A;"
-            r" look what it was, then `heliocube alarms ack motor-current`",
+            r" see what it was, then `heliocube alarms ack motor-current`",
             line,
         )
         assert re.fullmatch(

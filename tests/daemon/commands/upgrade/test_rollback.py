@@ -252,7 +252,7 @@ def test_a_file_that_the_release_before_cannot_read_is_put_back_and_the_newer_on
     code, out, _ = heliocube("rollback", "-c", config, "--to", program(VERSION, refuses="driver"))
     assert code == 0
     newer = config.with_name(f"{config.name}.newer-{release()}")
-    assert f"what you have changed since is in {newer} alone" in out
+    assert f"your changes since then are only in {newer}" in out
     assert (config.read_text(), newer.read_text()) == (heliocube_before, migrated)
     assert config.stat().st_mode == newer.stat().st_mode == before(config).stat().st_mode
 
