@@ -80,7 +80,7 @@ def by_the_minute(weathers: Sequence[MeasuredWeather], site: Site) -> tuple[tupl
     together = MeasuredWeather(name, utc_s, values)
     minutes = _minutes(together)
     if not (np.diff(minutes[0]) <= _STEP_S).any():
-        raise UserError(f"{name} has single minutes alone: name a file with two records within an hour at least")
+        raise UserError(f"{name} has only single minutes: name a file with at least two records within an hour")
     notes = [note for weather in weathers for note in (weather.note(), site_mismatch(weather, site))]
     return minutes, [note for note in (*notes, gap_note(together, site)) if note]
 

@@ -27,7 +27,7 @@ _ANYTHING = Block(READ_HOLDING, 0, 1)
 _GARBLED = "answers with garbage: are there two sensors of this address?"
 _WITHOUT = {
     "smp": "an SMP takes its address from the maker's Smart Explorer alone",
-    "apogee": "what is written to an Apogee may wipe its calibration; use the maker's tool",
+    "apogee": "a write to an Apogee may wipe its calibration; use the maker's tool",
 }
 
 
@@ -156,7 +156,7 @@ class ModbusProbe:
             many = f"{len(found)} devices answer, at {', '.join(str(each.unit) for each in found)}: take the others off"
             if garbled:
                 # A write to this address would reach all sensors that have it.
-                many = f"at {', '.join(garbled)} what answers is garbage: leave one sensor on the line, not two"
+                many = f"the answer at {', '.join(garbled)} is garbage: leave one sensor on the line, not two"
             self._say(f"  {many if found else 'nothing answers: is it on, and are speed and parity right?'}")
         sensor = found[0]
         self._say(f"  address {sensor.unit}: {sensor.text}")

@@ -170,11 +170,12 @@ def _report_geometry(telemetry: Telemetry, setups: tuple[AxisSetup, AxisSetup], 
     for name, setup, angle_deg, position in _axes(telemetry, setups):
         expected = setup.geometry.position(angle_deg)
         if setup.fits(angle_deg, position):
-            say(f"geometry of {name.upper()} fits: {angle_deg:z.1f} deg is {expected:z.1f}, it shows {position:g}")
+            fits = f"geometry of {name.upper()} fits"
+            say(f"{fits}: {angle_deg:z.1f} deg is {expected:z.1f}, and the unit shows {position:g}")
         else:
             say(
                 f"geometry of {name.upper()} does NOT fit: instruments.positioner.{name}_axis makes {expected:z.1f} of"
-                f" {angle_deg:z.1f} deg, it shows {position:g}; no move will be taken"
+                f" {angle_deg:z.1f} deg, and the unit shows {position:g}; no move will be made"
             )
 
 

@@ -94,7 +94,7 @@ def build_cube_of(settings: Settings, role: Role, clock: Clock) -> Cube:
         return build_cube(settings, clock)
     except UserError as error:
         if role is Role.BOTH and settings.tracker:
-            raise UserError(f"{error}; where the cube is another process's, give --role tracker") from None
+            raise UserError(f"{error}; if another process reads the cube, give --role tracker") from None
         raise
 
 

@@ -212,7 +212,7 @@ def test_two_of_one_address_on_the_line_at_once_are_sent_back(new):
     bus = Bus(make="map", map=USED)
     person = Person(bus, [new, [], [], [], []])
     said = bus.run(lambda probe: probe.set_addresses(person, range(1, 9)))
-    assert f"at {new[0].address} what answers is garbage: leave one sensor on the line, not two" in said
+    assert f"the answer at {new[0].address} is garbage: leave one sensor on the line, not two" in said
     assert "already" not in said
     assert not [question for question in person.asked if question.startswith("Give")]
 

@@ -106,7 +106,7 @@ def test_trackers_without_a_cube_are_told_what_is_missing_and_what_else_may_be_m
     assert code == 2
     assert told.count("\n") == 1
     assert "instruments.voltmeter.resource is missing" in told
-    assert told.endswith("; where the cube is another process's, give --role tracker\n")
+    assert told.endswith("; if another process reads the cube, give --role tracker\n")
 
 
 @pytest.mark.usefixtures("fails_from_noon_on")
