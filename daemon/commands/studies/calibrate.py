@@ -215,5 +215,5 @@ def _print(lines: list[str], identifier: str, out: Path) -> None:
     from daemon.studies.calibrate.report import DOUBT
 
     doubtful = any(line.startswith(DOUBT) for line in lines)
-    then = "do not use it until what is doubtful is known" if doubtful else "set cube.calibration_file to use it"
+    then = "do not use it until the doubts are resolved" if doubtful else "set cube.calibration_file to use it"
     say(f"\ncalibration {identifier} written to {out}; {then}")

@@ -26,7 +26,7 @@ def campaign(
     trackers: Annotated[int, typer.Option(min=1, max=10, metavar="N", help="How many trackers the service has.")] = 1,
     positioner: Annotated[
         Literal["pozsol", "rotctld"],
-        typer.Option(help="Its unit, or a rotator with the faults that it can have."),
+        typer.Option(help="Positioner of the rig: a POZSOL unit, or a rotator with the faults that it can have."),
     ] = "pozsol",
     only: Annotated[
         str | None,

@@ -37,7 +37,7 @@ StoreOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar="[NAME=]DIR|URL",
-        help="Folder of a store, or URL of an archive; NAME= if all its records are that tracker's. May be repeated.",
+        help="Folder of a store, or URL of an archive; NAME= in front names its tracker. May be repeated.",
     ),
 ]
 CubeOption = Annotated[str, typer.Option(metavar="NAME", help="The tracker whose gain is asked for.")]
@@ -295,7 +295,7 @@ def paper(
 
     chosen: list[SkyModel] = [_one_of(text, SKY_MODELS, "--skies") for text in _words(skies)]
     if not chosen:
-        raise UserError(f"--skies: name one of {', '.join(SKY_MODELS)} at least")
+        raise UserError(f"--skies: name at least one of {', '.join(SKY_MODELS)}")
     names: tuple[WeatherName, ...] = get_args(WeatherName)
     weather, cube_law = _one_of(afternoon, names, "--afternoon"), _one_of(law, law_names(), "--law")
     from daemon.commands.progress import progress_bar

@@ -77,7 +77,7 @@ def gain(
     """Compute how much more a dual-axis tracker receives than a static panel and single axes.
 
     K is the ratio of energies in a day or a year, exact for a constant beam without an atmosphere.
-    With --weather K under a real sky stands beside it.
+    With --weather, K under a real sky stands beside it.
     """
     if out is not None:
         check_outputs([out], "--out", force=force)

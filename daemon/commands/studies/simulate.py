@@ -64,7 +64,7 @@ def report(summary: "Summary", settings: "Settings", out: Path) -> None:
         ),
         f"modes{', together' if several else ''}: {hours}",
         *_lines_of_planes(summary.insolation),
-        *(["that is without the shade of neighbours"] if any(own.rows.east_m for _, own in settings.trackers) else []),
+        *(["this leaves out the shade of neighbours"] if any(own.rows.east_m for _, own in settings.trackers) else []),
         f"tables in {out}",
     )
     for line in [*lines[:1], *summary.failed_laws, *lines[1:]]:

@@ -84,14 +84,14 @@ class FieldResult:
         found = []
         for one, other in combinations(vertical, 2):
             apart = abs(float(change_percent[FACES.index(one)] - change_percent[FACES.index(other)]))
-            found.append((f"of {one} and of {other}", apart, float(np.hypot(known[one], known[other]))))
+            found.append((f"the known gains of {one} and {other}", apart, float(np.hypot(known[one], known[other]))))
         if "zenith" in known and self.level.ghi is not None:
             # The fit lies between the two, at distances in proportion to their variances.
             both = float(np.hypot(known["zenith"], self.level.ghi_uncertainty_percent))
             apart = abs(float(change_percent[FACES.index("zenith")])) * (both / known["zenith"]) ** 2
-            found.append(("of zenith and the GHI", apart, both))
+            found.append(("the known gain of zenith and the GHI", apart, both))
         return [
-            f"what is said to be known {who} is {apart:.1f} % apart in these readings, where {most:.1f} % is explained"
+            f"these readings put {who} {apart:.1f} % apart, where their uncertainties explain {most:.1f} %"
             for who, apart, most in found
             if apart > most
         ]

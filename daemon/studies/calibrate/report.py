@@ -152,7 +152,7 @@ def field_lines(found: FieldResult, made_on: CubeSetup, sky: str) -> list[str]:
     ]
     if not fit.shape.residual <= _DOUBTFUL:
         lines.append(
-            f"{DOUBT}with the right sky less than {_DOUBTFUL:.1%} is left unexplained; try another --sky, and look "
+            f"{DOUBT}with the right sky, less than {_DOUBTFUL:.1%} is left unexplained; try another --sky, and look "
             "for shade on a face."
         )
     if sky == "perez1990" and not 0.5 <= fit.shape.horizon <= 1.5:
@@ -168,14 +168,15 @@ def _level_line(found: FieldResult) -> str:
     if not known.names:
         return (
             "Those of the gains and of the albedo come mostly from the clear-sky model, which sets the level of all "
-            "gains; to know them to 1 % give what is known of a face (--referenced) or a pyranometer nearby (--ghi)."
+            "gains; to know the gains to 1 %, give the uncertainty of a face whose gain comes from a reference "
+            "(--referenced), or the GHI of a pyranometer nearby (--ghi)."
         )
     told = f"The level of the gains is held by {' and '.join(known.names)}, and by the clear-sky model."
     vertical = [face for face in known.referenced if face != "zenith"]
     zenith = "zenith" in known.referenced or known.ghi is not None
     if vertical and zenith:
         return told
-    return f"{told} From that the model alone gives {'the zenith face' if vertical else 'the vertical faces'}."
+    return f"{told} From these, the model alone gives {'the zenith face' if vertical else 'the vertical faces'}."
 
 
 def comparison_calibration(

@@ -261,9 +261,9 @@ def notes(settings: Settings, afternoon: WeatherName, cube_law: str, seeds: int,
         f" sky{early}: on 12 October clear until 10:20, overcast until 12:10, then '{afternoon}'; on 14 October"
         " overcast."
         " The gain is equation (16) on Pmpp after the second-order correction, which is fitted on a simulated clear day"
-        " in August with both trackers flat. Ours are the median of the seeds, the quartiles between which half of them"
-        " lie, the lowest and the highest, and how many lie within what is asked for. T-Cube's travel has no limit of"
-        " the day here, as the paper's had none."
+        " in August with both trackers flat. Our figures are the median of the seeds, the quartiles between which half"
+        " of them lie, the lowest and the highest, and how many lie within the range asked for. T-Cube's travel has no"
+        " daily limit here, as the paper's had none."
     )
     closed_sky = (
         f"Under a closed sky no law gains more over chronometric than lying flat: {texts} in irradiation, albedo 0.2."

@@ -193,7 +193,7 @@ def _require_laws(services: Sequence[Service], utc_s: float) -> None:
         for tracker in service.trackers:
             why = tracker.control.pointing.failed_why
             if why is not None:
-                raise UserError(f"{why}, which is no comparison (before {iso_utc(utc_s)[:16]}Z)")
+                raise UserError(f"{why}, so nothing can be compared (before {iso_utc(utc_s)[:16]}Z)")
 
 
 def _measure(

@@ -226,9 +226,9 @@ def _of_parts(weather: DaylightWeather) -> list[str]:
     if whole_days > _MOSTLY_WHOLE * lit:
         return []
     text = (
-        f"These are parts of days that count as {whole_days:.2f} days in all, but the ways from and to the night"
-        f" position, gone whole in {counted(lit, 'day')}, are not less for it: travel and moves per day are more than"
-        " those of whole days."
+        f"The records are of parts of {counted(lit, 'day')}, which count as {whole_days:.2f} whole days. The ways from"
+        " and to the night position are made in full on each of them: travel and moves per day are more than those of"
+        " whole days."
     )
     return [text]
 

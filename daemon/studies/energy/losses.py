@@ -118,8 +118,8 @@ def as_text(found: Sequence[Losses], weather: DaylightWeather, terms: Terms, *, 
     """Return the tables of all skies and laws and what they assume, for reading."""
     lines = conditions(weather, terms, simulated=simulated)
     lines += wrap(
-        "Points are percent of what the bound gains over ideal chronometric, of all days. Each cause is what one more"
-        " burden costs a tracker that has those above it.",
+        "Points are percent of what the bound gains over ideal chronometric on all days. Each cause is the cost of"
+        " one more burden to a tracker that already has those above it.",
         WIDTH,
     )
     for each in found:

@@ -23,9 +23,9 @@ TOLD_APART = "optimal"
 def check_names(skies: Sequence[str], law_names: Sequence[str]) -> None:
     """Raise `UserError` for a sky or law that does not exist, and for an empty list."""
     if not skies:
-        raise UserError(f"--sky: name one of {', '.join(SKIES)} at least")
+        raise UserError(f"--sky: name at least one of {', '.join(SKIES)}")
     if not law_names:
-        raise UserError(f"--laws: name one of {', '.join(default_names())} at least")
+        raise UserError(f"--laws: name at least one of {', '.join(default_names())}")
     for name in skies:
         if name not in SKIES:
             raise UserError(f"--sky: there is no sky '{name}'; choose from {', '.join(SKIES)}")

@@ -106,7 +106,7 @@ def as_text(found: Sequence[Worth], years: float, prices: Prices) -> str:
     assumed = (
         f"In money, scaled to a year from {years * _YEAR_DAYS:.1f} days of records, whatever their season:"
         f" {prices.peak_kw:g} kW of modules at {prices.per_kwh:g} per kWh, without their losses;"
-        f" drives for {prices.drive:,g} last {prices.life_deg:,.0f} deg of travel, the way back at night among it."
+        f" drives for {prices.drive:,g} last {prices.life_deg:,.0f} deg of travel, including the way back at night."
     )
     lines = ["", *wrap(assumed, WIDTH)]
     for sky in dict.fromkeys(each.sky for each in found):

@@ -75,7 +75,7 @@ def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
     except (OSError, EOFError, zlib.error) as error:
         raise UserError(f"--sites: {path} cannot be read: {why_unread(error)}") from None
     if not sites:
-        raise UserError(f"--sites: {path} has no line with a site below its heads")
+        raise UserError(f"--sites: {path} has no line with a site below its header")
     _check_names(path, sites)
     return sites
 
@@ -92,7 +92,7 @@ def _check_columns(path: Path, names: list[str]) -> None:
         raise UserError(f"--sites: {path} has no column {missing[0]}; its columns are {known}")
     check_names(f"--sites: {path}", names, (*REQUIRED, *OPTIONAL))
     if unknown:
-        raise UserError(f"--sites: {path} has a column {unknown[0]}, which means nothing; its columns are {known}")
+        raise UserError(f"--sites: {path} has a column {unknown[0]}, which is not known; its columns are {known}")
 
 
 def _site(

@@ -126,8 +126,8 @@ class ClusterPool:
     def _idle(self) -> WorkersError:
         if self._counted > -math.inf:
             return WorkersError(
-                f"--cluster: all workers of the scheduler at {self._address} are gone: their logs say why; one without"
-                f" this heliocube ends over its first task; then start 'dask worker {self._address}' again"
+                f"--cluster: all workers of the scheduler at {self._address} are gone: their logs say why; a worker"
+                f" without this heliocube ends at its first task; then start 'dask worker {self._address}' again"
             )
         return WorkersError(
             f"--cluster: the scheduler at {self._address} has no workers: start 'dask worker {self._address}'"
@@ -179,7 +179,7 @@ def _versions() -> tuple[tuple[str, str], ...]:
 
 def _other(where: str, name: str, there: str | None, wanted: str) -> WorkersError:
     has = f"has {name} {there}" if there else f"lacks {name}"
-    return WorkersError(f"--cluster: the worker {where} {has}, and {wanted} is at work here: install the same there")
+    return WorkersError(f"--cluster: the worker {where} {has}, and this machine uses {wanted}: install the same there")
 
 
 def _on_worker(

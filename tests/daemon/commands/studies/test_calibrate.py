@@ -149,7 +149,7 @@ def test_series_of_which_most_are_dropped_are_called_doubtful(heliocube, tmp_pat
     assert code == 0
     assert f"{line}check that" in " ".join(told.split())
     assert "# Doubtful: " in out.read_text()
-    assert told.endswith(f" written to {out}; do not use it until what is doubtful is known\n")
+    assert told.endswith(f" written to {out}; do not use it until the doubts are resolved\n")
     right = ("calibrate", "cube", *tables, *SITE, "--out", tmp_path / "right.toml", "--lag", "3600", "--json")
     assert json.loads(heliocube(*right)[1])["doubtful"] is False
 
@@ -270,7 +270,7 @@ def test_a_face_with_a_reference_holds_the_level_of_the_others(heliocube, tmp_pa
     assert made.zenith.gain_uncertainty_percent < 0.7 < 2.0 < made.east.gain_uncertainty_percent
     words = " ".join(told.split())
     assert "The level of the gains is held by the gain of zenith (U 0.5 %), and by the clear-sky model." in words
-    assert "From that the model alone gives the vertical faces." in words
+    assert "From these, the model alone gives the vertical faces." in words
 
 
 def test_two_references_that_cannot_both_be_true_are_named(heliocube, tmp_path):
@@ -283,10 +283,10 @@ def test_two_references_that_cannot_both_be_true_are_named(heliocube, tmp_path):
     code, told, _ = heliocube(*asked, *known, "--out", tmp_path / "one.toml")
     assert code == 0
     words = " ".join(told.split())
-    apart = dict(re.findall(r"known (of \w+ and \w+ \w+) is ([0-9.]+) % apart", words))
-    assert set(apart) == {"of east and of west", "of south and of west", "of zenith and the GHI"}
+    apart = dict(re.findall(r"put the known (gains? of \w+ and (?:the )?\w+) ([0-9.]+) % apart", words))
+    assert set(apart) == {"gains of east and west", "gains of south and west", "gain of zenith and the GHI"}
     assert [float(percent) for percent in apart.values()] == pytest.approx([4.0] * 3, abs=0.4)
-    assert "in these readings, where 1.4 % is explained; check each certificate" in words
+    assert "apart, where their uncertainties explain 1.4 %; check each certificate" in words
     _, told, _ = heliocube(*asked, *known[:4], "--out", tmp_path / "other.toml", "--json")
     assert json.loads(told)["contradictions"] == []
 

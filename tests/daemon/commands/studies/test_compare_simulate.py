@@ -62,8 +62,8 @@ def test_a_law_that_fails_ends_the_comparison_in_a_sentence(compare, tmp_path, m
     code, _, err = compare("simulate", *arguments, "--out", tmp_path)
     assert code == 2
     assert err.endswith(
-        "the law flat has failed (ZeroDivisionError: no such sky), and chronometric points instead, which is no"
-        " comparison (before 2022-10-14T11:15Z)\n"
+        "the law flat has failed (ZeroDivisionError: no such sky), and chronometric points instead, so"
+        " nothing can be compared (before 2022-10-14T11:15Z)\n"
     )
     assert list(tmp_path.iterdir()) == []
 

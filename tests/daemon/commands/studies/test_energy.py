@@ -120,7 +120,7 @@ def test_records_without_two_minutes_in_a_row_are_no_weather(monkeypatch, tmp_pa
     file = tmp_path / "one.csv"
     file.write_text("\n".join(["time,ghi,dni,dhi", *(f"2016-06-05T{hour}:00:00Z,450,500,150" for hour in hours)]))
     assert energy(monkeypatch, file, "--site", SITE, "--laws", "flat", "--out", tmp_path / "o") == 2
-    told = f"weather file {file} has single minutes alone: name a file with two records within an hour at least"
+    told = f"weather file {file} has only single minutes: name a file with at least two records within an hour"
     assert capsys.readouterr().err == f"heliocube: {told}\n"
 
 
@@ -233,8 +233,8 @@ def test_a_worth_without_one_of_its_prices_is_refused(monkeypatch, weather, tmp_
         (("--laws", "optimal:nan"), "there is no law 'optimal:nan'"),
         (("--laws", "optimal:0"), "optimal:0: 0.0 is not a number from 0.1 up"),
         (("--sky", "green"), "there is no sky 'green'"),
-        (("--laws", ","), "--laws: name one of fixed:35, "),
-        (("--sky", ""), "--sky: name one of isotropic, "),
+        (("--laws", ","), "--laws: name at least one of fixed:35, "),
+        (("--sky", ""), "--sky: name at least one of isotropic, "),
         (("--site", "91,0"), "is not on Earth"),
     ],
 )

@@ -37,7 +37,7 @@ def test_each_line_is_a_site_with_its_weather(table, tmp_path):
     ("lines", "sentence"),
     [
         (("name,latitude", "x,1"), "has no column longitude"),
-        (("name,latitude,longitude,alt", "x,1,2,3"), "has a column alt, which means nothing"),
+        (("name,latitude,longitude,alt", "x,1,2,3"), "has a column alt, which is not known"),
         (("name,latitude,longitude",), "has no line with a site"),
         (("name,latitude,longitude", "x,91,2"), r"line 2: '91,2,0' is not on Earth"),
         (("name,latitude,longitude", "x,nan,2"), r"line 2: 'nan,2,0' is not LAT,LON"),

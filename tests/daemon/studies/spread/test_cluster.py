@@ -103,7 +103,7 @@ def another_release_is_refused(address, table, tmp_path):
     )
     errors = study.stderr
     assert study.returncode == ExitCode.UNREACHABLE, errors
-    both = f"has heliocube {version('heliocube')}, and 9.9 is at work here"
+    both = f"has heliocube {version('heliocube')}, and this machine uses 9.9"
     assert re.fullmatch(rf"heliocube: --cluster: the worker at tcp://\S+ {re.escape(both)}: [^\n]+\n", errors)
 
 
