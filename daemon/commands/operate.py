@@ -22,8 +22,8 @@ TokenOption = Annotated[
 WhyOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, for the records.")]
 _AN_OPERATOR = "an operator asked"
 _EXIT_CODES = (
-    "Exit code: 0 if its effect was seen, whole or under way; 3 if it was not seen in time; 5 if the service cannot be"
-    " reached; 6 if it is refused."
+    "Exit code: 0 if its effect was seen, complete or under way; 3 if it was not seen in time; 5 if the service cannot"
+    " be reached; 6 if it is refused."
 )
 
 

@@ -117,7 +117,7 @@ def run_service(
         else:
             log.info("real instruments", extra={"fields": {"role": role}})
             if rig.simulated:
-                log.warning("SIMULATED by a bench, says instruments.bench: all records are marked so")
+                log.warning("SIMULATED by a bench, as instruments.bench says: all records are marked so")
             if not isinstance(clock, SystemClock):
                 log.warning("the clock is a bench's: it shows %s", iso_utc(clock.utc()))
         # Open ports before the store: a service that cannot have its address leaves no run there.

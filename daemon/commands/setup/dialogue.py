@@ -223,7 +223,7 @@ class SetupDialogue:
         key = problem.partition(" = ")[0]
         if key not in keys.keys(self.known.chosen()) or key in [step.name for step in self.steps()]:
             return problem
-        return f"{problem}; {key} is not asked for here: answer what fits it, and change both in the file afterwards"
+        return f"{problem}; {key} is not asked for here: give an answer that fits it, and change both in the file later"
 
     def _check_role(self, role: str) -> None:
         if self.file.parent == options.INSTALLED and options.unit_role(self.file) != role:

@@ -186,7 +186,8 @@ def _cube(known: Known) -> Iterator[SetupStep]:
             choices=("yes", LATER, "no"),
             default=LATER,
             open_end="shade one face after the other and see its number fall, and no other",
-            refused="then an input or a wire is another face's: say 'back' to read or correct them once more",
+            refused="then an input or a wire belongs to another face: say 'back' to read the faces again or to correct"
+            " the inputs",
         )
 
 

@@ -54,7 +54,7 @@ def gain(
         typer.Option(min=-430, max=9000, help="Altitude of the weather, m."),
     ] = None,
     printed: Annotated[
-        bool, typer.Option("--printed", help="Add what the paper's own formulas and scripts give.")
+        bool, typer.Option("--printed", help="Add the results of the paper's own formulas and scripts.")
     ] = False,
     points: Annotated[
         Path | None,

@@ -102,8 +102,8 @@ class Installation:
         others = [folder for folder in releases.iterdir() if folder != prefix.resolve() and _whole(folder)]
         if current.resolve() != prefix.resolve() or len(others) != 1:
             raise UserError(
-                f"{releases} has no release before {current.resolve().name}, which is in use: start what does not run"
-                " (systemctl start heliocube-tracker, or -cube), or install the release that is wanted"
+                f"{releases} has no release before {current.resolve().name}, which is in use: start the units"
+                " that do not run (systemctl start heliocube-tracker, or -cube), or install the release that is wanted"
             )
         return cls(current, Program(others[0].name, others[0] / "bin"))
 

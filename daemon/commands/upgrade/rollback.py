@@ -100,7 +100,7 @@ def _store(directory: Path, to: Program) -> Iterator[str]:
     elif copy.exists():
         done = go_back(path, copy, now_utc_s)
         kept = f"with {counted(done.records, 'record')} that came since"
-        since = "WITHOUT what came since" if done.left_out else kept
+        since = "WITHOUT the records that came since" if done.left_out else kept
         yield f"{path}: as it was before the upgrade, {since}; all of it is in {done.newer}"
         if done.left_out:
             yield f"{done.newer} cannot be read: {done.left_out}"

@@ -157,8 +157,8 @@ def field_lines(found: FieldResult, made_on: CubeSetup, sky: str) -> list[str]:
         )
     if sky == "perez1990" and not 0.5 <= fit.shape.horizon <= 1.5:
         lines.append(
-            f"{DOUBT}the readings want {fit.shape.horizon:z.1f} of the Perez model's horizon band, where 1 is right;"
-            " try --sky haydavies, and trust vertical gains and albedo only if both agree."
+            f"{DOUBT}the readings fit best with {fit.shape.horizon:z.1f} of the Perez model's horizon band, where 1 is"
+            " right; try --sky haydavies, and trust vertical gains and albedo only if both agree."
         )
     return lines
 
@@ -176,7 +176,8 @@ def _level_line(found: FieldResult) -> str:
     zenith = "zenith" in known.referenced or known.ghi is not None
     if vertical and zenith:
         return told
-    return f"{told} From these, the model alone gives {'the zenith face' if vertical else 'the vertical faces'}."
+    rest = "gain of the zenith face follows" if vertical else "gains of the vertical faces follow"
+    return f"{told} The {rest} from that level by the model alone."
 
 
 def comparison_calibration(

@@ -58,7 +58,7 @@ def cluster_pool(address: str, *, apart: bool) -> "Iterator[ClusterPool]":
     except CancelledError:
         raise pool.gone() from None
     except ImportError as error:
-        raise WorkersError(f"--cluster: a worker of {address} lacks what this machine has: {error}") from None
+        raise WorkersError(f"--cluster: a worker of {address} lacks a module that this machine has: {error}") from None
     except RuntimeError as error:
         if _UNREADABLE not in str(error):
             raise

@@ -46,7 +46,7 @@ def test_every_help_fits_its_width_and_shows_every_word(path, columns):
 @pytest.mark.parametrize("order", sorted({*NAMES} - {"mode", "acknowledge"}))
 def test_the_help_of_an_order_tells_what_its_exit_codes_mean(order):
     told = words(CliRunner(env={"COLUMNS": "80"}).invoke(app, [order, "--help"]).output)
-    seen = "Exit code: 0 if its effect was seen, whole or under way; 3 if it was not seen in time;"
+    seen = "Exit code: 0 if its effect was seen, complete or under way; 3 if it was not seen in time;"
     assert f"{seen} 5 if the service cannot be reached; 6 if it is refused." in told
 
 

@@ -235,7 +235,7 @@ def test_a_sky_without_a_horizon_band_is_told_from_the_assumed_one_with_a_plain_
     fill_store(tmp_path, *in_place(sky="isotropic"))
     code, told, _ = heliocube("calibrate", "field", "--store", tmp_path, *SITE, "--out", tmp_path / "field.toml")
     assert code == 0
-    assert "the readings want 0.0 of the Perez model's horizon band" in " ".join(told.split())
+    assert "the readings fit best with 0.0 of the Perez model's horizon band" in " ".join(told.split())
 
 
 def test_a_calibration_by_simulated_readings_is_called_so(heliocube, tmp_path):
@@ -270,7 +270,7 @@ def test_a_face_with_a_reference_holds_the_level_of_the_others(heliocube, tmp_pa
     assert made.zenith.gain_uncertainty_percent < 0.7 < 2.0 < made.east.gain_uncertainty_percent
     words = " ".join(told.split())
     assert "The level of the gains is held by the gain of zenith (U 0.5 %), and by the clear-sky model." in words
-    assert "From these, the model alone gives the vertical faces." in words
+    assert "The gains of the vertical faces follow from that level by the model alone." in words
 
 
 def test_two_references_that_cannot_both_be_true_are_named(heliocube, tmp_path):

@@ -234,7 +234,7 @@ def test_a_newer_store_that_is_damaged_is_said_and_the_copy_is_there_all_the_sam
     path.write_bytes(content)
     code, out, _ = heliocube("rollback", "-c", config, "--to", program())
     assert code == 0
-    assert "WITHOUT what came since" in out
+    assert "WITHOUT the records that came since" in out
     assert (tables(upgraded)[0], count(upgraded, "scans")) == (OLDER, 5)
 
 
