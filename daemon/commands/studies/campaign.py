@@ -48,7 +48,7 @@ def campaign(
         ),
     ] = None,
     keep: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder for failures, each as seed-N.json; reduced in the end.")
+        Path, typer.Option(metavar="DIR", help="Folder for failures, each as seed-N.json, reduced at the end.")
     ] = Path("campaign-failures"),
     force: ForceOption = False,
     as_json: JsonOption = False,

@@ -273,7 +273,7 @@ def paper(
     skies: Annotated[
         str, typer.Option(metavar="SKY,SKY", help="Models of diffuse light: haydavies, perez1990, isotropic.")
     ] = "haydavies,perez1990",
-    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Number of simulated weathers for each of them.")] = 30,
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Number of simulated weathers for each model.")] = 30,
     afternoon: Annotated[
         str, typer.Option(metavar="SKY", help="Built-in weather after 12:10 on the 12th: broken or variable.")
     ] = "broken",
@@ -284,7 +284,7 @@ def paper(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Repeat the paper's experiment of 12 and 14 October 2022 on built-in weather, and print both results."""
+    """Repeat the paper's experiment of 12 and 14 October 2022 on built-in weather, and print its gains and ours."""
     workers = chosen_workers(jobs, cluster)
     check_outputs(list(_paper_files(out)), "--out", force=force)
     from typing import get_args

@@ -67,8 +67,8 @@ def energy(
     laws: Annotated[
         str | None,
         typer.Option(
-            help="Laws, separated by commas; all if left out. fixed:DEG is a tilt, bound the best that is possible,"
-            " NAME:VALUE a law with another value of its one parameter, such as its thrift."
+            help="Laws, separated by commas; all if left out. fixed:DEG is a fixed tilt, bound the best pointing"
+            " possible, NAME:VALUE a law with this value of its one parameter, such as its thrift."
         ),
     ] = None,
     sky: Annotated[
