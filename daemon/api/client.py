@@ -103,8 +103,8 @@ class Client:
     def _without_token(self, name: str) -> str:
         if self.configuration:
             return (
-                f"'{name}' needs the service's token, and {self.configuration[0]} has no api.token_file: give the one"
-                f" that the service has shown at its start, in {TOKEN_VARIABLE} or with --token-file"
+                f"'{name}' needs the service's token, and {self.configuration[0]} has no api.token_file: give the"
+                f" token that the service showed at its start, in {TOKEN_VARIABLE} or with --token-file"
             )
         return (
             f"'{name}' needs the service's token: name its configuration with --config, or its token with"
@@ -151,7 +151,7 @@ class Client:
             return found
         if refusal is None:
             raise NoServiceError(
-                f"what answers at {self.address} is not heliocube: see api.listen of its configuration"
+                f"the program that answers at {self.address} is not heliocube: see api.listen of the configuration"
             )
         if status == _ANOTHER_SERVICE:
             raise NoServiceError(str(refusal))

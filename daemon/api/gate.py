@@ -39,7 +39,7 @@ class Token:
         if scheme.lower() != "bearer" or not given:
             return "a command needs the header 'Authorization: Bearer TOKEN'"
         if not self.is_given(given.encode("latin-1", "replace")):
-            return "the token is not the service's: restart it after a change of api.token_file"
+            return "the token is not the service's: restart the service after a change of api.token_file"
         return None
 
     def is_given(self, given: bytes) -> bool:

@@ -38,7 +38,7 @@ class History:
         kind, query = request.path_params["kind"], request.query_params
         start_s, end_s = instant("from", query.get("from", "")), instant("to", query.get("to", ""))
         if not is_span(start_s, end_s):
-            raise HTTPException(422, "from must be before to, and not by more than 7 days")
+            raise HTTPException(422, "from must be before to, and at most 7 days before it")
         names = [tracker.name for tracker in self._see().trackers]
         tracker = query.get("tracker", names[0] if len(names) == 1 else "")
         # A process of the cube knows no trackers, but its store may have their records.

@@ -62,7 +62,7 @@ _REFUSALS = {
     413: f"the body has more than {LONGEST_BODY} bytes",
     421: "the host is not served, or the service is another configuration's",
     422: "outside the limits, no such tracker, or no such span of time",
-    429: "more commands than are carried out",
+    429: "more commands than the limits allow",
     503: "too many ask at once",
 }
 _SINCE = {

@@ -121,7 +121,7 @@ def test_a_person_at_a_terminal_sees_and_commands_the_service(service, tmp_path)
     assert (code, out, err) == (
         6,
         "",
-        "heliocube: the token is not the service's: restart it after a change of api.token_file\n",
+        "heliocube: the token is not the service's: restart the service after a change of api.token_file\n",
     )
     code, out, err = heliocube("stop", *at)
     assert (code, out) == (2, "")

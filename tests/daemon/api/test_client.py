@@ -135,7 +135,7 @@ def test_whoever_named_a_file_without_a_token_is_not_told_to_name_it(tmp_path):
     with pytest.raises(UserError) as refused:
         find(file, None, None, {}).command("stop")
     told = str(refused.value)
-    assert told.startswith(f"'stop' needs the service's token, and {file} has no api.token_file: give the one that ")
+    assert told.startswith(f"'stop' needs the service's token, and {file} has no api.token_file: give the token that ")
     assert "--config" not in told
 
 

@@ -12,7 +12,7 @@ from tests.support.api import BEARER, TOKEN
 from tests.support.motion import commands_sent
 from tests.support.phases import at_rest, tracking, under_way
 
-OTHER_TOKEN = "the token is not the service's: restart it after a change of api.token_file"
+OTHER_TOKEN = "the token is not the service's: restart the service after a change of api.token_file"
 
 
 def test_a_stop_over_the_interface_reaches_the_unit_before_anything_else(serve, monkeypatch):

@@ -43,7 +43,7 @@ def test_stored_days_are_read_over_the_interface(run_rig, tmp_path):
                 ("/api/history/scans", 400, "from='' is not a UTC time"),
                 (f"/api/history/secrets?{SPAN}", 400, "there are no records of the kind 'secrets'; there are scans"),
                 ("/api/history/scans?from=2022-10-14&to=2022-10-14", 422, "from must be before to"),
-                ("/api/history/scans?from=2022-10-14&to=2023-10-14", 422, "not by more than 7 days"),
+                ("/api/history/scans?from=2022-10-14&to=2023-10-14", 422, "at most 7 days"),
                 (
                     f"/api/history/modes?{SPAN}&tracker=west",
                     422,
@@ -97,7 +97,7 @@ def test_a_token_can_be_tried_without_any_effect(serve):
         wrong = await call.post("authorised", headers=BEARER | {"Authorization": "Bearer " + "x" * 43})
         assert (wrong.status, wrong.json["error"]) == (
             401,
-            "the token is not the service's: restart it after a change of api.token_file",
+            "the token is not the service's: restart the service after a change of api.token_file",
         )
 
     serve(scenario)

@@ -175,7 +175,7 @@ def test_commands_without_the_token_fill_no_log(serve, caplog):
     serve(scenario)
     assert lines_of(caplog)[0] == (
         "a command from 127.0.0.1 is refused: "
-        "the token is not the service's: restart it after a change of api.token_file"
+        "the token is not the service's: restart the service after a change of api.token_file"
     )
     assert len(lines_of(caplog)) <= 6
 
