@@ -42,7 +42,8 @@ _NOT_HERE = (errno.EADDRNOTAVAIL, errno.ENODEV)
 # No peer loses its line to another peer within this time after the last scan that came over it.
 _HELD_S = 60.0
 _NOT_ON_THIS_MACHINE = (
-    "is not an address of this machine now, and is waited for; if it is wrong, set one of its own, or 0.0.0.0"
+    "is not an address of this machine now, and the bridge waits for it; if the address is wrong, set one of this"
+    " machine's, or 0.0.0.0"
 )
 # socket(7), <asm-generic/socket.h>: the kernel stamps each datagram with the system's time when it comes.
 _SO_TIMESTAMPNS = 35
@@ -260,8 +261,8 @@ class UdpPort:
             known = f"{self._interface} is not an address of this machine"
             why = "no network of this machine leads to it" if self._interface == ANY_INTERFACE else known
             raise _NotHereError(
-                f"bridge.multicast_group: {group} cannot be joined now, and is waited for: {why}; if that is wrong,"
-                f" {remedy}"
+                f"bridge.multicast_group: {group} cannot be joined now, and the bridge tries again: {why}; if that"
+                f" is wrong, {remedy}"
             ) from None
         if self._has_joined:
             _log.info("joined the multicast group %s again: its network was down, or another one is used now", group)
@@ -312,7 +313,7 @@ class UdpPort:
             line.bind(bound.getsockname())
             line.connect(peer)
         except OSError as error:
-            _log.debug("no line of its own for %s: %s", peer[0], error)
+            _log.debug("no socket of its own for %s: %s", peer[0], error)
             line.close()
             return None
         finally:

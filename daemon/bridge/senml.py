@@ -117,7 +117,7 @@ def decode(payload: bytes) -> Scan:
     monotonic_s = _number(named["monotonic"].get("v"), 0.0, LARGEST_MONOTONIC_S, "monotonic")
     calibration = named["calibration"].get("vs") if "calibration" in named else ""
     if not isinstance(calibration, str) or ("calibration" in named and _CALIBRATION.fullmatch(calibration) is None):
-        raise _malformed(f"has a calibration that is not an identifier of one: {_shown(calibration)}")
+        raise _malformed(f"has a calibration that is not an identifier of a calibration: {_shown(calibration)}")
     east, south, west, zenith = (_face(name, named, time_utc_s, monotonic_s) for name in FACES)
     return Scan(
         source=source,

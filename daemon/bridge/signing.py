@@ -137,7 +137,7 @@ def _key(line: bytes, path: Path, remedy: str) -> bytes:
     key = _decoded(line.rstrip(b"="))
     if len(key) < KEY_BYTES:
         raise KeyFileError(
-            f"the key in {path} is too short, {len(key)} bytes where {KEY_BYTES} are the least: {remedy}"
+            f"the key in {path} is too short: it has {len(key)} bytes, and {KEY_BYTES} is the least; {remedy}"
         )
     if key == EXAMPLE_KEY:
         raise KeyFileError(f"the key in {path} is the example that docs/bridge.md prints for all to see: {remedy}")

@@ -198,7 +198,7 @@ def test_a_key_that_others_can_read_is_refused_with_the_command_that_cures_it(tm
     [
         (b"", "is empty"),
         (b" \n", "is empty"),
-        (b64(bytes(31)) + b"\n", "too short, 31 bytes"),
+        (b64(bytes(31)) + b"\n", "too short: it has 31 bytes"),
         (b"not base64url!\n", "not one line of base64url"),
         (b64(KEY) + b"\n" + b64(KEY)[:-1] + b"!", "not one line of base64url"),
         (b64(KEY) + b"\n" + b64(KEY[:31]), "too short"),
