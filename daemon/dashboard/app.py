@@ -29,7 +29,7 @@ STATIC = Path(__file__).with_name("static")
 KEPT = "is_kept"
 """This name is True in the state of a request whose connection must not be closed in favour of a new one."""
 
-_NO_SERVICE = "what answers is not a service of heliocube: see dashboard.services"
+_NO_SERVICE = "the program that answers is not a service of heliocube: see dashboard.services"
 _NO_OBJECT = "the body is not a JSON object"
 _COMMANDS = ("stow", "stop", "hold", "auto", "goto", "snow", "maintenance", "home", "clear", "relearn", "acknowledge")
 # A service takes 4096 bytes, and the dashboard adds to the page's body who gives the order.
@@ -128,7 +128,7 @@ class Dashboard:
         what, query = request.path_params["what"], dict(request.query_params)
         service = self._fleet.services.get(query.pop("service", ""))
         if what not in _READABLE or service is None:
-            raise HTTPException(404, "the dashboard has no such service, or that has no such records")
+            raise HTTPException(404, "the dashboard has no such service, or the service has no such records")
         host = _host(request)
         if not self._readers.are_free_for(host):
             raise HTTPException(503, "too many pages read stored days already; try again in half a minute")
@@ -230,14 +230,15 @@ class Dashboard:
     ) -> tuple[int, bytes]:
         token = session.tokens.get(service.name)
         if token is None:
-            raise HTTPException(401, f"the service at {service.name} has another token: log in with that one too")
+            raise HTTPException(401, f"the service at {service.name} has another token: log in with that token too")
         client = self._fleet.client if name == "stop" else self._fleet.orders
         content = _encoded({**given, "by": session.by})
         status, answer = await self._post(client, f"{service.url}/api/{name}", token, content, _COMMAND_S)
         if status == httpx.codes.UNAUTHORIZED:
             # The service's own sentence is for the command line, whose token file the service has not read again.
             session.tokens.pop(service.name, None)
-            raise HTTPException(status, f"the service at {service.name} takes another token now: log in with that one")
+            taken = f"the service at {service.name} takes another token now: log in with that token"
+            raise HTTPException(status, taken)
         return status, answer
 
     async def _post(

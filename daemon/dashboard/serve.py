@@ -34,8 +34,8 @@ _READ_WITHIN_S = 10.0
 _FILES_AT_ONCE = 8
 _WHY_NOT_BOUND = {
     errno.EADDRINUSE: "is another dashboard running? Else set dashboard.listen or --listen to another port",
-    errno.EADDRNOTAVAIL: "it is not an address of this machine now; if it is to come, start the dashboard again then,"
-    " as its unit does every 5 s, else set dashboard.listen or --listen to one of its own",
+    errno.EADDRNOTAVAIL: "it is not an address of this machine now; if it will be one later, start the dashboard again"
+    " then, as its unit does every 5 s, else set dashboard.listen or --listen to an address of this machine",
     errno.EAFNOSUPPORT: "this system has no IPv6: set dashboard.listen or --listen to an address such as"
     f" {DEFAULT_DASHBOARD}",
     errno.EACCES: "a port below 1024 needs an administrator's rights: set dashboard.listen or --listen to another port",

@@ -31,7 +31,7 @@ def test_an_order_is_not_held_up_by_odd_words_that_the_service_may_refuse(words)
         found = (await house.browser.post("/stow-all", content=f'{{"why": {words}}}')).json()["results"]
         assert [(each["accepted"], each["text"]) for each in found] == [
             (True, "/api/stow done"),
-            (False, "the service at 127.0.0.1:1002 has another token: log in with that one too"),
+            (False, "the service at 127.0.0.1:1002 has another token: log in with that token too"),
         ]
         assert [path for path, _ in house.services[NAMES[0]].asked] == ["/api/stop", "/api/stow"]
 
@@ -80,7 +80,7 @@ def test_what_is_no_service_of_heliocube_is_not_said_to_have_done_anything(monke
                 house.services[NAMES[0]], "answer", lambda _, text=answer: httpx.Response(200, content=text)
             )
             found = (await house.browser.post("/stow-all", json={})).json()["results"]
-            sentence = "what answers is not a service of heliocube: see dashboard.services"
+            sentence = "the program that answers is not a service of heliocube: see dashboard.services"
             assert found[0] == {"service": NAMES[0], "accepted": False, "status": 502, "text": sentence}
             reply = await house.order()
             assert (reply.status_code, reply.json()) == (502, {"error": sentence})

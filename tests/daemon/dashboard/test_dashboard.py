@@ -107,7 +107,7 @@ def test_a_service_with_another_token_asks_for_that_one_too_and_both_are_kept():
         refused = await house.order(service=NAMES[1])
         assert (refused.status_code, refused.json()["error"]) == (
             401,
-            "the service at 127.0.0.1:1002 has another token: log in with that one too",
+            "the service at 127.0.0.1:1002 has another token: log in with that token too",
         )
         assert (await house.login(OTHER)).json()["services"] == list(NAMES)
         assert (await house.order(service=NAMES[1])).status_code == 200
@@ -130,7 +130,7 @@ def test_a_service_that_was_away_at_the_login_gets_orders_with_the_token_that_th
         refused = await house.order(service=NAMES[1])
         assert (refused.status_code, refused.json()["error"]) == (
             401,
-            "the service at 127.0.0.1:1002 takes another token now: log in with that one",
+            "the service at 127.0.0.1:1002 takes another token now: log in with that token",
         )
         assert (await house.browser.get("/session")).json()["services"] == [NAMES[0]]
         assert sorted((await house.login(OTHER)).json()["services"]) == list(NAMES)

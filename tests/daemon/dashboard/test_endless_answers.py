@@ -43,7 +43,7 @@ def test_of_any_other_answer_without_end_no_more_is_read_than_one_may_have():
                 ]
 
     (order, to_all, read), taken = asyncio.run(sent_to(ask))
-    sentence = "what answers is not a service of heliocube: see dashboard.services"
+    sentence = "the program that answers is not a service of heliocube: see dashboard.services"
     assert [(reply.status_code, reply.json()) for reply in (order, read)] == [(502, {"error": sentence})] * 2
     assert to_all.json()["results"][0]["text"] == sentence
     assert taken < 2 * TAKEN

@@ -322,7 +322,7 @@ def test_an_open_page_hears_that_its_files_are_others_though_the_release_has_the
         # RFC 5737: no machine has this address.
         (
             "192.0.2.1:20574",
-            "it is not an address of this machine now; if it is to come, start the dashboard again then",
+            "it is not an address of this machine now; if it will be one later, start the dashboard again then",
         ),
         (
             "[::1]:20574",
