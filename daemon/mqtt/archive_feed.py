@@ -211,8 +211,8 @@ class ArchiveFeed:
     def _tell_unsound(self) -> None:
         if self._unsound:
             runs = ", ".join(map(str, self._unsound))
-            what = f"what the store {self._path} knows of run {runs} is damaged"
-            self._link.trouble("archive runs", f"{what}: its records stay there, and no archive gets them")
+            what = f"the entry of run {runs} in the store {self._path} is damaged"
+            self._link.trouble("archive runs", f"{what}: the run's records stay there, and no archive gets them")
 
     def _complain(self, why: str = "") -> None:
         """Report that nothing is confirmed, once that has lasted, with the reason unless no archive is there at all."""
@@ -225,7 +225,7 @@ class ArchiveFeed:
             self._link.trouble(
                 "archive",
                 f"no archive confirms the records of {self._topic}{because}: they wait in the store, which keeps"
-                f" {self._keep_days} days; see heliocube archive there",
+                f" {self._keep_days} days; see 'heliocube archive' on the archive's machine",
             )
 
     def _note_aside(self, answer: _Answer) -> None:

@@ -194,10 +194,10 @@ class Mqtt:
         if self._settings.bridge.transport == "mqtt":
             costs["bridge.topic"] = "no scan goes over the broker"
         if self._role is not Role.CUBE and mqtt.wind.topic is not None:
-            cost = f"no wind speed is received over MQTT, and silence of {safety.wind_stale_s:g} s stows"
+            cost = f"no wind speed is received over MQTT, and {safety.wind_stale_s:g} s of silence stow the tracker"
             costs |= {"mqtt.wind.topic": cost, "mqtt.wind.json_path": cost}
         if self._role is not Role.CUBE and mqtt.safe.topic is not None:
-            cost = f"no message that it is safe is received, and silence of {mqtt.safe.stale_s:g} s stows"
+            cost = f"no safe message is received, and {mqtt.safe.stale_s:g} s of silence stow the tracker"
             costs |= {"mqtt.safe.topic": cost, "mqtt.safe.json_path": cost}
         for key, cost in costs.items():
             if key in self._unusable:

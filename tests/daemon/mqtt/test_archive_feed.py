@@ -248,8 +248,8 @@ def test_a_run_that_nothing_sound_is_known_of_is_told_and_all_others_go_on(tmp_p
         await service.send_for(100.0)
         assert link.kept == {(later.id, 0)}
         assert link.troubles["archive runs"] == (
-            f"what the store {tmp_path / FILE_NAME} knows of run 1 is damaged: its records stay there, and no archive"
-            " gets them"
+            f"the entry of run 1 in the store {tmp_path / FILE_NAME} is damaged: the run's records stay"
+            " there, and no archive gets them"
         )
 
     virtual(scenario)

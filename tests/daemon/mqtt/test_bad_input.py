@@ -201,8 +201,8 @@ def test_the_program_starts_with_wrong_topics_and_says_so_in_api_and_status_and_
         f"[safety]\nwind_stale_s = 86400\n[mqtt]\nenabled = true\nport = {broker.port}\n"
         "[mqtt.wind]\ntopic = 'weather/#'\n[mqtt.safe]\ntopic = 'dome'\njson_path = 'a.'\nstale_s = 86400\n"
     )
-    ends = "and silence of 86400 s stows: correct it and start again"
-    no_wind, no_word = f"no wind speed is received over MQTT, {ends}", f"no message that it is safe is received, {ends}"
+    ends = "and 86400 s of silence stow the tracker: correct it and start again"
+    no_wind, no_word = f"no wind speed is received over MQTT, {ends}", f"no safe message is received, {ends}"
     sentences = [
         f"mqtt.wind.topic: 'weather/#' has a wildcard, and a topic has none; so {no_wind}",
         f"mqtt.safe.json_path: 'a.' is not a path such as wind.speed or sensors.0.speed; so {no_word}",
