@@ -91,7 +91,7 @@ class Backlog:
     def _with_lost(self, notice: Notice) -> Notice:
         if not self._lost:
             return notice
-        lost = f"Older changes that are lost, because more than {_MOST_WAITING} waited: {self._lost}."
+        lost = f"Older changes were lost because more than {_MOST_WAITING} waited: {self._lost}."
         return replace(notice, body=f"{lost}\n{notice.body}")
 
     def sent(self, notices: list[Notice]) -> None:

@@ -182,7 +182,7 @@ class Courier:
         except (httpx.HTTPError, TimeoutError) as error:
             return watch.failed(_reason(error), self._clock.monotonic())
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            return watch.failed("what answers there is not heliocube", self._clock.monotonic())
+            return watch.failed("the program that answers there is not heliocube", self._clock.monotonic())
 
     async def _state(self, service: Address) -> Any:
         # Not compressed: a few compressed bytes may become gigabytes.

@@ -65,7 +65,7 @@ class ToldFile:
         try:
             kept = self._file.load()
         except UnreadableStateError as error:
-            log.warning("%s: alarms that ended meanwhile are not told as over", error)
+            log.warning("%s: nobody is told which alarms ended meanwhile", error)
             return {}
         return {} if kept is None else kept.services
 

@@ -87,7 +87,7 @@ def test_the_next_message_says_how_many_changes_were_lost_while_too_many_waited(
         lab.taking = True
         for _ in range(3):
             await step(1800.0)
-        lost = "Older changes that are lost, because more than 200 waited: 5."
+        lost = "Older changes were lost because more than 200 waited: 5."
         assert [message.splitlines()[0] for message in lab.messages] == [
             lost,
             "roof SIMULATED: WARNING row-105 clock, since 2026-06-21 12:00:00 UTC",

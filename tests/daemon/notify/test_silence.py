@@ -60,7 +60,7 @@ def test_what_answers_in_the_place_of_the_service_is_told_like_silence(lab, told
         lab.instead = page.encode()
         for _ in range(15):
             await step()
-        assert "for 120 s: what answers there is not heliocube." in json.loads(lab.told[0][2])["message"]
+        assert "for 120 s: the program that answers there is not heliocube." in json.loads(lab.told[0][2])["message"]
         lab.instead = None
         await step()
         assert lab.titles[1:] == ["heliocube roof SIMULATED: answers again"]
@@ -145,6 +145,6 @@ def test_what_is_no_list_of_what_was_told_is_logged_and_costs_no_alarm(lab, told
 
     told(scenario)
     assert [line.partition("told.json ")[2] for line in caplog.messages] == [
-        "cannot be read: alarms that ended meanwhile are not told as over"
+        "cannot be read: nobody is told which alarms ended meanwhile"
     ]
     assert len(lab.titles) == 1
