@@ -98,8 +98,8 @@ def aside_text(path: Path) -> str | None:
     kind = newest.name.split(".")[-2]
     salvage = f"'heliocube store salvage {newest} --into {path.parent}' gets what can be read from it; "
     remedy = "" if kind in _HOLDS_NO_RECORDS else salvage
-    what_now = "the store goes on" if kind == "beside" else "a new one begun"
+    what_now = "the store goes on" if kind == "beside" else "a new store was begun"
     return (
         f"{KINDS[kind]} was moved aside as {newest}{more}, and {what_now}: {remedy}"
-        "this alarm ends when it is moved to another folder"
+        "this alarm ends when what was moved aside is in another folder"
     )

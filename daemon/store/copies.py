@@ -80,8 +80,8 @@ def no_room(path: Path, size: int) -> str | None:
 
 def _went_without(path: Path, version: int, why: str) -> None:
     log.warning(
-        "the store %s is of version %d and is changed WITHOUT a copy (%s): on the way back to the release before, the"
-        " store begins anew and this one is moved aside",
+        "the store %s is of version %d and is changed WITHOUT a copy (%s): on a return to the release before,"
+        " this store is moved aside and a new store begins",
         path,
         version,
         why,

@@ -105,8 +105,8 @@ def _held(directory: Path, role: str) -> Iterator[None]:
     except BlockingIOError:
         os.close(descriptor)
         raise UserError(
-            f"{directory} is where another service, which runs, keeps records and state of the role {role}; stop that"
-            " one first, or give this one a store.directory of its own"
+            f"another service that runs keeps records and state of the role {role} in {directory}; stop that service"
+            " first, or give this one a store.directory of its own"
         ) from None
     except OSError:
         # Some network disks have no locks.

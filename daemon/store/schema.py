@@ -208,8 +208,8 @@ def unreadable(path: Path, error: sqlite3.Error) -> StoreError:
         remedy = f"; 'heliocube store salvage {path} --into FOLDER' gets what can be read from it"
     elif not os.access(path.parent, os.W_OK | os.X_OK, effective_ids=os.access in os.supports_effective_ids):
         remedy = (
-            f"; SQLite writes beside a store even to read it, and nobody may in {path.parent}, or not this user: copy"
-            " it, with the -wal beside it if there is one, into a folder of your own"
+            f"; SQLite writes beside a store even to read it, and this user cannot write in {path.parent}: copy the"
+            " store, with the -wal beside it if there is one, into a folder of your own"
         )
     return StoreError(f"the store {path} cannot be read: {error}{remedy}")
 

@@ -200,10 +200,10 @@ class Store:
             return False
         self._moved_s = self._clock.monotonic()
         if kind == "beside":
-            log.error("the store %s could not be used (%s): that is %s now", self._path, error, aside)
+            log.error("the store %s could not be used (%s): what was in the way is %s now", self._path, error, aside)
             return True
         self._forget_file()
-        log.error("the store %s cannot be used (%s): it is %s now, and a new one begins", self._path, error, aside)
+        log.error("the store %s cannot be used (%s): it is %s now, and a new store begins", self._path, error, aside)
         return True
 
     def _forget_file(self) -> None:

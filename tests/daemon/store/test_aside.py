@@ -137,7 +137,7 @@ def test_what_cannot_be_used_is_moved_aside_as_it_is_and_said_once(keep, tmp_pat
     assert aside.name.split(".")[0::2] == ["heliocube", kind]
     # In these two the damage shows only at the first writing, after the beginning of a run was written.
     assert content(aside) == before or spoil in (with_rubbish_pages, without_a_table)
-    assert alarms["store-aside"].startswith(f"{says} was moved aside as {aside}, and a new one begun: ")
+    assert alarms["store-aside"].startswith(f"{says} was moved aside as {aside}, and a new store was begun: ")
     assert alarms.get("store-down") is None
     assert [record.levelname for record in caplog.records] == ["ERROR"]
     assert export(folder, tmp_path / "out", "csv", None, None, ()).rows["events"] == 1

@@ -26,7 +26,7 @@ def test_two_files_have_two_folders(file, environment, place):
 def test_two_services_of_one_role_do_not_share_a_folder(tmp_path):
     with claimed(tmp_path / "records", ("cube",)):
         with (
-            pytest.raises(UserError, match="another service, which runs, keeps records and state of the role cube;"),
+            pytest.raises(UserError, match="another service that runs keeps records and state of the role cube in "),
             claimed(tmp_path / "records", ("tracker", "cube")),
         ):
             pytest.fail("two cubes keep their records in one folder")

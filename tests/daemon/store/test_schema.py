@@ -44,7 +44,7 @@ def test_a_copy_on_a_disk_that_takes_nothing_is_one_sentence_with_the_remedy(sma
     code, _, err = heliocube("export", "--store", small_disk, "--out", tmp_path / "out")
     assert code == 2
     assert f"the store {small_disk / FILE_NAME} cannot be read: unable to open database file; SQLite" in err
-    assert "copy it, with the -wal beside it if there is one, into a folder of your own" in err
+    assert "copy the store, with the -wal beside it if there is one, into a folder of your own" in err
 
 
 def test_a_store_that_is_opened_beside_a_reader_keeps_its_log_from_other_processes(tmp_path):

@@ -313,7 +313,7 @@ def test_a_service_that_runs_there_is_not_disturbed(heliocube, config, program, 
     with claimed(upgraded, ("tracker",)):
         code, _, err = heliocube("rollback", "-c", config, "--to", program())
     assert code == 2
-    assert "which runs" in err
+    assert "another service that runs" in err
     assert not (upgraded / "operator.json").exists()
     assert tables(upgraded)[0] == VERSION
 
