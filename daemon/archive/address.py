@@ -175,8 +175,8 @@ def telling(address: ArchiveAddress) -> Iterator[None]:
         yield
     except psycopg.errors.ReadOnlySqlTransaction as error:
         raise ArchiveError(
-            f"the database {address.url} takes no records ({one_line(error)}): if it is a replica, name the one it"
-            " follows; else set default_transaction_read_only of the database off"
+            f"the database {address.url} takes no records ({one_line(error)}): if it is a replica, name the database"
+            " that it follows; else set default_transaction_read_only off for it"
         ) from None
     except psycopg.errors.InsufficientPrivilege as error:
         raise ArchiveError(
@@ -212,8 +212,8 @@ def _reason(address: ArchiveAddress, error: "psycopg.OperationalError") -> Archi
     remedies = {
         "password authentication failed": f"correct {_WHERE_IT_IS}",
         "no password supplied": f"write it into {_WHERE_IT_IS}",
-        "no pg_hba.conf entry": "let it in there, in pg_hba.conf",
-        "Peer authentication failed": "let it in there, in pg_hba.conf, or name another user",
+        "no pg_hba.conf entry": "allow this connection in pg_hba.conf",
+        "Peer authentication failed": "allow this connection in pg_hba.conf, or name another user",
         "does not exist": "make it with createdb or createuser, or correct the address",
         "permission denied for database": "grant CONNECT on it to this user",
         "invalid": "correct the address",

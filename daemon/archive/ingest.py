@@ -131,7 +131,7 @@ class Ingester:
         if not self._began:
             self._began = True
             self._manager.ready()
-            log.info("writing to %s what comes on %s", self._address, ", ".join(self._filters))
+            log.info("writing to %s the records that come on %s", self._address, ", ".join(self._filters))
 
     async def _with_broker(self, writer: ArchiveWriter) -> None:
         connection = Connection(self._mqtt, self._client_id, None, 1.0)
@@ -185,7 +185,7 @@ class Ingester:
             try:
                 pages.append(SentPage(installation, decoded(message.payload)))
             except BatchError as error:
-                self._say(installation, f"what comes on {message.topic} is not kept: {error}")
+                self._say(installation, f"a message on {message.topic} is not kept: {error}")
                 if run := _run_of(message.payload):
                     answers.append(_answer(installation, {"run": run, "refused": str(error)}))
         return pages, answers

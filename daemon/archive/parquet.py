@@ -88,7 +88,7 @@ def drop_days(address: ArchiveAddress, out: Path, before: date) -> Iterator[Arch
                 dropped = _dropped(connection, kind, day, out)
             except OSError as error:
                 path = file_of(out, kind, day)
-                raise UserError(f"--out: {path} cannot be kept for good: {error.strerror or error}") from None
+                raise UserError(f"--out: {path} cannot get its final name: {error.strerror or error}") from None
             if dropped is not None:
                 yield dropped
 

@@ -57,6 +57,6 @@ def test_a_day_whose_file_may_not_be_renamed_is_not_dropped_and_that_is_one_sent
         writer.take([SentPage("lab/roof", batch_of(origin(), {"poses": [pose_row(0)]}))])
     assert len(list(write_days(address, small_disk / "days", today))) == 1
     subprocess.run(["mount", "-o", "remount,ro", small_disk], check=True)
-    with pytest.raises(UserError, match=r"--out: .*/records.parquet cannot be kept for good: Read-only file system"):
+    with pytest.raises(UserError, match=r"--out: .*/records.parquet cannot get its final name: Read-only file system"):
         list(drop_days(address, small_disk / "days", today))
     assert postgres.sql("SELECT count(*) FROM heliocube.poses", database.rpartition("/")[2]) == [(1,)]

@@ -210,7 +210,7 @@ def test_a_database_without_rights_is_one_sentence(postgres, database, heliocube
 
 def test_a_database_that_is_set_to_read_only_is_not_told_to_be_a_replica_for_certain(postgres, database):
     postgres.sql(f"ALTER DATABASE {database.rpartition('/')[2]} SET default_transaction_read_only = on")
-    part = "else set default_transaction_read_only of the database off"
+    part = "else set default_transaction_read_only off for it"
     with contextlib.closing(ArchiveWriter(parse_archive(database))) as writer, pytest.raises(ArchiveError, match=part):
         writer.prepare()
 
