@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from daemon.base.records import FACES
+from daemon.base.words import counted
 from daemon.config.conflict import Conflict
 from daemon.config.link_rules import LINK_RULES
 from daemon.config.plugged import LAW, MULTIPLEXED
@@ -144,15 +145,15 @@ def every_angle_can_be_arrived_at(settings: Sections) -> Iterator[Conflict]:
         ends = (f"limits.{axis}_min_deg", f"limits.{axis}_max_deg", f"instruments.positioner.{axis}_axis.low_deg")
         if math.isnan(rests_deg):
             reason = (
-                f"leaves axis {axis.upper()}, built as instruments.positioner.{axis}_axis says, no whole position unit"
-                f" up to {ends[1]} to be sent to"
+                f"leaves no whole position unit up to {ends[1]} to which axis {axis.upper()}, built as"
+                f" instruments.positioner.{axis}_axis says, could be sent"
             )
             yield Conflict(ends[0], reason, ends[1:])
         elif rests_deg > tolerance_deg:
             enough_deg = math.ceil(rests_deg * 20) / 20
             reason = (
-                f"is too little: by the steps of the positioner axis {axis.upper()} rests up to {rests_deg:.2f} deg"
-                f" from where it is to be; with {enough_deg:g} deg it arrives everywhere"
+                f"is too little: because of the positioner's steps, axis {axis.upper()} rests up to {rests_deg:.2f} deg"
+                f" from its target; with {enough_deg:g} deg it arrives everywhere"
             )
             yield Conflict("motion.tolerance_deg", reason, ends)
 
@@ -224,10 +225,10 @@ def a_group_is_whole(settings: Sections) -> Iterator[Conflict]:
     for name in ("north_m", "up_m"):
         own = len(getattr(rows, name))
         if own != count and (own or name == "north_m"):
-            reason = f"names {own} trackers and rows.east_m {count}; they say where the same ones stand"
+            reason = f"names {counted(own, 'tracker')} and rows.east_m names {count}; both must place the same trackers"
             yield Conflict(f"rows.{name}", reason, ("rows.east_m",))
     if count == 1:
-        yield Conflict("rows.east_m", "names one tracker; a group has two or more, and one alone needs no [rows]")
+        yield Conflict("rows.east_m", "names one tracker; a group has two or more, and a lone tracker needs no [rows]")
     for name in ("module_width_m", "module_height_m"):
         if count and getattr(rows, name) is None:
             yield Conflict("rows.east_m", f"needs rows.{name}, the size of the modules", (f"rows.{name}",))
@@ -306,7 +307,7 @@ def each_instrument_has_a_way_of_its_own(settings: Sections) -> Iterator[Conflic
         for name, value in values.items():
             key = f"{part}.{name}"
             if value is not None and (other := owners.setdefault(way_of(value), key)) != key:
-                reason = f"is what {other} names already, and only one instrument can hold it; each needs its own"
+                reason = f"is set for {other} already, and only one instrument can hold it; each needs its own"
                 yield Conflict(key, reason, (other,))
 
 
@@ -314,7 +315,7 @@ def the_law_in_the_shadow_is_another(settings: Sections) -> Iterator[Conflict]:
     """`law.shadow`, where it is not empty, is an installed law, and not `law.driver`."""
     law, names = settings.law, [name for name in LAW.names() if name != settings.law.driver]
     if law.shadow and law.shadow not in names:
-        yield Conflict("law.shadow", f"is not a law to run beside {law.driver}; those are {', '.join(names)}")
+        yield Conflict("law.shadow", f"is not a law that can run beside {law.driver}; those are {', '.join(names)}")
 
 
 _OF_MULTIPLEXED = (

@@ -99,8 +99,8 @@ def resembling(name: str) -> str:
     """Return the remedy for a name that is not one of a tracker's sections."""
     if name in _SHARED:
         return (
-            "the trackers of a process have one cube and one bridge: write it outside their tables; one of another"
-            " cube gets a file and a process of its own"
+            "the trackers of a process have one cube and one bridge: write this outside their tables; a tracker"
+            " with another cube needs a file and a process of its own"
         )
     found = difflib.get_close_matches(name.rpartition(".")[2].lower(), PARTS, 1)
     return f"did you mean {found[0]}?" if found else f"a tracker has {', '.join(PARTS)}"

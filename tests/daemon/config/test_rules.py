@@ -86,28 +86,28 @@ SLEW = "[instruments.positioner]\nposition_unit = 'deg'\n[instruments.positioner
     [
         (
             SHORT_ARMS,
-            "by the steps of the positioner axis B rests up to 0.93 deg from where it is to be; with 0.95 deg",
+            "because of the positioner's steps, axis B rests up to 0.93 deg from its target; with 0.95 deg",
         ),
         (
             SLEW.format(13.05),
-            "motion.tolerance_deg = 0.8 (default): is too little: by the steps of the positioner axis B",
+            "motion.tolerance_deg = 0.8 (default): is too little: because of the positioner's steps, axis B",
         ),
         # Inside the limits, half a unit is less than this everywhere; at the limit itself the error may be more.
         (
             "[limits]\nb_max_deg = 85\n[safety]\nnight_b_deg = 80\nstow_b_deg = 80\n[motion]\ntolerance_deg = 0.4\n",
-            "motion.tolerance_deg = 0.4: is too little: by the steps of the positioner axis B",
+            "motion.tolerance_deg = 0.4: is too little: because of the positioner's steps, axis B",
         ),
         (
             "[motion]\ntolerance_deg = 0.3\n",
-            "motion.tolerance_deg = 0.3: is too little: by the steps of the positioner axis A",
+            "motion.tolerance_deg = 0.3: is too little: because of the positioner's steps, axis A",
         ),
         (
             "[instruments.positioner]\ndriver = 'rotctld'\nresolution_deg = 1.0\n",
-            "is too little: by the steps of the positioner axis B rests up to 1.10 deg",
+            "is too little: because of the positioner's steps, axis B rests up to 1.10 deg",
         ),
         (
             "[limits]\nb_min_deg = 89.9\n",
-            "limits.b_min_deg = 89.9: leaves axis B, built as instruments.positioner.b_axis says, no whole",
+            "limits.b_min_deg = 89.9: leaves no whole position unit up to limits.b_max_deg to which axis B, built as",
         ),
     ],
 )

@@ -231,6 +231,6 @@ def test_the_law_in_the_shadow_is_an_installed_one_and_another(tmp_path, name):
     with pytest.raises(UserError) as refused:
         check_file(file)
     expected = (
-        f'law.shadow = "{name}": is not a law to run beside mu-prime; those are chronometric, flat, optimal, sun-'
+        f'law.shadow = "{name}": is not a law that can run beside mu-prime; those are chronometric, flat, optimal, sun-'
     )
     assert expected in str(refused.value)
