@@ -54,7 +54,7 @@ class Metrics(Collector):
     def collect(self) -> Iterator[Metric]:
         """Yield each metric; called by the registry."""
         seen, found = self._seen, _Families()
-        about = "Always 1; which program and role this is."
+        about = "Always 1; the labels say which program and role this is."
         found.gauge("info", about, 1.0, version=seen.version, role=seen.role, simulated=str(seen.simulated).lower())
         found.gauge("sun_elevation_degrees", "Elevation of the sun by ephemeris.", seen.sun_elevation_deg)
         _cube(found, seen)
@@ -72,7 +72,7 @@ class Metrics(Collector):
             _link(found, link, name)
         for kind, number in self._refused.items():
             found.count("api_refused", "What the local interface refused, by kind.", number, kind=kind)
-        about = "Most that the event loop was late in the last minute or two."
+        about = "How late the event loop was at most in the last minute or two."
         found.gauge("loop_late_worst_seconds", about, seen.loop.worst_s)
         yield from found
         yield _lateness(seen.loop)
@@ -143,7 +143,7 @@ def _tracker(found: _Families, seen: TrackerState) -> None:
         target = seen.control.decision.target
         found.by_axis("target_degrees", "Where the latest decision points.", target.a_deg, target.b_deg, tracker=name)
     travelled_deg = seen.today.travelled_deg
-    about = "What the laws have travelled today, A and B added."
+    about = "How far the laws have moved the tracker today, A and B added."
     found.gauge("day_travel_degrees", about, travelled_deg, tracker=name)
     found.gauge("day_moves", "Moves of the laws today.", seen.today.moves, tracker=name)
     for mode, lasted_s in seen.modes.lasted_s.items():
@@ -154,7 +154,7 @@ def _tracker(found: _Families, seen: TrackerState) -> None:
     found.count("decisions", "Decisions of the pointing law.", seen.decisions, tracker=name)
     for outcome in MoveOutcome:
         ended = seen.moves.get(outcome, 0)
-        found.count("moves", "Moves, by how they ended.", ended, tracker=name, outcome=outcome.value)
+        found.count("moves", "Moves by how they ended.", ended, tracker=name, outcome=outcome.value)
     if seen.load is not None:
         _module(found, seen.load, name)
 
@@ -169,7 +169,12 @@ def _stow_source(found: _Families, source: StowStatus, name: str) -> None:
     if math.isfinite(source.speed_m_s):
         found.gauge("wind_meters_per_second", "Wind as a source last read it.", source.speed_m_s, **of)
     if math.isfinite(source.release_in_s):
-        found.gauge("stow_release_seconds", "Calm that a source still misses to release.", source.release_in_s, **of)
+        found.gauge(
+            "stow_release_seconds",
+            "How long a source must still be calm until it releases.",
+            source.release_in_s,
+            **of,
+        )
 
 
 def _positioner(found: _Families, seen: PositionerState, name: str) -> None:
@@ -199,11 +204,11 @@ def _bridge(found: _Families, seen: Snapshot) -> None:
     counts = seen.bridge
     if counts is None:
         return
-    about = "1 while the bridge listens where it is set to."
+    about = "1 while the bridge listens where the configuration says."
     found.gauge("bridge_up", about, float(seen.bridge_down_why is None))
     found.count("bridge_accepted", "Scans accepted from the bridge.", counts.accepted)
     # A scan that comes after all is no longer lost, but Prometheus takes a count that falls for one that began anew.
-    about = "Scans that had not come when a later one had."
+    about = "Scans that had not come yet when a later one came."
     found.count("bridge_lost", about, counts.lost + counts.reordered)
     for reason in _REFUSALS:
         found.count("bridge_refused", "Datagrams refused, by reason.", attrgetter(reason)(counts), reason=reason)
@@ -218,7 +223,7 @@ def _link(found: _Families, link: LinkStatus, name: str) -> None:
     found.count("mqtt_sent", "Messages handed over to the broker.", link.sent, **of)
     found.count("mqtt_received", "Messages heard from the broker.", link.received, **of)
     found.count("mqtt_dropped", "Messages lost for want of room.", link.dropped, **of)
-    about = "What does not work although the link may, such as a topic."
+    about = "How many things do not work although the link may, such as a topic."
     found.gauge("mqtt_troubles", about, len(link.troubles), **of)
     for item in link.inputs:
         about = "1 while a safety input keeps the tracker stowed."

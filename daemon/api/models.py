@@ -23,7 +23,7 @@ class ErrorPage(Page):
     """What cannot be done, and what to do about it."""
 
     error: str = Field(
-        description="One sentence; of a command to several trackers at once also a line each, what went wrong first.",
+        description="One sentence; for several trackers at once, a line for each, those that failed first.",
         min_length=1,
     )
 
@@ -32,12 +32,12 @@ class CommandPage(Page):
     """What came of a command."""
 
     command: str
-    id: str | None = Field(description="The one that came with the command.")
+    id: str | None = Field(description="The id that came with the command.")
     accepted: Literal[True]
-    done: bool = Field(description="Whether telemetry has shown the whole effect.")
+    done: bool = Field(description="Whether telemetry has shown the whole effect of the command.")
     state: Literal["done", "under-way", "not-seen"]
     text: str = Field(
-        description="What the tracker did, in a sentence; of several at once a line each, what went wrong first."
+        description="What the tracker did, in a sentence; for several, a line for each, those that failed first."
     )
 
 
@@ -45,9 +45,9 @@ class HealthPage(Page):
     """Whether the work goes on."""
 
     ok: bool
-    troubles: list[str] = Field(description="What is no longer done; empty where `ok`.")
-    down: list[str] = Field(description="Devices that do not answer; no reason for a restart.")
-    loop_late_worst_s: float = Field(description="Most that the event loop was late in the last minute or two.")
+    troubles: list[str] = Field(description="What no longer works; empty if `ok`.")
+    down: list[str] = Field(description="Devices and links that do not work; they are no reason for a restart.")
+    loop_late_worst_s: float = Field(description="How late the event loop was at most in the last minute or two.")
     simulated: bool
 
 
@@ -62,7 +62,7 @@ class SunPointPart(Page):
 class SunPage(Page):
     """A solar day."""
 
-    sunrise: UtcText | None = Field(description="Null on a day without.")
+    sunrise: UtcText | None = Field(description="Null on a day without sunrise.")
     noon: UtcText
     sunset: UtcText | None
     highest_elevation_deg: float
@@ -73,15 +73,15 @@ class DaysPage(Page):
     """The solar days that have records."""
 
     days: list[str] = Field(
-        description="Such as 2022-10-14, from midnight to midnight by the mean sun at the site, the oldest first."
+        description="Such as 2022-10-14, the oldest first; from midnight to midnight by the mean sun at the site."
     )
 
 
 class LinesPage(Page):
     """Stored records that say something in words."""
 
-    rows: list[dict[str, Any]] = Field(description="The columns of the kind's table, the oldest first.")
-    more: bool = Field(description="Whether there are later ones in the span.")
+    rows: list[dict[str, Any]] = Field(description="Each has the columns of the kind's table; the oldest is first.")
+    more: bool = Field(description="Whether the span has later records.")
 
 
 class AuthorisedPage(Page):
@@ -93,16 +93,16 @@ class AuthorisedPage(Page):
 class AlarmPart(Page):
     """An alarm that is on, or that is over and waits for a person to look."""
 
-    name: str = Field(description="Of its kind; docs/alarms.md lists them.")
+    name: str = Field(description="The name of its kind; docs/alarms.md lists them.")
     severity: Literal["critical", "warning", "notice"]
     state: Literal["raised", "acknowledged", "cleared"] = Field(
-        description="`cleared`: its cause has ended and nobody has acknowledged it."
+        description="`cleared`: its cause has ended, and nobody has acknowledged it."
     )
     text: str = Field(description="What is wrong now, in a sentence.")
     cause: str
     effect: str
     remedy: str
-    latched: bool = Field(description="Whether it stays after its end until a person has acknowledged it.")
+    latched: bool = Field(description="Whether it stays after its cause has ended, until a person acknowledges it.")
     since: UtcText = Field(description="The same as `raised_at`.")
     raised_at: UtcText
     acknowledged_at: UtcText | None
@@ -125,7 +125,7 @@ class ModePart(Page):
     why: str
     since: UtcText
     asked: Literal["maintenance", "stop", "buttons", "stow", "snow", "hold"] | None = Field(
-        description="The wish of a person that makes it so: in the mode hold, whether it is a stop."
+        description="The wish of a person that causes the mode; in the mode hold it tells a stop from a hold."
     )
 
 
@@ -182,41 +182,51 @@ class StorePart(Page):
 class LoopPart(Page):
     """How late the event loop was."""
 
-    late_worst_s: float = Field(description="At most within the last minute or two.")
+    late_worst_s: float = Field(description="How late it was at most in the last minute or two.")
 
 
 class NextPart(Page):
     """What the next decision would be, were the light to stay as it is."""
 
-    time: UtcText = Field(description="When it falls.")
+    time: UtcText = Field(description="When the decision is due.")
     law: str
     target_a_deg: float | None
     target_b_deg: float | None
-    moves: bool = Field(description="Whether that is worth a move; else the tracker stays where it stands.")
-    why: str = Field(description="In words.")
+    moves: bool = Field(description="Whether the target is worth a move; if not, the tracker stays where it stands.")
+    why: str = Field(description="The reason, in words.")
 
 
 class ReceivedPart(Page):
     """What three planes have received on this solar day, by the light that the faces show: a model's result."""
 
-    since: UtcText = Field(description="The first instant that counts.")
-    known_s: float = Field(description="The time that counts: with the sun up, a pose, and three good faces.", ge=0)
-    actual_kwh_m2: float = Field(description="The module's own.", ge=0)
-    chronometric_kwh_m2: float = Field(description="Of a tracker that always points at the sun.", ge=0)
+    since: UtcText = Field(description="The first instant that is counted.")
+    known_s: float = Field(
+        description="The time that is counted: the sun is up, the pose is known, and three faces are good.", ge=0
+    )
+    actual_kwh_m2: float = Field(description="Energy on the module's plane.", ge=0)
+    chronometric_kwh_m2: float = Field(
+        description="Energy on the plane of a tracker that always points at the sun.", ge=0
+    )
     best_kwh_m2: float = Field(description="The most that any pose within the limits receives.", ge=0)
-    gain: float | None = Field(description="Share that the first is more than the second.")
+    gain: float | None = Field(
+        description="How much more `actual_kwh_m2` is than `chronometric_kwh_m2`, as a share of the latter."
+    )
 
 
 class ShadowPart(Page):
     """The law of `law.shadow` today: what it would have received, and how far both laws have travelled."""
 
     law: str
-    failed_why: str | None = Field(description="Why it has failed; it is left out until a restart.")
-    received: ReceivedPart | None = Field(description="By the plane that it would have pointed.")
-    gain: float | None = Field(description="Share more than the tracker; null until both have counted the same time.")
+    failed_why: str | None = Field(description="Why the law has failed; it is left out until the service restarts.")
+    received: ReceivedPart | None = Field(description="What the plane would have received if this law had pointed it.")
+    gain: float | None = Field(
+        description="How much more than the tracker, as a share; null until both have counted the same time."
+    )
     travelled_deg: float = Field(ge=0)
     moves: Whole
-    active_travelled_deg: float = Field(description="Of the laws that point, over the same time.", ge=0)
+    active_travelled_deg: float = Field(
+        description="Travel by the laws that point the tracker, over the same time.", ge=0
+    )
     active_moves: Whole
 
 
@@ -225,13 +235,13 @@ class TrackerPart(Page):
 
     mode: ModePart | None
     wishes: dict[str, Any] | None = Field(
-        description="What persons asked for: `why`, `by`, `since`, `latest`, `also`, or null."
+        description="What persons asked for: each wish has `why`, `by`, `since`, `latest` and `also`, or is null."
     )
     at_stow: bool | None = Field(
-        description="Whether it was seen to stand at the stow position, with nothing in doubt, whatever its mode."
+        description="Whether it was seen to stand at the stow position, with nothing in doubt, in whatever mode."
     )
     today: dict[str, Any] | None
-    received: ReceivedPart | None = Field(description="Null before the first minute of the day that counts.")
+    received: ReceivedPart | None = Field(description="Null before the first minute of the day that is counted.")
     shadow: ShadowPart | None = Field(description="Null without `law.shadow`.")
     irradiances: dict[str, Any] | None
     decision: dict[str, Any] | None
@@ -241,8 +251,10 @@ class TrackerPart(Page):
     tracker: dict[str, Any] | None = Field(description="The positioner, its limits and its name.")
     load: dict[str, Any] | None
     wind: list[dict[str, Any]] | None = Field(description="Each source of stow: thresholds, speed, time to release.")
-    wind_m_s: float | None = Field(description="The strongest that a source last read.")
-    stow_release_in_s: float | None = Field(description="Calm that is still missing until no source stows.")
+    wind_m_s: float | None = Field(description="The strongest of the last wind readings of the sources.")
+    stow_release_in_s: float | None = Field(
+        description="How long the calm must still last until no source asks for stow."
+    )
     mqtt: dict[str, Any] | None
 
 
@@ -283,4 +295,4 @@ class ScansPage(Page):
     """The oldest scans that ended later than asked for."""
 
     scans: Annotated[list[ScanPart], Field(max_length=500)]
-    more: bool = Field(description="Whether there are others.")
+    more: bool = Field(description="Whether there are more scans.")

@@ -46,7 +46,7 @@ _DOES = {
     "stow": "Go to the stow position and stay",
     "snow": "Go to the snow position and stay",
     "hold": "Stay here",
-    "auto": "End all that persons asked for",
+    "auto": "End all wishes of persons",
     "goto": "Go to a position inside the limits and hold there",
     "home": "Start a reference run of both axes",
     "clear": "Clear the faults and doubts that are shown",
@@ -69,7 +69,7 @@ _SINCE = {
     "name": "since",
     "in": "query",
     "required": False,
-    "description": "A time in UTC, ISO 8601; left out: from the oldest that is kept.",
+    "description": "A time in UTC, ISO 8601; left out: from the oldest scan that is kept.",
     "schema": {"type": "string", "format": "date-time"},
 }
 _AT = {
@@ -90,8 +90,8 @@ _CONFIGURATION = {
     "name": KEY,
     "in": "query",
     "required": False,
-    "description": "Path of the configuration whose service is meant, and other paths of the same file; the service of"
-    " another one answers 421, after a stop too, which it carries out.",
+    "description": "Path of the configuration whose service is meant, and other paths of the same file; a service with"
+    " another configuration answers 421, even after a stop, which it carries out.",
     "schema": {"type": "array", "items": {"type": "string"}},
 }
 
@@ -176,13 +176,13 @@ def _history() -> dict[str, Any]:
         {"name": "kind", "in": "path", "required": True, "description": "Of records.", "schema": kinds},
         _SINCE | {"name": "from", "required": True, "description": "The begin, in UTC, ISO 8601; it is included."},
         _SINCE | {"name": "to", "required": True, "description": "The end, in UTC, ISO 8601; it is not included."},
-        _TRACKER | {"description": "Whose records; where there is one it may be left out."},
+        _TRACKER | {"description": "The tracker whose records are meant; may be left out if there is only one."},
     ]
     return found
 
 
 def _authorised() -> dict[str, Any]:
-    answers = {"200": {"description": "it is", "content": _of(AuthorisedPage)}} | _refusals(401, 421, 503)
+    answers = {"200": {"description": "the token is right", "content": _of(AuthorisedPage)}} | _refusals(401, 421, 503)
     return {"post": {"summary": "Whether a token is the service's", "security": [{"token": []}], "responses": answers}}
 
 
@@ -191,7 +191,10 @@ def _health() -> dict[str, Any]:
     either = [{"$ref": _REF.format(model=model.__name__)} for model in (HealthPage, ErrorPage)]
     found["get"]["parameters"] = [_CONFIGURATION]
     content = {"application/json": {"schema": {"anyOf": either}}}
-    found["get"]["responses"]["503"] = {"description": "it does not, or too many ask at once", "content": content}
+    found["get"]["responses"]["503"] = {
+        "description": "the work does not go on, or too many ask at once",
+        "content": content,
+    }
     return found
 
 
