@@ -184,7 +184,7 @@ def telling(address: ArchiveAddress) -> Iterator[None]:
         ) from None
     except psycopg.errors.OutOfMemory as error:
         # Out of locks: a transaction needs one for each day. Pages with fewer days need no more locks than there are.
-        raise PagesRefusedError(f"the database cannot hold them in one transaction: {one_line(error)}") from None
+        raise PagesRefusedError(f"the database cannot take the records in one transaction: {one_line(error)}") from None
     except (psycopg.OperationalError, psycopg.InterfaceError) as error:
         if _is_of_records(error):
             raise _records_refused(error) from None
@@ -203,7 +203,7 @@ def _is_of_records(error: "psycopg.Error") -> bool:
 
 
 def _records_refused(error: Exception) -> RecordsRefusedError:
-    return RecordsRefusedError(f"the database takes no such records: {one_line(error)}")
+    return RecordsRefusedError(f"the database does not take these records: {one_line(error)}")
 
 
 def _reason(address: ArchiveAddress, error: "psycopg.OperationalError") -> ArchiveError:

@@ -94,8 +94,8 @@ def ensure(connection: "psycopg.Connection") -> None:
         _check_rights(connection)
     except psycopg.errors.InsufficientPrivilege as error:
         raise ArchiveError(
-            f"this user may not make the archive's tables ({one_line(error)}): make it the owner of the database, or"
-            f" grant it CREATE on it"
+            f"this user may not make the archive's tables ({one_line(error)}): make this user the owner of the"
+            " database, or grant it CREATE on it"
         ) from None
 
 
@@ -128,8 +128,8 @@ def version_of(connection: "psycopg.Connection") -> int | None:
     version = int(words[-1]) if words[:2] == ["heliocube", "archive"] and words[-1].isdecimal() else 0
     if not 1 <= version <= VERSION:
         raise ArchiveError(
-            f"the schema {SCHEMA} of this database is '{row[0]}', and this program knows version {VERSION}: update it,"
-            " or name another database"
+            f"the schema {SCHEMA} of this database is '{row[0]}', and this program knows version {VERSION}: update the"
+            " program, or name another database"
         )
     return version
 

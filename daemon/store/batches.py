@@ -187,7 +187,9 @@ def decoded(payload: bytes) -> Batch:
 
 def _check_format(found: Any) -> None:
     if found != FORMAT:
-        raise BatchError(f"it is of format {ascii(found)[:20]}, and this program reads format {FORMAT}: update it")
+        raise BatchError(
+            f"it is of format {ascii(found)[:20]}, and this archive reads format {FORMAT}: update the archive"
+        )
 
 
 def _origin(found: dict[str, Any]) -> Origin:

@@ -114,7 +114,7 @@ def test_two_services_under_one_name_are_told_and_both_kept_and_what_is_no_page_
             refusal = await lab.until("lab/roof/records/kept", lambda found: "refused" in found)
             assert refusal == {
                 "run": "x" * 32,
-                "refused": "it is of format 9, and this program reads format 1: update it",
+                "refused": "it is of format 9, and this archive reads format 1: update the archive",
             }
             await lab.say("lab/roof/records", b"\xff")
             late.keep(pose(11))
@@ -170,7 +170,9 @@ def test_a_page_of_more_days_than_the_database_can_lock_is_refused_and_costs_no_
     try:
         with contextlib.closing(ArchiveWriter(parse_archive(server.url()))) as writer:
             writer.prepare()
-            with pytest.raises(PagesRefusedError, match=r"cannot hold them in one transaction: out of shared memory"):
+            with pytest.raises(
+                PagesRefusedError, match=r"cannot take the records in one transaction: out of shared memory"
+            ):
                 writer.take([page(0, 500)])
             # Making a day takes more locks than writing into it, so not all are made at once.
             assert writer.take([page(1000, 250)]).added == 250
@@ -202,7 +204,7 @@ def test_a_database_without_rights_is_one_sentence(postgres, database, heliocube
     assert code == 2
     assert err == (
         "heliocube: this user may not make the archive's tables (permission denied for database"
-        f" {database.rpartition('/')[2]}): make it the owner of the database, or grant it CREATE on it\n"
+        f" {database.rpartition('/')[2]}): make this user the owner of the database, or grant it CREATE on it\n"
     )
     code, _, err = heliocube("archive", "--to", database + "x")
     assert (code, "make it with createdb" in err, len(err.splitlines())) == (2, True, 1)
@@ -229,7 +231,7 @@ def test_a_text_that_is_none_costs_its_own_page_alone(postgres, database, monkey
         writer.prepare()
         for site, taken in (("\ud800", False), ("Łódź", True)):
             page = SentPage("lab/roof", batch_of(origin(site=site), {"poses": [pose_row(0)]}))
-            with contextlib.nullcontext() if taken else pytest.raises(PagesRefusedError, match="no such records"):
+            with contextlib.nullcontext() if taken else pytest.raises(PagesRefusedError, match="does not take"):
                 assert writer.take([page]).added == 1
 
 

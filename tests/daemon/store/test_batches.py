@@ -97,7 +97,7 @@ def test_a_run_of_before_there_were_identifiers_has_the_same_one_each_time_and_n
 @pytest.mark.parametrize(
     ("change", "part"),
     [
-        ({"format": 2}, "it is of format 2, and this program reads format 1: update it"),
+        ({"format": 2}, "it is of format 2, and this archive reads format 1: update the archive"),
         ({"run": {**GOOD["run"], "id": ""}}, "its run has no identifier"),
         ({"run": {**GOOD["run"], "id": "'; DROP TABLE runs; --"}}, "its run has no identifier"),
         ({"run": {**GOOD["run"], "latitude_deg": None}}, "its run has no place or no start"),
