@@ -204,7 +204,7 @@ class _Merge:
             found.missing += last - first + 1 - count
         found.simulated = self._simulated
         if not sum(found.read.values()):
-            raise UserError("nothing can be read from it: no record of any kind is whole")
+            raise UserError("nothing can be read from the store to salvage: no record of any kind is whole")
         return found
 
     def _is_damaged(self) -> bool:

@@ -172,7 +172,7 @@ def require_store(path: Path) -> None:
     except PermissionError:
         raise _closed_to_us(path) from None
     if not there:
-        raise StoreError(f"there is no store at {path}; name the folder that its service has as store.directory")
+        raise StoreError(f"there is no store at {path}; name the folder that the service has as store.directory")
 
 
 def open_for_reading(path: Path) -> sqlite3.Connection:
@@ -275,7 +275,7 @@ def check_is_store(connection: sqlite3.Connection, path: Path) -> None:
     if version > VERSION:
         raise UnusableStoreError(
             f"the store {path} is of version {version} and this program knows version {VERSION}: it was written by a"
-            " newer heliocube; update this one, or name another folder",
+            " newer heliocube; update this program, or name another folder",
             "newer",
         )
 

@@ -172,7 +172,7 @@ def test_a_refusal_names_no_option_of_the_command_line(tmp_path):
         (lambda: heliocube.simulate("2022-10-14", law="muprime"), r"(?s)^what was asked for has 1 .* did you mean"),
         (lambda: heliocube.simulate("1900-01-01"), "choose another start or fewer days$"),
         (lambda: heliocube.simulate("2022-12-21", days=0.1, site=(80, 9, 0)), "another start or another site$"),
-        (lambda: heliocube.read_store(tmp_path), "no store at .*; name the folder that its service has as"),
+        (lambda: heliocube.read_store(tmp_path), "no store at .*; name the folder that the service has as"),
         (lambda: heliocube.read_store(tmp_path, start="2022-10-14", end="2022-10-13"), "^the first instant .* the end"),
     ]
     for call, sentence in refused:

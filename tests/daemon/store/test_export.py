@@ -133,7 +133,7 @@ def test_the_tables_of_a_run_name_its_tracker_or_each_record_its_own(keep, tmp_p
             "the first instant 2022-10-14T00:00:00.000Z is not before the end 2022-10-13T00:00:00.000Z: exchange them",
         ),
         (["--from", "noon"], "--from: 'noon' is not a date or time; write 2022-10-14 or 2022-10-14T08:00Z"),
-        ([], "there is no store at {store}/heliocube.sqlite; name the folder that its service has as store.directory"),
+        ([], "there is no store at {store}/heliocube.sqlite; name the folder that the service has as store.directory"),
     ],
 )
 def test_an_export_that_cannot_be_meant_is_one_sentence_and_code_2(heliocube, tmp_path, arguments, sentence):

@@ -105,7 +105,7 @@ def test_a_store_of_a_newer_version_is_refused_by_an_export(keep, tmp_path):
         connection.execute(f"PRAGMA user_version = {VERSION + 1}")
     sentence = re.escape(
         f"the store {folder / FILE_NAME} is of version {VERSION + 1} and this program knows version {VERSION}: it was"
-        " written by a newer heliocube; update this one, or name another folder"
+        " written by a newer heliocube; update this program, or name another folder"
     )
     with pytest.raises(UserError, match=sentence):
         export(folder, tmp_path / "out", "csv", None, None, ())
