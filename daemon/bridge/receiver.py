@@ -168,7 +168,7 @@ class BridgeReceiver:
     def _check_group(self, group: Address) -> None:
         if self._listen.port != group.port:
             raise BridgeError(
-                f"bridge.listen: port {self._listen.port} and that of bridge.multicast_group {group} must be the same"
+                f"bridge.listen: port {self._listen.port} must be the same as that of bridge.multicast_group {group}"
             )
         if self._listen.host not in {ANY_INTERFACE, group.host}:
             raise BridgeError(

@@ -153,7 +153,7 @@ def _base(records: list[Any]) -> tuple[str, float]:
     if isinstance(base_time, _NUMBERS) and base_time < EARLIEST_UTC_S:
         # A clock without a battery begins in 1970.
         unset = "the clock of the cube's machine is not set"
-        raise _malformed(f"has a base time (bt) of before July 1978, {_shown(base_time)}: {unset}")
+        raise _malformed(f"has a base time (bt) before July 1978, {_shown(base_time)}: {unset}")
     return found[1], _number(base_time, EARLIEST_UTC_S, LATEST_UTC_S, "base time (bt)")
 
 

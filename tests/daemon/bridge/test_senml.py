@@ -165,7 +165,7 @@ def test_a_base_time_outside_our_century_is_refused(base_time):
 def test_the_time_of_a_clock_that_is_not_set_is_refused_as_that():
     records = json.loads(senml.encode(scan()))
     records[0]["bt"] = 36014.077
-    said = "has a base time (bt) of before July 1978, 36014.077: the clock of the cube's machine is not set"
+    said = "has a base time (bt) before July 1978, 36014.077: the clock of the cube's machine is not set"
     assert said in refusal(json.dumps(records).encode())
 
 
