@@ -175,7 +175,7 @@ class Link:
             except VersionRefusedError:
                 self._modern = False
                 log.info(
-                    "the MQTT broker speaks 3.1.1 and not 5: it does not show which messages were published retained"
+                    "the MQTT broker speaks 3.1.1 and not 5, so it does not show which messages were published retained"
                 )
                 continue
             except (ConnectionLostError, UserError) as error:
@@ -274,7 +274,7 @@ class Link:
             self._hand_over(message)
 
     def _hand_over(self, message: Incoming) -> None:
-        subject, wrong = f"what comes on {message.topic}", None
+        subject, wrong = f"a message on {message.topic}", None
         for handler in self._handlers.get(message.topic, ()):
             try:
                 handler(message)

@@ -106,7 +106,7 @@ def test_a_message_that_a_handler_cannot_take_is_told_once_and_costs_the_others_
             for payload in (b"bad", b"good", b"bad"):
                 await lab.say("lab/topic", payload)
             await until(lambda: len(heard) == 3, "all messages")
-            sentence = "what comes on lab/topic cannot be used: RecursionError('bad')"
+            sentence = "a message on lab/topic cannot be used: RecursionError('bad')"
             assert rig.mqtt.status.troubles == (sentence,)
             assert [line.getMessage() for line in log_lines()].count(sentence) == 1
             await lab.say("lab/topic", b"good")
