@@ -165,7 +165,7 @@ class Dashboard:
             if all(yes is None for yes in accepted):
                 raise HTTPException(502, "no service answers now, so the token cannot be tried")
             self._sessions.failed()
-            raise HTTPException(401, "no service takes this token: see api.token_file of its configuration")
+            raise HTTPException(401, "no service takes this token: see api.token_file of the service's configuration")
         before = _session_name(request)
         known = self._sessions.find(before)
         # A service that does not answer now gets the token later, and refuses it itself if it has another.

@@ -226,7 +226,7 @@ class SunSpecServer:
 
     def _refuse_held(self, override: Override) -> None:
         if override.name == "auto" and self._table.is_held(override.tracker):
-            raise CommandError("a person has stopped or stowed it in the meantime")
+            raise CommandError("a person has stopped or stowed the tracker in the meantime")
 
     def _tell(self, sentence: str) -> None:
         self._log(self._refused.spend(self._clock.monotonic(), f"a write over SunSpec is refused: {sentence}"))
