@@ -128,7 +128,7 @@ class Plugged:
         said = [key for key in (DRIVER, self.former) if key in rest]
         chosen = [rest.pop(key) for key in said] or [self.default]
         if len(said) > 1:
-            reason = f"stands beside {self.path}.{DRIVER}, which it was called before; remove one of the two"
+            reason = f"is the earlier name of {self.path}.{DRIVER}, which is set too; remove one of the two"
             return self.defaults(), [Wrong((self.former,), chosen[1], "other", reason)]
         name, at = chosen[0], (said or [DRIVER])[0]
         if name not in self.names():

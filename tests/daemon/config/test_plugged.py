@@ -18,7 +18,7 @@ def test_a_law_is_chosen_by_driver_and_by_what_driver_was_called_before(read, ke
 
 
 def test_both_spellings_at_once_are_one_too_many(problem):
-    assert 'law.name = "flat": stands beside law.driver' in problem("[law]\ndriver = 'flat'\nname = 'flat'\n")
+    assert 'law.name = "flat": is the earlier name of law.driver' in problem("[law]\ndriver = 'flat'\nname = 'flat'\n")
 
 
 def test_an_unknown_name_lists_the_known_ones(problem):
