@@ -122,7 +122,7 @@ class LabjackCube:
         await self.close()
         await self._bus.open(_OPEN_S)
         if await self._read(TEST) != TEST_WORDS:
-            raise IdentityError(DEVICE, "what answers is not a LabJack, or gives its words in another order")
+            raise IdentityError(DEVICE, "the device that answers is not a LabJack, or sends its words in another order")
         product, serial = number(await self._read(PRODUCT_ID), "float32"), await self._read(SERIAL_NUMBER)
         if product not in RANGES_V:
             raise IdentityError(DEVICE, f"is a LabJack of type {product:g}, and a T7 or T8 was expected")

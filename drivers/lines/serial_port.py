@@ -188,7 +188,9 @@ LONGEST_DRAIN_S = 3.0
 
 def keeps_sending(device: str) -> ConnectError:
     """Return the error for a device that sends on and on although nobody has asked it."""
-    return ConnectError(device, "what is there keeps sending unasked: is it this instrument, and the speed right?")
+    return ConnectError(
+        device, "the device there keeps sending unasked: is it the right instrument, at the right speed?"
+    )
 
 
 def open_raw(device: str, path: str) -> int | None:

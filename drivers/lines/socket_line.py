@@ -47,7 +47,7 @@ class SocketLine:
             async with asyncio.timeout(_CONNECT_S):
                 self._reader, self._writer = await asyncio.open_connection(self._host, self._port, limit=_LONGEST_LINE)
         except TimeoutError:
-            raise ConnectError(self._device, f"{place} does not answer: is it on, and the network?") from None
+            raise ConnectError(self._device, f"{place} does not answer: is it on, and does its network work?") from None
         except socket.gaierror:
             raise ConnectError(self._device, f"there is no host {self._host}: is the name right?") from None
         except (OSError, OverflowError) as error:
@@ -92,7 +92,7 @@ class SocketLine:
         except (asyncio.IncompleteReadError, OSError):
             raise self._gone() from None
         except asyncio.LimitOverrunError:
-            raise ProtocolError(self._device, "sends without end, but no line") from None
+            raise ProtocolError(self._device, "sends without end, but never ends a line") from None
         self._tap("<", data)
         return data.decode("latin-1").strip("\r\n")
 

@@ -23,7 +23,8 @@ _MOST_HUNG = 8
 def no_room(device: str) -> ConnectError:
     """Return the error for a thread that cannot be had now."""
     return ConnectError(
-        device, "this machine has no room for a thread: too little memory, or more than its unit allows (TasksMax)"
+        device,
+        "this machine has no room for a thread: too little memory, or more tasks than the unit allows (TasksMax)",
     )
 
 

@@ -218,7 +218,7 @@ class LoadSession(ScpiSession):
                 number for query in self._dialect.measure_one_by_one for number in self._numbers(await self.ask(query))
             ]
         if len(numbers) != len(self._dialect.measure_one_by_one):
-            raise ProtocolError(DEVICE, "answered no voltage, current and protection where they were asked for")
+            raise ProtocolError(DEVICE, "did not answer with voltage, current and protections when asked for them")
         voltage_v, current_a, bits = numbers
         if not 0.0 <= bits < _MOST_BITS:
             raise ProtocolError(DEVICE, f"answered {bits:g} where its protections were asked for")

@@ -165,7 +165,7 @@ class _ScanSession(MeterSession):
         except ProtocolError as error:
             if ":ROUT:SCAN" in command:
                 raise IdentityError(
-                    DEVICE, f"{error.message}; is there a scanner card in it, and has it these channels?"
+                    DEVICE, f"{error.message}; does it have a scanner card with these channels?"
                 ) from error
             raise
 

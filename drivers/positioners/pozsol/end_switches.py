@@ -72,7 +72,7 @@ class WayOffSwitch:
         if seen.faults or seen.autonomous:
             self.trouble = likely_cause(seen)
         elif self._taken and not aims:
-            self.trouble = f"it heads for {destination:g} and was sent to {self.goes_to:g}"
+            self.trouble = f"it heads for position {destination:g}, but was sent to {self.goes_to:g}"
         self._taken = self._taken or aims
         return bool(self.trouble) or abs(position - self.goes_to) <= self._near
 

@@ -11,8 +11,8 @@ _LOWEST_SUPPLY_V = 20.0
 def why_not_standing(seen: Telemetry, within_s: float, *, still: bool) -> str:
     """Return why stops have not brought both axes to a standstill within this time [s]."""
     if still:
-        aims = f"A {seen.position_a:g} to {seen.destination_a:g}, B {seen.position_b:g} to {seen.destination_b:g}"
-        return f"does not accept the stop: it stands, but still has to go from {aims}"
+        aims = f"A at {seen.position_a:g} of {seen.destination_a:g}, B at {seen.position_b:g} of {seen.destination_b:g}"
+        return f"does not accept the stop: it stands, but has not reached its destinations: {aims}"
     return f"keeps moving after {within_s:g} s of stops, at A {seen.a_deg:z.1f}, B {seen.b_deg:z.1f} deg"
 
 
@@ -23,8 +23,8 @@ def misfit(seen: Telemetry, axes: Mapping[AxisName, AxisSetup]) -> str | None:
         angle_deg, position = shown[axis]
         if not setup.fits(angle_deg, position):
             return (
-                f"it shows {angle_deg:z.1f} deg at position {position:g} of axis {axis.upper()}, where"
-                f" instruments.positioner.{axis}_axis makes {setup.geometry.position(angle_deg):.1f} of that angle;"
+                f"it shows {angle_deg:z.1f} deg at position {position:g} of axis {axis.upper()}, but by"
+                f" instruments.positioner.{axis}_axis that angle is position {setup.geometry.position(angle_deg):.1f};"
                 " is the geometry that of this unit?"
             )
     return None

@@ -88,7 +88,7 @@ class _Axis:
         try:
             ends = [self.setup.destination(angle) for angle in (self.setup.minimum_deg, self.setup.maximum_deg)]
         except ValueError as error:
-            return [f"instruments.positioner.{self.axis}_axis cannot be: {error}"]
+            return [f"instruments.positioner.{self.axis}_axis cannot be right: {error}"]
         name, low, high = self.axis, self._of(_LOWEST), self._of(_HIGHEST)
         found = []
         for code, beyond, text in (

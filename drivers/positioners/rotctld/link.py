@@ -59,7 +59,9 @@ class TcpLine:
             async with asyncio.timeout(_CONNECT_S):
                 _, self._peer = await loop.create_connection(lambda: _Peer(place, self._tap), self._host, self._port)
         except TimeoutError:
-            raise ConnectError(_DEVICE, f"{place} does not answer: is the machine on, and the network?") from None
+            raise ConnectError(
+                _DEVICE, f"{place} does not answer: is the machine on, and does its network work?"
+            ) from None
         except socket.gaierror:
             raise ConnectError(_DEVICE, f"there is no host {self._host}: is the name right?") from None
         except OSError as error:
@@ -125,7 +127,7 @@ class _Peer(asyncio.Protocol):
             return
         for reply in replies:
             if not self._asked:
-                self._fail(ProtocolError(_DEVICE, f"{self._place} sent an answer to no question"))
+                self._fail(ProtocolError(_DEVICE, f"{self._place} sent an answer that nobody asked for"))
                 return
             future = self._asked.popleft()
             if not future.done():

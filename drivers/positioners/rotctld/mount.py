@@ -85,7 +85,7 @@ class Mount:
             reached = self.elevation_min_deg <= elevation_deg <= self.elevation_max_deg
         if azimuth_deg is None or not reached:
             where = f"azimuth {wanted.azimuth_deg:z.1f}, elevation {wanted.elevation_deg:z.1f} deg"
-            raise UnreachableError(f"{where}, and the rotator turns {self}")
+            raise UnreachableError(f"{where}, but the rotator turns {self}")
         return RotatorPosition(azimuth_deg, elevation_deg)
 
     def counted(self, azimuth_deg: float, before_deg: float | None = None) -> float:

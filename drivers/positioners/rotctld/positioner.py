@@ -252,9 +252,11 @@ class RotctldPositioner:
         try:
             azimuth_deg, elevation_deg = reply.number(protocol.AZIMUTH), reply.number(protocol.ELEVATION)
         except ValueError as error:
-            raise ProtocolError(_DEVICE, f"says no position that can be read: {error}") from None
+            raise ProtocolError(_DEVICE, f"reports no position that can be read: {error}") from None
         if not (abs(azimuth_deg) <= _MOST_AZIMUTH_DEG and _LEAST_ELEVATION_DEG <= elevation_deg <= _MOST_ELEVATION_DEG):
-            raise ProtocolError(_DEVICE, f"says azimuth {azimuth_deg:g}, elevation {elevation_deg:g} deg")
+            raise ProtocolError(
+                _DEVICE, f"reports azimuth {azimuth_deg:g}, elevation {elevation_deg:g} deg, which cannot be"
+            )
         self._azimuth_deg = self._known_mount().counted(azimuth_deg, self._azimuth_deg)
         return RotatorPosition(self._azimuth_deg, elevation_deg)
 

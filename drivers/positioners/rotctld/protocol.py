@@ -62,7 +62,7 @@ class RotctldReply(NamedTuple):
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
-            raise ValueError(f"{label} is {text!r}, no number")
+            raise ValueError(f"{label} is {text!r}, not a number")
         return number
 
 
@@ -128,7 +128,7 @@ class ReplyStream:
                 replies.append(_reply(self._lines, int(end[1])))
                 self._lines = []
         if len(self._rest) + sum(map(len, self._lines)) > _MOST_BYTES:
-            raise ValueError("it sends without end, but no reply")
+            raise ValueError("it sends without end, but never a whole reply")
         return replies
 
 

@@ -269,7 +269,7 @@ def test_a_place_that_it_does_not_reach_is_a_failed_move_and_no_more(run_rotator
         await until_tracked(rig)
         await rig.operator.goto(0.0, 20.0, "look")
         await rig.until(lambda: "move-failed" in alarms(rig), 60, "the alarm", every_s=0.5)
-        assert "lies at azimuth 180.0, elevation 20.0 deg, and the rotator turns" in alarms(rig)["move-failed"]
+        assert "lies at azimuth 180.0, elevation 20.0 deg, but the rotator turns" in alarms(rig)["move-failed"]
         assert rig.rotator.position(rig.clock.monotonic())[1] > 25.0
 
     run_rotator(scenario, positioner={"elevation_min_deg": 25.0}, safety={"snow_b_deg": 30.0})

@@ -119,7 +119,7 @@ def test_words_in_another_order_are_no_labjack(monkeypatch):
     monkeypatch.setattr(sim_drivers.modbus.labjack, "TEST_WORDS", (0x2233, 0x0011))
 
     async def work(cube, _device):
-        with pytest.raises(IdentityError, match="gives its words in another order"):
+        with pytest.raises(IdentityError, match="sends its words in another order"):
             await cube.open()
 
     on_simulated(work)

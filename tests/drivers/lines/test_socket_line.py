@@ -19,7 +19,7 @@ def test_who_does_not_answer_is_given_up_after_five_seconds(monkeypatch):
 
     async def opened_for_s():
         loop = asyncio.get_running_loop()
-        with pytest.raises(ConnectError, match="5025 does not answer: is it on, and the network"):
+        with pytest.raises(ConnectError, match="5025 does not answer: is it on, and does its network work"):
             await SocketLine("cube", "10.0.0.9", 5025).open()
         return loop.time()
 
@@ -45,7 +45,7 @@ def test_what_sends_on_and_on_is_told_within_seconds():
             line = SocketLine("cube", *server.sockets[0].getsockname())
             await line.open()
             async with asyncio.timeout(PATIENCE_S):
-                with pytest.raises(ConnectError, match="keeps sending unasked: is it this instrument"):
+                with pytest.raises(ConnectError, match="keeps sending unasked: is it the right instrument"):
                     await line.drain(4.0)
             await line.close()
             await over.wait()

@@ -148,7 +148,7 @@ def test_what_sends_on_and_on_is_told_within_seconds(ends):
         talker.start()
         begin_s = time.monotonic()
         try:
-            with pytest.raises(ConnectError, match="keeps sending unasked: is it this instrument"):
+            with pytest.raises(ConnectError, match="keeps sending unasked: is it the right instrument"):
                 # Under load, Linux has been seen to let a pseudo-terminal wait for seconds.
                 line.drain(10.0)
         finally:

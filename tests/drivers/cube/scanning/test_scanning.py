@@ -137,7 +137,7 @@ def test_a_meter_without_a_card_is_refused_in_a_sentence(run, meter):
     sentence = run(meter, act)
     if meter == "keithley2000-scan":
         assert sentence == (
-            'did not take :ROUT:SCAN (@1,2,3,4): -241,"Hardware missing"; is there a scanner card in it, and has it'
+            'did not take :ROUT:SCAN (@1,2,3,4): -241,"Hardware missing"; does it have a scanner card with'
             " these channels?"
         )
     else:

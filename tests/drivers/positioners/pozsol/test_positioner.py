@@ -153,7 +153,7 @@ def test_a_geometry_that_has_no_place_for_the_target_refuses_the_move():
     async def scenario(positioner, core, now):
         flat = replace(A, geometry=Triangle(300.0, 300.0, 90.0, -52.0, 290.0))
         positioner = PozsolPositioner(InMemoryStream(core, now), now, flat, B)
-        assert "a_axis cannot be" in (await positioner.open()).setup_conflicts[0]
+        assert "a_axis cannot be right" in (await positioner.open()).setup_conflicts[0]
         with pytest.raises(RefusedError, match="no position for"):
             await positioner.move_to(0.0, 45.0)
 

@@ -328,7 +328,7 @@ def test_a_geometry_that_is_not_the_units_is_told_and_no_move_passes_for_taken(p
             wrong = AxisSetup(Proportional(59.5, -52.0), -50.0, 50.0)
             positioner = positioner_on(host.port.link, a=wrong)
             await positioner.open()
-            with pytest.raises(RefusedError, match=r"a_axis makes 3094.0 of that angle; is the geometry"):
+            with pytest.raises(RefusedError, match=r"a_axis that angle is position 3094.0; is the geometry"):
                 await positioner.move_to(10.0, 70.0)
             assert not host.received
             await positioner.stop()

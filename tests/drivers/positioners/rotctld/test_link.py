@@ -95,7 +95,7 @@ def test_who_says_what_nobody_asked_is_no_rotctld():
     async def _(line, peer):
         peer.writer.write(POSITION)
         await peer.until(lambda: ("<", POSITION) in peer.tapped)
-        with pytest.raises(ProtocolError, match=r"127\.0\.0\.1:\d+ sent an answer to no question"):
+        with pytest.raises(ProtocolError, match=r"127\.0\.0\.1:\d+ sent an answer that nobody asked for"):
             await line.ask(b"+\\stop\n", PATIENCE_S)
 
 
@@ -127,7 +127,7 @@ def test_an_end_of_the_connection_is_told_to_who_waits_and_to_who_asks_later():
         (ConnectionRefusedError(errno.ECONNREFUSED, "refused"), "nothing listens at there:1: is rotctld running there"),
         (OSError(errno.ENETUNREACH, "Network is unreachable"), "there:1 cannot be reached: Network is unreachable"),
         (socket.gaierror(socket.EAI_NONAME, "unknown"), "there is no host there: is the name right"),
-        (TimeoutError(), "there:1 does not answer: is the machine on, and the network"),
+        (TimeoutError(), "there:1 does not answer: is the machine on, and does its network work"),
     ],
 )
 def test_who_cannot_be_reached_is_said_with_the_reason(fault, sentence, monkeypatch):

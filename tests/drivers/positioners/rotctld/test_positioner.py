@@ -37,7 +37,7 @@ def test_it_is_known_by_what_its_server_says_of_it_and_nothing_is_sent_that_move
 @pytest.mark.parametrize(("says", "error", "sentence"), [
     ({"dump_state": ends_with("dump_state", -8)}, ConnectError, r"dump_state with protocol error of the rotator"),
     ({"dump_state": STATE.replace(b"603", b"?")}, ConnectError, "dump_state cannot be read"),
-    ({"get_pos": at("nan", 0)}, ConnectError, "says no position that can be read"),
+    ({"get_pos": at("nan", 0)}, ConnectError, "reports no position that can be read"),
     ({"get_pos": ends_with("get_pos", -6)}, ConnectError, "get_pos with no connection to the rotator"),
     ({"get_info": at(0, 0)}, ConnectError, "answers get_pos to get_info: is it rotctld"),
     ({"get_info": b"RPRT 0\n"}, ConnectError, "answers without a name to get_info"),
@@ -67,7 +67,7 @@ def test_a_place_where_no_rotator_points_is_no_position(place, believed):
         if believed:
             assert (await driver.read_telemetry()).position_b == place[1]
         else:
-            with pytest.raises(ProtocolError, match=f"says azimuth {place[0]:g}, elevation {place[1]:g} deg"):
+            with pytest.raises(ProtocolError, match=f"reports azimuth {place[0]:g}, elevation {place[1]:g} deg"):
                 await driver.read_telemetry()
 
     told(look)

@@ -43,7 +43,7 @@ def test_blanks_at_the_ends_of_its_lines_are_no_part_of_an_answer():
 @pytest.mark.parametrize("text", ["nan", "inf", "", "12,5", "1_2.5"])
 def test_a_value_that_is_no_finite_number_is_an_error(text):
     (reply,) = ReplyStream().feed(f"get_pos:\nAzimuth: {text}\nRPRT 0\n".encode())
-    with pytest.raises(ValueError, match=f"Azimuth is {text!r}, no number"):
+    with pytest.raises(ValueError, match=f"Azimuth is {text!r}, not a number"):
         reply.number("Azimuth")
 
 

@@ -169,7 +169,7 @@ def test_each_target_is_checked_against_the_range_by_us_and_by_rotctld(start_rot
             await driver.move_to(0.0, 75.0)
         return caught.value.message
 
-    assert "lies at azimuth 180.0, elevation 75.0 deg, and the rotator turns" in run(driver_of(server.place), act)
+    assert "lies at azimuth 180.0, elevation 75.0 deg, but the rotator turns" in run(driver_of(server.place), act)
     # A wider range in the configuration is believed, and rotctld has the last word.
     wide = driver_of(server.place, elevation_max_deg=90.0)
     assert run(wide, act) == (
@@ -264,7 +264,7 @@ def test_a_rotator_that_its_rotctld_does_not_reach_is_said_with_the_remedy(start
     [
         (b"SSH-2.0-OpenSSH_9.2\r\n", "did not answer get_info"),
         (b"", "did not answer get_info"),
-        (b"RPRT 0\n", "answers without a name to get_info|sent an answer to no question"),
+        (b"RPRT 0\n", "answers without a name to get_info|sent an answer that nobody asked for"),
     ],
 )
 def test_what_is_no_rotctld_is_never_believed(run, greeting, sentence):
