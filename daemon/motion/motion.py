@@ -165,7 +165,7 @@ class Motion(MotionState):
         unit's own stays on, and for a drive that has no reference run.
         """
         if not self._has_reference_run:
-            message = "has no reference run: compare it with where it truly points, put it right there, then clear it"
+            message = "has no reference run: compare its angles with where it points, set it right, then clear it"
             raise RefusedError("positioner", message)
         self._refuse_frozen()
         conflicts = "; ".join(self.identity.setup_conflicts) if self.identity else ""
@@ -173,7 +173,7 @@ class Motion(MotionState):
         obstacle = self.unexplained or conflicts or unseen or self._guard.own_mode.text
         if obstacle:
             # Once cleared, the tracker goes to work, however wrong its count is.
-            wait = "; 'heliocube hold' before it lets the tracker wait to be homed" if self.unexplained else ""
+            wait = "; give 'heliocube hold' first, so that the tracker waits to be homed" if self.unexplained else ""
             raise RefusedError("positioner", f"cannot be homed: {obstacle}{wait}")
         self._home_wanted = True
         self._wanted = None
@@ -282,7 +282,7 @@ class Motion(MotionState):
             self._report(text)
         if text and not telemetry.reference_doubt:
             how = "clear or home it" if self._has_reference_run else "clear it"
-            guard.doubts.doubt("jump", f"{text}: compare with the arms, then {how}")
+            guard.doubts.doubt("jump", f"{text}: compare the angles with the arms, then {how}")
 
     def _note_link(self, name: str = "") -> bool:
         """Take note that the unit answers; return whether that was news."""

@@ -21,7 +21,7 @@ RESET = "the positioner has restarted and may have lost its reference: home it, 
 
 def remedy_of(*, has_reference_run: bool) -> str:
     """Return what ends a doubt about the count, as the end of a sentence: not every drive can be homed."""
-    return "home it" if has_reference_run else "compare it with where it points, then clear it"
+    return "home it" if has_reference_run else "compare the angles with where the tracker points, then clear it"
 
 
 def fault_text(name: str) -> str:
@@ -63,7 +63,7 @@ def kept_doubts(folder: StateFolder, seen: Telemetry | None = None) -> tuple[str
     With telemetry `seen` today, also tell which faults have gone since.
     """
     # It is not known which drive it was, and whether that one can be homed.
-    remedy = "compare it with where it points"
+    remedy = "compare the angles with where the tracker points"
     kept = _load(_file_in(folder), remedy)
     gone = () if seen is None else tuple(_vanished(name, remedy) for name in kept.faults if name not in seen.faults)
     return (*kept.incidents.values(), *kept.doubts.values(), *gone, *((NOT_FINISHED,) if kept.homing else ()))

@@ -21,7 +21,7 @@ _JUMP_DEG_PER_S = 10.0
 _SHORTEST_LOOK_S = 0.5
 _AXES: tuple[AxisName, AxisName] = ("a", "b")
 _TURN_DEG = 360.0
-CLEAR = "nothing moves before a person has looked and said 'heliocube clear'"
+CLEAR = "nothing moves until a person has looked and given 'heliocube clear'"
 """The end of every sentence about an axis that moved by itself, or does not stop."""
 
 
@@ -111,8 +111,8 @@ class Watch:
         if all(on_it):
             return ""
         return (
-            f"positioner stands at A {telemetry.a_deg:z.1f}, B {telemetry.b_deg:z.1f} deg; the move on which it was"
-            " lost does not lead there"
+            f"positioner stands at A {telemetry.a_deg:z.1f}, B {telemetry.b_deg:z.1f} deg; the move during which"
+            " the link was lost does not lead there"
         )
 
     @property
@@ -205,7 +205,7 @@ class Watch:
         for at, (name, here, start) in enumerate(zip(self._names, _positions(telemetry), starts, strict=True)):
             aim, to = self._aim[at], destinations[at]
             if not (abs(to - aim) <= 1.0 or abs(to - here) <= 1.0):
-                return f"{name} heads for position {to:g} and was sent to {aim:g}"
+                return f"{name} heads for position {to:g}, but was sent to {aim:g}"
             gap = abs(here - aim)
             if gap > self._gaps[at] + self._stray and (start - aim) * (here - aim) >= 0.0:
                 return f"{name} moves away from where it was sent, {self._moved(at, self._rest, telemetry)}"

@@ -21,7 +21,7 @@ def test_a_positioner_that_does_not_obey_is_told_after_five_seconds_and_stopped_
         await rig.until(lambda: "deaf-to-stop" in rig.raised, 12.0)
         assert 5.0 < rig.clock.monotonic() - asked_s < 9.0
         assert rig.raised["deaf-to-stop"].startswith(
-            "the positioner does not obey stop: switch off the supply of its motors; nothing moves before"
+            "the positioner does not obey stop: switch off the supply of its motors; nothing moves until"
         )
         halts = [rig.unit.sent.count("halt")]
         for _ in range(3):

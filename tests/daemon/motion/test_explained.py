@@ -185,7 +185,7 @@ def test_a_reference_run_of_its_own_in_the_middle_of_a_move_is_told_as_what_was_
         await rig.until(lambda: rig.motion.unexplained, 4.0)
         rig.unit.says.clear()
         await asyncio.sleep(8.0)
-        assert rig.motion.unexplained.startswith("A heads for position -50 and was sent to 30")
+        assert rig.motion.unexplained.startswith("A heads for position -50, but was sent to 30")
         assert "reference run of its own" in rig.motion.doubt
 
     run_motion(scenario)

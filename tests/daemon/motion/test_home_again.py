@@ -152,7 +152,9 @@ def test_a_count_that_slipped_at_rest_is_homed_before_anything_moves_by_it(run_r
         rig.unit.inject("b_slip", rig.clock.monotonic())
         await rig.until(lambda: rig.motion.unexplained, 10, "what shows of it")
         person = Operator(rig.tracker, 1.0)
-        with pytest.raises(CommandError, match=r"'heliocube clear'; 'heliocube hold' before it lets the tracker wait"):
+        with pytest.raises(
+            CommandError, match=r"'heliocube clear'; give 'heliocube hold' first, so that the tracker waits"
+        ):
             await person.home("the angles are not those of the arms")
         await person.hold("the angles are not those of the arms")
         assert (await person.clear("nobody is there")).done

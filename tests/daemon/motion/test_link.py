@@ -80,7 +80,7 @@ def test_where_it_stands_after_a_loss_is_compared_with_where_it_stood(place, jum
             stands = f"positioner stands at A {place[0]:.1f}, B {place[1]:.1f} deg"
             text = f"{stands}; before the loss it stood at A 10.0, B 60.0"
             assert doubt.startswith(text)
-            assert doubt.endswith(": compare with the arms, then clear or home it")
+            assert doubt.endswith(": compare the angles with the arms, then clear or home it")
             assert sum(told.startswith(text) for told in rig.told) == 1
 
     def at_ten(clock):

@@ -51,7 +51,7 @@ def test_what_was_noted_is_told_to_others_with_the_faults_that_have_gone_since(t
     doubts.homing_begins()
     noted = ("A moved without an order", RESET)
     assert kept_doubts(folder) == (*noted, NOT_FINISHED)
-    gone = "a_cable cleared by itself, the reference may be lost: compare it with where it points"
+    gone = "a_cable cleared by itself, the reference may be lost: compare the angles with where the tracker points"
     assert kept_doubts(folder, look("b_cable")) == (*noted, gone, NOT_FINISHED)
 
 
@@ -119,5 +119,7 @@ def test_a_drive_without_a_reference_run_is_to_be_compared_and_is_not_told_to_ho
         return service.trackers[0].motion.doubt
 
     doubt = asyncio.run(scenario())
-    assert doubt.endswith("in doubt before the restart: compare it with where it points, then clear it")
+    assert doubt.endswith(
+        "in doubt before the restart: compare the angles with where the tracker points, then clear it"
+    )
     assert "home" not in doubt + caplog.text

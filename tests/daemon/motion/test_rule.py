@@ -270,7 +270,7 @@ def test_motion_of_its_own_that_was_seen_is_not_forgotten_with_the_link(run_rig,
         if pressed:
             assert rig.motion.unexplained is None
         else:
-            assert "and was sent to" in rig.motion.unexplained
+            assert "but was sent to" in rig.motion.unexplained
             assert rig.mode is Mode.FAULT
 
     run_rig(scenario)

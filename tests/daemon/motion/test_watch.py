@@ -154,9 +154,9 @@ def test_an_expected_move_may_go_where_it_was_sent_and_stop_on_its_way():
 
 
 @pytest.mark.parametrize(("look", "told"), [
-    (at(2.0, b=280.0, to_b=287.0), "B heads for position 287 and was sent to 290"),
-    (at(2.0, b=280.0, to_b=291.1), "B heads for position 291.1 and was sent to 290"),
-    (at(2.0, to_b=290.0, to_a=51.1), "A heads for position 51.1 and was sent to 50"),
+    (at(2.0, b=280.0, to_b=287.0), "B heads for position 287, but was sent to 290"),
+    (at(2.0, b=280.0, to_b=291.1), "B heads for position 291.1, but was sent to 290"),
+    (at(2.0, to_b=290.0, to_a=51.1), "A heads for position 51.1, but was sent to 50"),
     (at(2.0, b=279.5, to_b=290.0), "B moves away from where it was sent, B moved from +28.0 to +27.9 deg"),
     (at(2.0, a=49.0, to_a=50.0, to_b=290.0), "A moves away from where it was sent, A moved from +5.0 to +4.9 deg"),
 ])  # fmt: skip

@@ -303,8 +303,8 @@ def test_a_rotator_that_stands_elsewhere_after_the_loss_waits_for_a_person(run_r
         rig.cables.positioner.link_up = True
         await rig.until(lambda: "reference" in alarms(rig), 120, "the doubt", every_s=0.5)
         assert "before the loss it stood at" in alarms(rig)["reference"]
-        assert alarms(rig)["reference"].endswith(": compare with the arms, then clear it")
-        with pytest.raises(RefusedError, match="has no reference run: compare it"):
+        assert alarms(rig)["reference"].endswith(": compare the angles with the arms, then clear it")
+        with pytest.raises(RefusedError, match="has no reference run: compare its angles"):
             rig.motion.home()
         rig.motion.clear_faults()
         await rig.until_mode(Mode.TRACKING, 60)
@@ -320,7 +320,7 @@ def test_a_jump_of_a_count_that_no_reference_run_restores_names_what_can_be_done
         rig.rotator.turns = replace(rig.rotator.turns, speed_deg_per_s=1e4)
         rig.rotator.turn(10.0, 45.0, rig.clock.monotonic())
         await rig.until(lambda: "reference" in alarms(rig), 120, "the doubt", every_s=0.5)
-        remedy = "compare it with where it points, then clear it"
+        remedy = "compare the angles with where the tracker points, then clear it"
         assert alarms(rig)["reference"].endswith(f"the reference may be lost: {remedy}")
 
     run_rotator(scenario)
@@ -341,7 +341,7 @@ def test_a_rotator_that_was_lost_in_mid_move_is_doubted_only_off_the_way_of_its_
         await rig.until(lambda: rig.motion.connected, 60, "the link", every_s=0.5)
         await asyncio.sleep(5.0)
         doubt = alarms(rig).get("reference", "")
-        assert ("the move on which it was lost does not lead there" in doubt) is is_turned, doubt
+        assert ("the move during which the link was lost does not lead there" in doubt) is is_turned, doubt
 
     run_rotator(scenario)
 
