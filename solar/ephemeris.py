@@ -165,7 +165,7 @@ def sun_day(utc_s: Instant, latitude_deg: float, longitude_deg: float, altitude_
     _check_place(latitude_deg, longitude_deg, altitude_m)
     instant = _finite(utc_s)
     if instant.ndim:
-        raise ValueError(f"a solar day is asked for by one instant, not by an array of {instant.shape}")
+        raise ValueError(f"sun_day takes one instant, not an array of {instant.shape}")
     return _sun_day(solar_days(float(instant), longitude_deg), latitude_deg, longitude_deg, altitude_m)
 
 
@@ -341,7 +341,7 @@ def _finite(utc_s: "Instant | Instants") -> Array:
             ) from None
     # NaN is within no limit.
     if not np.all(np.abs(instants) < _YEAR_10000_S):
-        raise ValueError(f"the time must be finite seconds since 1970, no milliseconds, and not {utc_s!s:.60}")
+        raise ValueError(f"the time must be finite seconds since 1970 (no milliseconds), and not {utc_s!s:.60}")
     return instants
 
 

@@ -198,7 +198,7 @@ def summer_time_hint(text: str, seconds: Sequence[float]) -> str:
     if not (0.5 * usual_s <= step_s <= 1.5 * usual_s and when.month in _AUTUMN and when.hour <= _LATEST_HOUR):
         return ""
     return (
-        "; these look like local times at the end of summer time: write UTC, or behind each time its offset, such as"
+        "; these look like local times at the end of summer time: write UTC, or add to each time its offset, such as"
         " +01:00"
     )
 
@@ -211,12 +211,12 @@ def zone_note(texts: Iterable[str]) -> str:
 def second_header_hint(text: str, row: int) -> str:
     """Return the end of a sentence that refuses a time, if it has no digit and is in row 0, the first; else nothing."""
     units = row == 0 and not any(map(str.isdigit, text))
-    return "; take a second line of the header, such as units, out" if units else ""
+    return "; remove a second line of the header, such as units" if units else ""
 
 
 def _never_closed(line: int) -> CellError:
     return CellError(
-        f"line {line}: a cell begins with a quotation mark and none ends it: take the mark out, or close it"
+        f"line {line}: a cell begins with a quotation mark and no mark ends it: take the mark out, or close it"
     )
 
 

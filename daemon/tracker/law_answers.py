@@ -10,7 +10,7 @@ def checked_kept(found: object) -> dict[str, Any] | None:
     if found is None:
         return None
     if not isinstance(found, Mapping):
-        raise TypeError(f"what it wants kept is {found!r}, no mapping")
+        raise TypeError(f"what it wants to keep is {found!r}, not a mapping")
     kept: dict[str, Any] = json.loads(json.dumps(dict(found), default=float))
     return kept
 

@@ -243,24 +243,24 @@ def _unsure(spread: Array, residual: float, level: float) -> list[str]:
     if not residual <= _LARGEST_RESIDUAL:
         return [
             (
-                f"readings that fit a clear sky: {residual:.1%} is left unexplained, where 1 % is the most (shade on a "
-                "face, a wrong site or clock, or faces exchanged)"
+                f"readings that fit a clear sky: {residual:.1%} is left unexplained, where 1 % is allowed (is there "
+                "shade on a face, a wrong site or clock, or are faces exchanged?)"
             )
         ]
     if not level <= _LEVEL_SIGMA:
         return [
             (
                 f"clear sky that determines the level of the gains: it is known to {200.0 * level:.1f} % (k = 2) only, "
-                "and the sensors' maker promises 5 % (more clear days, with the sun high and low, or a level that is "
-                "known: of a face from its certificate, of the site from a pyranometer nearby)"
+                "but the sensors' maker promises 5 % (take more clear days, with the sun high and low, or a known "
+                "level: of a face from its certificate, or of the site from a pyranometer nearby)"
             )
         ]
     names = ("the gains", "yaw and tilt", "the albedo")
     worst = (float(spread[:4].max()), float(spread[4:7].max()), float(spread[7]))
     units = ("", " deg", "")
     return [
-        f"days that agree on {name}: leaving out one day after the other gives a standard error of {error:.3g}{unit}, "
-        f"where {limit:g}{unit} is the most"
+        f"days that agree on {name}: leaving out one day at a time gives a standard error of {error:.3g}{unit}, "
+        f"where {limit:g}{unit} is allowed"
         for name, error, limit, unit in zip(names, worst, _TOO_UNSURE, units, strict=True)
         if not error <= limit
     ]

@@ -82,7 +82,7 @@ def _ratio(zenith_over_ghi: Array, step_s: float) -> float:
     if logs.size < _LEAST_COMMON:
         raise ValueError(
             f"clear sky that the GHI nearby has as well: {logs.size} quarters of an hour, where {_LEAST_COMMON} are "
-            "needed (its times in UTC?)"
+            "needed (are its times in UTC?)"
         )
     middle = float(np.median(logs))
     spread = 1.4826 * float(np.median(np.abs(logs - middle)))
@@ -90,14 +90,14 @@ def _ratio(zenith_over_ghi: Array, step_s: float) -> float:
         apart = f"its values are {step_s / 60:g} min apart: is each mean's time the middle of its span? "
         means = apart if step_s > _LONG_STEP_S else ""
         raise ValueError(
-            f"a GHI nearby that goes with the zenith face: their ratio varies by {spread:.1%} from one quarter of an "
-            f"hour to the next, where {_LARGEST_SPREAD:.0%} is the most ({means}its times in UTC? a clock that is "
-            "minutes off, or another sky?)"
+            f"a GHI nearby that agrees with the zenith face: their ratio varies by {spread:.1%} from one quarter of an "
+            f"hour to the next, where {_LARGEST_SPREAD:.0%} is allowed ({means}are its times in UTC? is a clock "
+            "minutes off? does it see another sky?)"
         )
     if not abs(middle) <= np.log(_LARGEST_RATIO):
         raise ValueError(
-            f"a GHI nearby that goes with the zenith face: that reads {np.exp(middle):.2f} times as much (in W/m2? the "
-            "right gains?)"
+            f"a GHI nearby that agrees with the zenith face: the face reads {np.exp(middle):.2f} times as much (is the "
+            "GHI in W/m2? are the gains right?)"
         )
     return float(np.exp(middle))
 

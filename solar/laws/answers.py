@@ -10,9 +10,9 @@ from solar.laws.law import Aim
 def checked_aim(found: object, limits: Limits) -> Aim:
     """Return what a law says, its target inside the limits; `TypeError` or `ValueError` for an invalid answer."""
     if not isinstance(found, Aim):
-        raise TypeError(f"{type(found).__name__} is no Aim")
+        raise TypeError(f"{type(found).__name__} is not an Aim")
     if not isinstance(found.sun, SunPosition):
-        raise TypeError(f"the sun of its Aim is {found.sun!r}, no SunPosition")
+        raise TypeError(f"the sun of its Aim is {found.sun!r}, not a SunPosition")
     return Aim(
         azimuth_deg=float(found.azimuth_deg),
         elevation_deg=float(found.elevation_deg),
@@ -27,8 +27,8 @@ def checked_aim(found: object, limits: Limits) -> Aim:
 
 def _checked_target(target: Angles, limits: Limits) -> Angles:
     if not isinstance(target, tuple) or len(target) != len(Angles._fields):
-        raise TypeError(f"its target is {target!r}, no Angles")
+        raise TypeError(f"its target is {target!r}, not Angles")
     a_deg, b_deg = map(float, target)
     if not (math.isfinite(a_deg) and math.isfinite(b_deg)):
-        raise ValueError(f"its target is A {a_deg:g}, B {b_deg:g} deg: a law that has none says None")
+        raise ValueError(f"its target is A {a_deg:g}, B {b_deg:g} deg: a law without a target answers None")
     return limits.clip(a_deg, b_deg)

@@ -44,5 +44,5 @@ def weighed(gain_w_m2: float, price_w_m2: float, *, moves: bool, hindered: str =
     if hindered:
         return f"{gain} W/m2 to gain, but {hindered}"
     if moves:
-        return f"{gain} W/m2 to gain, more than the wear of a move is worth ({price})"
+        return f"{gain} W/m2 to gain, more than the wear of a move costs ({price})"
     return f"{gain} W/m2 to gain, not worth a move (from {price})"

@@ -245,7 +245,7 @@ def test_what_would_be_a_time_of_1970_is_refused(wrong):
 
 
 def test_a_solar_day_is_that_of_one_instant():
-    with pytest.raises(ValueError, match=r"by one instant, not by an array of \(2,\)"):
+    with pytest.raises(ValueError, match=r"takes one instant, not an array of \(2,\)"):
         sun_day(np.array([1.7e9, 1.71e9]), *SIRTA)
 
 

@@ -20,7 +20,7 @@ def weather_values(path):
     return measured_weather(path).irradiance_w_m2
 
 
-MARKED = "begins with a quotation mark and none ends it: take the mark out, or close it"
+MARKED = "begins with a quotation mark and no mark ends it: take the mark out, or close it"
 NOT_CLOSED = [
     (read_csv, "time,east,south,west,zenith,remark", "1,2,3,4,dull"),
     (read_faces_in_mv, "time,east_mv,south_mv,west_mv,zenith_mv,remark", "1,2,3,4,dull"),

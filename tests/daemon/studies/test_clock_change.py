@@ -10,7 +10,7 @@ from daemon.studies.compare.pairs import read_tables
 from daemon.studies.recorded import read_csv
 
 HINT = (
-    "; these look like local times at the end of summer time: write UTC, or behind each time its offset, such as +01:00"
+    "; these look like local times at the end of summer time: write UTC, or add to each time its offset, such as +01:00"
 )
 TABLES = [
     (read_csv, "time,east,south,west,zenith", "1,2,3,4"),

@@ -245,9 +245,7 @@ def test_a_second_line_of_a_header_is_told_with_what_to_do(tmp_path, read, head,
     path = tmp_path / "table.csv"
     for time in ("", "UTC"):
         path.write_text(f"{head}\n{time}{',W/m2' * head.count(',')}\n{row}\n")
-        with pytest.raises(
-            UserError, match=rf"{path}, line 2: .*; take a second line of the header, such as units, out$"
-        ):
+        with pytest.raises(UserError, match=rf"{path}, line 2: .*; remove a second line of the header, such as units$"):
             read(path)
     path.write_text(f"{head}\n{row}\nUTC{',1' * head.count(',')}\n")
     with pytest.raises(UserError, match=rf"{path}, line 3: ") as refused:

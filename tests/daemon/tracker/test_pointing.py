@@ -201,14 +201,14 @@ def answering(monkeypatch, **answers):
 
 
 @pytest.mark.parametrize(("answer", "words"), [
-    ({"target": Angles(np.nan, 60.0)}, r"ValueError: its target is A nan, B 60 deg: a law that has none says None"),
+    ({"target": Angles(np.nan, 60.0)}, "ValueError: its target is A nan, B 60 deg: a law without"),
     ({"target": Angles(np.zeros(2), np.zeros(2))}, "TypeError: "),
-    ({"target": 60.0}, "TypeError: its target is 60.0, no Angles"),
-    ({"target": (1.0, 2.0, 3.0)}, "TypeError: its target is .*, no Angles"),
+    ({"target": 60.0}, "TypeError: its target is 60.0, not Angles"),
+    ({"target": (1.0, 2.0, 3.0)}, "TypeError: its target is .*, not Angles"),
     ({"azimuth_deg": None}, "TypeError: "),
-    ({"sun": None}, "TypeError: the sun of its Aim is None, no SunPosition"),
-    (Angles(0.0, 60.0), "TypeError: Angles is no Aim"),
-    (None, "TypeError: NoneType is no Aim"),
+    ({"sun": None}, "TypeError: the sun of its Aim is None, not a SunPosition"),
+    (Angles(0.0, 60.0), "TypeError: Angles is not an Aim"),
+    (None, "TypeError: NoneType is not an Aim"),
 ])  # fmt: skip
 def test_a_law_that_says_what_is_no_answer_has_failed_and_the_other_points(monkeypatch, answer, words):
     points = answering(monkeypatch, aim=answer)
@@ -228,7 +228,7 @@ def test_what_a_law_says_in_numbers_of_numpy_is_taken_in_those_of_python_and_ins
 
 
 @pytest.mark.parametrize(("kept", "words"), [
-    ([1], r"TypeError: what it wants kept is \[1\], no mapping"),
+    ([1], r"TypeError: what it wants to keep is \[1\], not a mapping"),
     ({"days": {1}}, "TypeError: "),
 ])  # fmt: skip
 def test_a_law_that_wants_kept_what_no_file_holds_has_failed(monkeypatch, tmp_path, kept, words):

@@ -19,6 +19,6 @@ def test_a_direction_near_the_zenith_is_an_even_sky_or_no_sun():
 
 
 def test_what_a_move_gains_stands_beside_what_it_costs():
-    assert words.weighed(7.04, 1.16, moves=True) == "7.0 W/m2 to gain, more than the wear of a move is worth (1.2)"
+    assert words.weighed(7.04, 1.16, moves=True) == "7.0 W/m2 to gain, more than the wear of a move costs (1.2)"
     assert words.weighed(0.24, 0.2, moves=False) == "0.2 W/m2 to gain, not worth a move (from 0.2)"
     assert words.weighed(7.04, 1.16, moves=False, hindered="it is late") == "7.0 W/m2 to gain, but it is late"

@@ -281,7 +281,7 @@ def fails(*_):
 
 @pytest.mark.parametrize(("answer", "words"), [
     (fails, r"on 2016-12-05: ZeroDivisionError: no such sky \(test_energy\.py, line \d+\)"),
-    (lambda *_: None, r"on 2016-12-05: TypeError: NoneType is no Aim \(answers\.py, line \d+\)"),
+    (lambda *_: None, r"on 2016-12-05: TypeError: NoneType is not an Aim \(answers\.py, line \d+\)"),
 ])  # fmt: skip
 def test_a_law_that_fails_is_told_with_its_day_and_leaves_those_that_were_done(
     monkeypatch, short_weather, tmp_path, capsys, answer, words

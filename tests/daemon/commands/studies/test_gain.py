@@ -327,7 +327,7 @@ def test_a_mistake_is_one_sentence_and_exit_code_two(heliocube, tmp_path, monkey
         (POINTS.replace("45,35", "45,5,35"), "line 2: there are 5 cells where the header has 4"),
         (
             POINTS.replace("82,", '"82,'),
-            "line 4: a cell begins with a quotation mark and none ends it: take the mark out",
+            "line 4: a cell begins with a quotation mark and no mark ends it: take the mark out",
         ),
     ],
 )

@@ -73,7 +73,7 @@ def test_a_last_line_that_breaks_off_is_left_out_of_a_picture_and_told(heliocube
         (
             "scans",
             lambda text: text.replace(b"\n", b'\n"', 1),
-            ", line 2: a cell begins with a quotation mark and none",
+            ", line 2: a cell begins with a quotation mark and no mark",
         ),
         ("scans", lambda text: text.replace(b"\n", b"\n,", 1), " has more cells in its lines than names in its header"),
         ("scans", lambda text: text[:-1] + b",\n", ": there are 23 cells where the header has 22"),

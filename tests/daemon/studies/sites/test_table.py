@@ -46,7 +46,7 @@ def test_each_line_is_a_site_with_its_weather(table, tmp_path):
         (("name,latitude,longitude", "x,1,2,3"), "line 2 has more cells than"),
         (
             ("name,latitude,longitude,weather", "x,1,2,clear", '"y,3,4,clear', "z,5,6,clear"),
-            "line 3: a cell begins with a quotation mark and none ends it",
+            "line 3: a cell begins with a quotation mark and no mark ends it",
         ),
         (("name,latitude,longitude", "x,1,2"), "line 2 has no weather: name its files there, or with --model"),
         (("name,latitude,longitude,weather", "x,1,2,no.csv"), "line 2: there is no weather file 'no.csv'"),
