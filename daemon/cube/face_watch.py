@@ -37,13 +37,13 @@ _ZENITH = FACES.index("zenith")
 _WHY = {
     Doubt.DEAD: "next to nothing while other faces are lit",
     Doubt.DARK: "nothing in daylight",
-    Doubt.SAME: "the same as another, two by two",
+    Doubt.SAME: "the same as another face, in pairs",
     Doubt.FROZEN: "the same while the light changes on the others",
     Doubt.OVER: "more than sun and sky can give there",
     Doubt.NIGHT: "light in the night while the others are dark",
     Doubt.ODD: "what the others and the sun's position contradict",
-    Doubt.SWAPPED: "each what the other should",
-    Doubt.TORN: "what no light explains, and which of them is wrong is not known",
+    Doubt.SWAPPED: "each other's light",
+    Doubt.TORN: "what no light explains, and it is not known which of them is wrong",
     Doubt.LOOSE: "for a minute now and then what the others do not",
 }
 _STUCK = "whether the sensor or the channel of {} is stuck"

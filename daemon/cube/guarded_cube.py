@@ -73,19 +73,19 @@ class GuardedCube:
 def _checked(reading: object) -> CubeReading:
     """Return the reading; `TypeError` or `ValueError` for an invalid one."""
     if not isinstance(reading, CubeReading):
-        raise TypeError(f"what it read is {reading!r}, no CubeReading")
+        raise TypeError(f"its reading is {reading!r}, not a CubeReading")
     if reading.unit not in _UNITS:
-        raise ValueError(f"the unit of what it read is {reading.unit!r}, not one of {', '.join(_UNITS)}")
+        raise ValueError(f"the unit of its reading is {reading.unit!r}, not one of {', '.join(_UNITS)}")
     for face in reading.faces:
         if face.flaw is not None and face.flaw not in _FLAWS:
             raise ValueError(f"the flaw of a face is {face.flaw!r}, not one of {', '.join(_FLAWS)}")
         values: tuple[object, ...] = (face.value, face.time_utc_s, face.time_monotonic_s)
         for value in values:
             if not isinstance(value, _NUMBERS):
-                raise TypeError(f"{value!r} of a face is no number")
+                raise TypeError(f"a face has {value!r}, which is not a number")
         # NaN, or a time that is no date, would end the parts of the service that take the scan.
         if not FIRST_UTC_S <= face.time_utc_s < END_UTC_S:
-            raise ValueError(f"{face.time_utc_s!r} of a face is no time")
+            raise ValueError(f"the time of a face is {face.time_utc_s!r}")
         if not math.isfinite(face.time_monotonic_s):
-            raise ValueError(f"{face.time_monotonic_s!r} of a face is no time")
+            raise ValueError(f"the time of a face is {face.time_monotonic_s!r}")
     return reading

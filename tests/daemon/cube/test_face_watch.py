@@ -98,7 +98,7 @@ def test_a_face_that_has_to_follow_the_light_does_so_although_it_reads_the_same_
         day.watch.note([50.0] * 4, [5.0] * 4)
     (alarm,) = day.alarms.active
     assert "the zenith face reads what the others and the sun's position contradict" in alarm.text
-    assert "the east, south and west faces read the same as another, two by two" in alarm.text
+    assert "the east, south and west faces read the same as another face, in pairs" in alarm.text
 
 
 def test_looks_that_accuse_a_face_count_only_without_one_that_agrees_between_them():
@@ -192,7 +192,7 @@ def test_swapped_faces_are_both_named_within_the_hour_and_used_again_when_they_a
     found = day.minutes(60)
     assert [minutes is not None for minutes in found] == [False, True, True, False]
     (alarm,) = day.alarms.active
-    assert "the south and west faces read each what the other should" in alarm.text
+    assert "the south and west faces read each other's light" in alarm.text
     day.minutes(10, frozen=2, at_w_m2=1400.0)
     assert [each.text for each in day.alarms.active] == [alarm.text], "what is too much besides makes it no better"
     day.order = [0, 1, 2, 3]
@@ -206,7 +206,7 @@ def test_passing_clouds_tell_which_of_the_faces_are_swapped_where_the_readings_d
     day.minutes(60)
     assert day.doubted() == [0, 1]
     (alarm,) = day.alarms.active
-    assert "the east and south faces read each what the other should" in alarm.text
+    assert "the east and south faces read each other's light" in alarm.text
 
 
 def test_swapped_faces_are_named_together_although_one_was_left_out_before_the_other():
@@ -215,7 +215,7 @@ def test_swapped_faces_are_named_together_although_one_was_left_out_before_the_o
     east, _, west, _ = day.minutes(60)
     assert west < east
     (alarm,) = day.alarms.active
-    assert "the east and west faces read each what the other should; not used since" in alarm.text
+    assert "the east and west faces read each other's light; not used since" in alarm.text
     assert alarm.text.endswith(": check whether the cables of east and west are swapped")
     assert len(re.findall(r"[0-9:]{5} UTC", alarm.text)) == 2
 

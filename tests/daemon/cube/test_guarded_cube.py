@@ -39,14 +39,14 @@ def read(answer):
 
 
 @pytest.mark.parametrize(("answer", "words"), [
-    (None, "cube: its driver has failed with TypeError: what it read is None, no CubeReading"),
-    (replace(GOOD, unit="mV"), "ValueError: the unit of what it read is 'mV', not one of V, W/m2"),
-    (replace(GOOD, west=FACE._replace(value=None)), "TypeError: None of a face is no number"),
-    (replace(GOOD, west=FACE._replace(time_utc_s="noon")), "TypeError: 'noon' of a face is no number"),
-    (replace(GOOD, west=FACE._replace(time_utc_s=math.nan)), "ValueError: nan of a face is no time"),
-    (replace(GOOD, west=FACE._replace(time_utc_s=1e300)), r"ValueError: 1e\+300 of a face is no time"),
-    (replace(GOOD, west=FACE._replace(time_monotonic_s=math.nan)), "ValueError: nan of a face is no time"),
-    (replace(GOOD, west=FACE._replace(time_monotonic_s=-math.inf)), "ValueError: -inf of a face is no time"),
+    (None, "cube: its driver has failed with TypeError: its reading is None, not a CubeReading"),
+    (replace(GOOD, unit="mV"), "ValueError: the unit of its reading is 'mV', not one of V, W/m2"),
+    (replace(GOOD, west=FACE._replace(value=None)), "TypeError: a face has None, which is not a number"),
+    (replace(GOOD, west=FACE._replace(time_utc_s="noon")), "TypeError: a face has 'noon', which is not a number"),
+    (replace(GOOD, west=FACE._replace(time_utc_s=math.nan)), "ValueError: the time of a face is nan"),
+    (replace(GOOD, west=FACE._replace(time_utc_s=1e300)), r"ValueError: the time of a face is 1e\+300"),
+    (replace(GOOD, west=FACE._replace(time_monotonic_s=math.nan)), "ValueError: the time of a face is nan"),
+    (replace(GOOD, west=FACE._replace(time_monotonic_s=-math.inf)), "ValueError: the time of a face is -inf"),
     (replace(GOOD, west=FACE._replace(flaw="broken")), "the flaw of a face is 'broken', not one of over-range, late"),
     (KeyError("gauge"), r"cube: its driver has failed with KeyError: 'gauge' \(test_guarded_cube\.py, line \d+\)"),
 ])  # fmt: skip
