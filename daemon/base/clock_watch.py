@@ -147,7 +147,7 @@ def _lasting(size_s: float) -> str:
 
 def told_sleep(slept_s: float) -> str:
     """Return the sentence for a sleep of the machine of so long [s]."""
-    return f"the machine slept for {_lasting(slept_s)}: readings and wind of before it count no more"
+    return f"the machine slept for {_lasting(slept_s)}: readings and wind from before the sleep no longer count"
 
 
 def told_step(step_s: float, now_utc_s: float) -> str:

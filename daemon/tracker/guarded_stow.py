@@ -63,7 +63,7 @@ class GuardedStow:
             status = _checked(self._source.status(now_s), self.name)
         except Exception as error:  # noqa: BLE001 - it is logged once
             self._fail(now_s, error)
-            self.resume(f"{self.failed_why}, and must now be calm for its whole time", now_s)
+            self.resume(f"{self.failed_why}, and must now report calm for its whole time", now_s)
         else:
             self._worked_s = now_s
             if self.failed_why is None:
@@ -113,7 +113,7 @@ def _words(why: object) -> str | None:
 def _checked(status: object, name: str) -> StowStatus:
     """Return the status with plain Python numbers; `TypeError` or `ValueError` for an invalid one."""
     if not isinstance(status, StowStatus):
-        raise TypeError(f"its status is {status!r}, no StowStatus")
+        raise TypeError(f"its status is {status!r}, not a StowStatus")
     age_s = float(status.age_s)
     if not age_s >= _LEAST_AGE_S:
         raise ValueError(f"its last reading is {age_s:g} s old, which cannot be")

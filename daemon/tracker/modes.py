@@ -71,7 +71,7 @@ def next_mode(current: Mode, situation: Situation, *, at_stow: bool = False) -> 
     """Return the mode that the situation calls for, and the reason in words; `at_stow`: a stow would change nothing."""
     s = situation
     lost_why = s.blocked_why or (None if s.connected else "waiting for the positioner")
-    done = "it stands there" if at_stow else "not done"
+    done = "the tracker stands there" if at_stow else "not done"
     stow_wanted = None if s.stow_why is None else f"stow is wanted and {done} ({s.stow_why})"
     still_why = s.stop_why or s.buttons_why
     if s.maintenance_why is not None:

@@ -47,7 +47,7 @@ def test_a_sleep_of_the_machine_is_told_and_is_no_doubt_of_its_clock_nor_hides_o
         rig.clock.slept_s, rig.clock.step_s = 7200.0, -set_back_s
         await asyncio.sleep(10)
         told = [event.text for event in rig.of(Event)]
-        assert "the machine slept for 2 h: readings and wind of before it count no more" in told
+        assert "the machine slept for 2 h: readings and wind from before the sleep no longer count" in told
         assert any(text.startswith("the clock was set back by 2 h, from ") for text in told) == bool(set_back_s)
         assert ("clock" in [alarm.name for alarm in rig.tracker.alarms.active]) == bool(set_back_s)
 

@@ -156,7 +156,7 @@ def test_a_stop_of_a_tracker_that_stands_at_stow_misses_no_stow_until_an_axis_le
         await operator(rig).stop("a look at the module", "ana")
         await asyncio.sleep(60)
         assert not stow_missed(rig)
-        assert "; stow is wanted and it stands there (wind 20.0 m/s" in rig.control.why
+        assert "; stow is wanted and the tracker stands there (wind 20.0 m/s" in rig.control.why
         rig.unit.power_cycle(rig.clock.monotonic(), keep_position=True)
         await rig.until(lambda: stow_missed(rig), 15, "the alarm: nobody knows where it stands")
         assert "stow is wanted and not done" in rig.control.why

@@ -275,7 +275,7 @@ def texts(alarms):
     [
         (ZeroDivisionError("division by zero"), 0.0, "ZeroDivisionError: division by zero"),
         (None, KeyError("gauge"), "KeyError: 'gauge'"),
-        (None, "fine", "TypeError: its status is 'fine', no StowStatus"),
+        (None, "fine", "TypeError: its status is 'fine', not a StowStatus"),
         (None, None, "TypeError: "),
         (None, math.nan, "ValueError: its last reading is nan s old, which cannot be"),
         (None, -1.7e9, "ValueError: its last reading is -1.7e\\+09 s old, which cannot be"),
@@ -310,7 +310,9 @@ def test_a_source_that_has_failed_lets_go_after_a_minute_of_work_and_its_own_tim
             assert watch.reasons(later), "it fails again and again"
         watch.statuses(now + 29)
     said, at_s = source.resumed[-1]
-    assert said == "the stow source hail has failed (OSError: no such gauge), and must now be calm for its whole time"
+    assert (
+        said == "the stow source hail has failed (OSError: no such gauge), and must now report calm for its whole time"
+    )
     assert at_s == 31
     source.why = said
     assert watch.reasons(91) == (said,), "it stows for its own time"
