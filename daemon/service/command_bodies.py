@@ -73,7 +73,7 @@ class CommandBody(BaseModel):
     )
     by: Words = Field(
         default_factory=str,
-        description="Who asks, kept in the same way; left out or empty: over which way the command came.",
+        description="Who asks, kept in the same way; if left out or empty, the way over which the command came.",
     )
     id: Line = Field(default_factory=str, description="Is repeated in the answer.")
     tracker: Line = Field(default_factory=str, description="Which tracker is meant, where there are several.")
@@ -91,8 +91,8 @@ class AutoBody(CommandBody):
 
     shown: dict[str, str | None] | None = Field(
         None,
-        description="The `latest` of each of the `wishes` of the state that whoever asks was shown, by name: if"
-        " anything else is asked for by then, nothing is ended.",
+        description="By name, the `latest` of each wish in the `wishes` of the state that the caller was shown: if"
+        " anything else has been asked for since, nothing is ended.",
     )
 
 
@@ -105,7 +105,7 @@ class ModeBody(CommandBody):
 class AcknowledgeBody(CommandBody):
     """What comes with acknowledge."""
 
-    alarm: Line = Field(default_factory=str, description="The alarm's name; left out: all that are shown.")
+    alarm: Line = Field(default_factory=str, description="The alarm's name; if left out, all that are shown.")
 
 
 def body_of(name: str) -> type[CommandBody]:
@@ -158,6 +158,6 @@ def check(name: str, found: dict[str, Any], more: tuple[str, ...] = ()) -> Comma
     if "shown" in wrong:
         raise ValueError('"shown" must have the time of each wish, such as {"stop": "2026-06-21T10:00:00.000Z"}')
     if model is ModeBody:
-        stop = "; a stop is the command stop" if "stop" in str(own.get("mode")).lower() else ""
+        stop = "; for a stop, use the command stop" if "stop" in str(own.get("mode")).lower() else ""
         raise ValueError(f"the mode must be one of {', '.join(MODES)}{stop}")
     raise ValueError('goto needs two numbers of degrees, such as {"a_deg": -10, "b_deg": 60}')

@@ -130,7 +130,7 @@ def left_behind(directory: Path, trackers: Sequence[str], own: Path) -> str | No
         # A folder here may be that of another service which is at work in it.
         if folder.name not in trackers and _is_newer(folder, own) and not is_claimed(folder, "tracker"):
             found += _in_force(folder, f"'{folder.name}'")
-    told = [f"no tracker is named so any more, but {'; '.join(found)}: {_REMEDY}"] if found else []
+    told = [f"a tracker is no longer in the configuration, but {'; '.join(found)}: {_REMEDY}"] if found else []
     # Only files that both have: where the tracker has none, `hand_on` gives it a copy.
     both = [name for name in _IN_FORCE if trackers and (directory / name).exists() and (own / name).exists()]
     if both and _is_newer(directory, own) and (found := _in_force(directory, "it", both)):
@@ -162,5 +162,5 @@ def _in_force(folder: Path, called: str, names: Sequence[str] = _IN_FORCE) -> li
     doubts = reference.kept_doubts(state) if reference.FILE_NAME in names else ()
     return [
         *(f"in {folder} {called} is still {text}" for text in asked.gone_in(Wishes())),
-        *(f"{folder} keeps of {called}: {text}" for text in (*((storm.text,) if storm else ()), *doubts)),
+        *(f"{folder} keeps for {called}: {text}" for text in (*((storm.text,) if storm else ()), *doubts)),
     ]

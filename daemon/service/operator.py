@@ -209,7 +209,9 @@ class Operator:
         control = self._control
         before = control.wishes
         if (kept := later(before)) is not None:
-            raise CommandError(f"it was given before what it would end, so give it again; the tracker is {kept}")
+            raise CommandError(
+                f"auto was given before the wish that it would end, so give it again; the tracker is {kept}"
+            )
         control.auto()
         self._note("auto", why, by)
         control.tick()

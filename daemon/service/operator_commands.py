@@ -191,9 +191,11 @@ class Operators:
             return None
         if for_all:
             raise CommandError(
-                f"{self._none_of_that_name(command)}; a stop is for all then: all are stopped", wrong=True
+                f"{self._none_of_that_name(command)}; so the stop is for all: all are stopped", wrong=True
             )
-        text = f"the tracker is {stops[0]}; so many stops wait for their answers that this one waits for nothing"
+        text = (
+            f"the tracker is {stops[0]}; so many stops wait for their answers that this one does not wait for telemetry"
+        )
         return answer_json(command.name, command.identifier, Answer(Seen.NOT_SEEN, text))
 
     def _stops_whom_it_does_not_mean(self, command: Command) -> bool:
@@ -217,7 +219,7 @@ class Operators:
     def _none_of_that_name(self, command: Command) -> str:
         names, meant = ", ".join(self._of), ascii(command.tracker)[:40]
         if command.tracker in self._all:
-            return f"this is for {names}, and the body names the tracker {meant}"
+            return f"this is for {names}, but the body names the tracker {meant}"
         return f"there is no tracker {meant}; the trackers are {', '.join(self._all)}"
 
     async def _stop_all(self, command: Command) -> NoReturn:
@@ -226,7 +228,7 @@ class Operators:
             found = (await self._by_each(self._all, command)).text
         except CommandError as error:
             found = str(error)
-        raise CommandError(f"{self._none_of_that_name(command)}; a stop is for all then: {found}", wrong=True)
+        raise CommandError(f"{self._none_of_that_name(command)}; so the stop is for all: {found}", wrong=True)
 
     def _refuse_too_many(self, command: Command) -> None:
         if command.wanted == "stop" or self._clock is None:

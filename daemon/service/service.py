@@ -126,7 +126,7 @@ class Service:
     def _build_cube(self) -> None:
         settings, rig = self.settings, self.rig
         if rig.cube is None:
-            raise ValueError("the cube's role needs a cube")
+            raise ValueError("the role cube needs a cube")
         cube = calibrated_cube(settings.cube, self.calibration) if self.calibration else settings.cube
         # In a process with trackers, these raise the alarm about the clock that they share with the cube.
         alarms = self.cube_alarms if self.role is Role.CUBE else None

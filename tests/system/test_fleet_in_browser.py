@@ -64,7 +64,10 @@ def test_what_stop_all_has_stopped_is_released_one_by_one_and_never_what_was_not
         # Somebody else stops it while the question is read.
         site.order("stop", tracker="t7", by="ben", why="a hand")
         page.page.get_by_role("button", name="Auto now").click()
-        page.sees(".outcome", "It was given before what it would end, so give it again; the tracker is stopped by ana")
+        page.sees(
+            ".outcome",
+            "Auto was given before the wish that it would end, so give it again; the tracker is stopped by ana",
+        )
         page.sees(".outcome", "also by ben")
         assert stopped_by(site) == {f"t{number}": "ana" for number in range(10)}
         page.page.wait_for_function("() => document.querySelectorAll('.fleet td')[7 * 9].title.includes('also by ben')")

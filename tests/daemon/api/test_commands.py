@@ -212,7 +212,7 @@ def test_an_auto_ends_nothing_that_whoever_gave_it_was_not_shown(serve):
         await call.post("stop", b'{"by": "ben", "why": "a hand"}')
         refused = await call.post("auto", auto)
         assert refused.status == 409
-        assert refused.json["error"].startswith("it was given before what it would end, so give it again; ")
+        assert refused.json["error"].startswith("auto was given before the wish that it would end, so give it again; ")
         assert "stopped by ben since" in refused.json["error"]
         assert rig.control.wishes.stop is not None
         # That works whatever has happened to the clock since.

@@ -35,7 +35,7 @@ def test_each_tracker_has_its_own_topics_commands_and_device(broker, scaled):
                 assert (state["tracker"]["connected"], state["tracker"]["name"]) == (True, "east")
                 await lab.say("heliocube/west/command/hold", {"tracker": "east"})
                 refused = await lab.until("heliocube/west/reply", lambda reply: not reply["accepted"])
-                assert refused["text"] == "this is for west, and the body names the tracker 'east'"
+                assert refused["text"] == "this is for west, but the body names the tracker 'east'"
                 for name in ("east", "west"):
                     modes = [json.loads(message.payload) for message in lab.on(f"heliocube/{name}/mode")]
                     assert {mode["tracker"] for mode in modes} == {name}
@@ -105,7 +105,7 @@ def test_a_stop_for_one_that_names_another_stops_both_since_nobody_can_tell_whic
             reply = await lab.until("heliocube/west/reply")
             assert [tracker.control.wishes.stop is not None for tracker in both] == [True, True]
             assert not reply["accepted"]
-            start = "this is for west, and the body names the tracker 'east'; a stop is for all then: all 2 trackers:\n"
+            start = "this is for west, but the body names the tracker 'east'; so the stop is for all: all 2 trackers:\n"
             assert reply["text"].startswith(start)
 
     scaled(scenario)

@@ -212,7 +212,7 @@ def test_a_storm_and_doubts_of_one_that_is_gone_hold_a_tracker_that_is_new_and_n
         new, known = rig.service.trackers
         await rig.until(lambda: known.control.mode is Mode.TRACKING, 600, "the work of the one that is known")
         assert new.control.mode is Mode.HOLD
-        assert f"{tmp_path / 'east'} keeps of 'east': " in new.control.why
+        assert f"{tmp_path / 'east'} keeps for 'east': " in new.control.why
         assert words[what] in new.control.why
         await Operator(new, 1.0).auto("ana")
         await rig.until(lambda: new.control.mode is Mode.TRACKING, 120, "its work")

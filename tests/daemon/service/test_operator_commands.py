@@ -79,7 +79,11 @@ def test_a_number_beyond_every_float_is_for_the_limits_to_refuse():
         ("mode", b'{"mode": ["stow"]}', "the mode must be one of auto, hold, stow, snow, maintenance"),
         ("mode", b"Stow", "the mode must be one of auto, hold, stow, snow, maintenance"),
         ("mode", b'"auto"', "the mode must be one of auto, hold, stow, snow, maintenance"),
-        ("mode", b"stop", "the mode must be one of auto, hold, stow, snow, maintenance; a stop is the command stop"),
+        (
+            "mode",
+            b"stop",
+            "the mode must be one of auto, hold, stow, snow, maintenance; for a stop, use the command stop",
+        ),
         ("mode", b'{"mode": "hold"', "the body is not JSON"),
     ],
 )

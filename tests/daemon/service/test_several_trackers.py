@@ -123,14 +123,14 @@ def test_a_stop_without_a_name_is_for_all_and_other_commands_ask_for_one(run_rig
 def test_a_stop_of_a_tracker_that_there_is_not_is_for_all_and_says_so(run_rig):
     async def scenario(rig):
         await both_track(rig)
-        sentence = "there is no tracker 'nroth'; the trackers are east, west; a stop is for all then: all 2 trackers:\n"
+        sentence = "there is no tracker 'nroth'; the trackers are east, west; so the stop is for all: all 2 trackers:\n"
         with pytest.raises(CommandError, match=sentence) as caught:
             await give(rig, "stop", tracker="nroth", why="fire")
         assert caught.value.wrong
         assert modes(rig) == [Mode.HOLD] * 2
         rig.cables.positioner.link_up = False
         await asyncio.sleep(1)
-        with pytest.raises(CommandError, match="for all then: NOT done by 1 of 2 trackers, east:\n  east:  stop "):
+        with pytest.raises(CommandError, match="is for all: NOT done by 1 of 2 trackers, east:\n  east:  stop "):
             await give(rig, "stop", tracker="nroth", why="fire")
 
     run_rig(scenario, tracker=TWO)
@@ -251,7 +251,7 @@ def test_a_stop_in_a_crowd_of_stops_that_names_no_tracker_of_the_process_is_not_
         await give(rig, "stop", tracker="east")
         assert operators.stopped_already(stop) is None
         await give(rig, "stop", tracker="west")
-        with pytest.raises(CommandError, match="a stop is for all then: all are stopped"):
+        with pytest.raises(CommandError, match="so the stop is for all: all are stopped"):
             operators.stopped_already(stop)
 
     run_rig(scenario, tracker=TWO)

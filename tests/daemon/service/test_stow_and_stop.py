@@ -268,7 +268,7 @@ def test_an_auto_that_was_given_before_what_it_would_end_ends_nothing(run_rig, a
             dated = {"id": "1", "time": iso_utc(since_utc_s + off_s)}
             return operators.carry_out(parse("auto", json.dumps(dated).encode(), "MQTT"))
 
-        with pytest.raises(CommandError, match=r"given before what it would end, .* is .* by ana@lab since"):
+        with pytest.raises(CommandError, match=r"given before the wish that it would end, .* is .* by ana@lab since"):
             await auto(-2.0)
         assert getattr(rig.control.wishes, asked) is not None
         # A program's times may be rounded to the second.
