@@ -17,7 +17,8 @@ is none yet, a configuration under /etc/heliocube. Starts nothing: nothing moves
                     installed
   --from PATH       a heliocube wheel, or a checkout (default: the checkout that this script is in)
   --python PROGRAM  the Python to build on, 3.11 or newer (default: python3)
-  --notify          with what sends alarms to people; kept at an upgrade where /etc/heliocube/notify.people is
+  --notify          also install what sends alarms to people; an upgrade does so where /etc/heliocube/notify.people
+                    exists
   --root DIR        install into the tree DIR instead of this machine
   --remove          take everything away but /etc/heliocube, /var/lib/heliocube* and the users that own them
 TEXT
@@ -78,7 +79,7 @@ locks='runtime'
 requirements=''
 for lock in $locks; do requirements="$requirements -r lock/$lock.txt"; done
 
-[ ! -e "$opt/package" ] || fail 'heliocube is here as a Debian package: install a newer one of those, or apt-get remove heliocube first'
+[ ! -e "$opt/package" ] || fail 'heliocube is here as a Debian package: install a newer package, or run apt-get remove heliocube first'
 
 if [ $remove = yes ]; then
   end_units
@@ -185,7 +186,7 @@ for other in cube tracker archive; do
   unit=heliocube-$other.service
   case " $roles " in
     *" $other "*) put $unit /etc/systemd/system/$unit ;;
-    *) [ ! -e "$root/etc/systemd/system/$unit" ] || say "note: $unit is here from before and stays" ;;
+    *) [ ! -e "$root/etc/systemd/system/$unit" ] || say "note: $unit is here from an earlier run and stays" ;;
   esac
 done
 case " $roles " in
@@ -226,7 +227,7 @@ done
 if [ "$role" = archive ]; then
   say "next: edit /etc/heliocube/archive.toml, write archive.password and archive.credentials beside it, mode 0600 (docs/archive.md)"
 fi
-for role in $roles; do say "      systemctl enable --now heliocube-$role    (after an upgrade: the last line)"; done
+for role in $roles; do say "      systemctl enable --now heliocube-$role    (after an upgrade, use the last line instead)"; done
 say "      systemctl enable --now heliocube-dashboard    (if you want the page for browsers; see $etc/dashboard.toml)"
 case " $roles " in
   *' archive '*) say "      systemctl enable --now heliocube-parquet.timer    (if you want each day as Parquet files)" ;;
@@ -239,4 +240,4 @@ units=''
 for unit in tracker cube dashboard notify archive; do
   [ ! -e "$root/etc/systemd/system/heliocube-$unit.service" ] || units="$units heliocube-$unit"
 done
-say "After an upgrade, for what runs: systemctl try-restart$units"
+say "After an upgrade, restart the units that run: systemctl try-restart$units"
