@@ -125,7 +125,7 @@ class LabjackCube:
             raise IdentityError(DEVICE, "the device that answers is not a LabJack, or sends its words in another order")
         product, serial = number(await self._read(PRODUCT_ID), "float32"), await self._read(SERIAL_NUMBER)
         if product not in RANGES_V:
-            raise IdentityError(DEVICE, f"is a LabJack of type {product:g}, and a T7 or T8 was expected")
+            raise IdentityError(DEVICE, f"is a LabJack of type {product:g}, but a T7 or T8 was expected")
         self._range_v = next(each for each in RANGES_V[int(product)] if each >= self._settings.range_v)
         self._wanted = [setting for each in self._settings.inputs for setting in self._settings_of(each, int(product))]
         for setting in self._wanted:
@@ -154,7 +154,7 @@ class LabjackCube:
 
     def _settings_of(self, each: int, product: int) -> Iterator[_Setting]:
         if product == T7 and each % 2:
-            raise ProtocolError(DEVICE, f"is a T7, which measures even inputs against odd ones, and {each} is odd")
+            raise ProtocolError(DEVICE, f"is a T7, which measures even inputs against odd ones, but {each} is odd")
         if product == T8 and each >= _INPUTS_OF_T8:
             raise ProtocolError(DEVICE, f"is a T8, which has the inputs 0 to {_INPUTS_OF_T8 - 1}, and not {each}")
         yield _Setting(f"range of AIN{each}", AIN_RANGE + 2 * each, words_for(self._range_v, "float32"))

@@ -71,7 +71,7 @@ class ModbusBus:
             The question would write, and that was not allowed.
         """
         if request.pdu[0] > READ_INPUT and not self._writes:
-            raise ValueError(f"function {request.pdu[0]} writes, and this line is for reading")
+            raise ValueError(f"function {request.pdu[0]} writes, but this line is only for reading")
         async with self._free:
             wait_s = self._quiet_since_s + self._gap_s - self._now()
             if wait_s > 0:

@@ -144,7 +144,7 @@ class BusSensor:
         if self._pinned is not None and serial != self._pinned:
             self._proven = False
             raise WrongSensorError(
-                f"has the serial number {serial}, and {self._pinned} is configured: sensors or addresses are"
+                f"has the serial number {serial}, but {self._pinned} is configured: sensors or addresses are"
                 f" interchanged; set instruments.cube.{self._face}.serial only after looking at the type plate"
             )
 

@@ -226,7 +226,7 @@ class RotctldPositioner:
 
     def _require_model(self, state: RotatorState) -> None:
         if self._model is not None and state.model != self._model:
-            message = f"is Hamlib's model {state.model}, and instruments.positioner.model is {self._model}"
+            message = f"is Hamlib's model {state.model}, but instruments.positioner.model is {self._model}"
             raise IdentityError(_DEVICE, message)
 
     def _conflicts(self, state: RotatorState, mount: Mount) -> tuple[str, ...]:

@@ -183,7 +183,7 @@ def test_swapped_sensors_are_refused_where_their_serial_numbers_are_pinned(on_ri
 
     reading = on_rig(swaps, **pinned)
     assert flaws(reading) == ("missing", None, "missing", None)
-    assert "the serial number 103, and 101 is configured" in reading.notes[0]
+    assert "the serial number 103, but 101 is configured" in reading.notes[0]
     assert len(reading.notes) == 2
 
 

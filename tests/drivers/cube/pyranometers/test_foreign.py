@@ -83,7 +83,7 @@ def test_a_serial_number_that_is_not_the_pinned_one():
 
     _, reading = asyncio.run(work())
     assert [face.flaw for face in reading.faces] == [None, "missing", None, None]
-    assert "the serial number 18010, and 5 is configured" in reading.notes[0]
+    assert "the serial number 18010, but 5 is configured" in reading.notes[0]
 
 
 def test_the_cable_to_a_server_is_pulled_and_plugged_in_again():

@@ -109,7 +109,7 @@ def test_it_is_told_from_the_third_miss_on():
     ("wrong", "said"),
     [
         (RefusedError("cube", "has no such register"), "has no such register: is it of the configured make?"),
-        (None, "has the serial number 8, and 7 is configured"),
+        (None, "has the serial number 8, but 7 is configured"),
     ],
 )
 def test_what_answers_and_cannot_be_it_is_told_at_once(wrong, said):

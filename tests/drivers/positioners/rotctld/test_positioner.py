@@ -51,7 +51,7 @@ def test_who_cannot_be_read_is_not_opened_and_not_kept(says, error, sentence):
 
 def test_another_model_than_the_one_that_is_set_is_refused_and_that_one_is_not():
     line = Told()
-    with pytest.raises(IdentityError, match=r"model 603, and instruments\.positioner\.model is 604"):
+    with pytest.raises(IdentityError, match=r"model 603, but instruments\.positioner\.model is 604"):
         run(lambda now: driver_on(line, now, model=604).open())
     assert not line.is_open
     assert run(lambda now: driver_on(line, now, model=603).open()).firmware == "Hamlib model 603"

@@ -241,7 +241,7 @@ def test_another_rotator_than_the_one_that_is_pinned_is_refused(start_rotctld, r
     async def act(driver):
         await driver.open()
 
-    with pytest.raises(IdentityError, match=r"Hamlib's model 1, and instruments\.positioner\.model is 603"):
+    with pytest.raises(IdentityError, match=r"Hamlib's model 1, but instruments\.positioner\.model is 603"):
         run(driver_of(start_rotctld().place, model=603), act)
 
 
