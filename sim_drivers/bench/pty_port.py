@@ -69,7 +69,7 @@ class PtyPort:
     def check_place(self) -> None:
         """Raise `BenchError` where something else has the name: only a link is taken for what a bench has left."""
         if os.path.lexists(self.link) and not self.link.is_symlink():
-            raise BenchError(f"{self.link} is there and is no port of a bench: move it, or take another folder")
+            raise BenchError(f"{self.link} exists and is not a port of a bench: move it, or take another folder")
 
     def plug(self) -> None:
         """Make the port appear; does nothing if it is there. Raises as `check_place`."""

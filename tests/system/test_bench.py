@@ -63,7 +63,7 @@ def test_what_has_the_name_of_a_port_stays_and_is_named(tmp_path, name, options)
     (tmp_path / name).write_text("somebody's own\n")
     done = heliocube("bench", "--dir", tmp_path, *options)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
-    assert f"{tmp_path / name} is there and is no port of a bench" in done.stderr
+    assert f"{tmp_path / name} exists and is not a port of a bench" in done.stderr
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: "somebody's own\n"}
 
 

@@ -156,7 +156,7 @@ def test_a_plug_whose_name_was_taken_by_a_file_stays_out_and_leaves_the_file(tmp
         ask("unplug", "voltmeter", "0.5")
         file.write_text("somebody's own")
         wait_until(lambda: caplog.messages, "the word of a plug that stays out")
-        with pytest.raises(BenchError, match="is there and is no port of a bench"):
+        with pytest.raises(BenchError, match="exists and is not a port of a bench"):
             ask("replug", "voltmeter")
         kept = file.read_text()
         file.unlink()
@@ -164,4 +164,4 @@ def test_a_plug_whose_name_was_taken_by_a_file_stays_out_and_leaves_the_file(tmp
 
     assert on_a_bench(tmp_path, work) == "somebody's own"
     (said,) = caplog.messages
-    assert said.startswith(f"voltmeter is not plugged in again: {file} is there")
+    assert said.startswith(f"voltmeter is not plugged in again: {file} exists")
