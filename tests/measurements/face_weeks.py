@@ -64,9 +64,13 @@ def weather_of(folder: Path, month: int, site: Site) -> tuple[Weather, int]:
     """Return a month's weather, or one that the simulator makes, and its year."""
     if str(folder) in get_args(WeatherKind):
         return GeneratedWeather(cast("WeatherKind", str(folder)), site, SEED), MADE_UP_YEAR
-    (path,) = folder.glob(f"*-{month:02d}.csv*")
+    (path,) = _files_of(folder, month)
     weather = measured_weather(path)
     return weather, datetime.fromtimestamp(weather.start_utc_s + DAY_S, UTC).year
+
+
+def _files_of(folder: Path, month: int) -> list[Path]:
+    return list(folder.glob(f"*-{month:02d}.csv*"))
 
 
 class Week:
@@ -233,6 +237,10 @@ def main() -> None:
     parser.add_argument("--site", default=",".join(map(str, LYNGBY)))
     parser.add_argument("--quick", action="store_true")
     arguments = parser.parse_args()
+    made_up = str(arguments.folder) in get_args(WeatherKind)
+    for month in arguments.month:
+        if not made_up and len(_files_of(arguments.folder, month)) != 1:
+            parser.error(f"{arguments.folder} needs one file for month {month}, such as 2016-{month:02d}.csv.gz")
     site = Site(*parse_site(arguments.site))
     for month, sky in itertools.product(arguments.month, arguments.sky):
         terms = (month, arguments.day, arguments.scan, arguments.still, arguments.soiled, sky, site)
