@@ -62,11 +62,15 @@ PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 
 def weather_of(folder: Path, month: int, site: Site) -> tuple[Weather, int]:
     """Return a month's weather, or one that the simulator makes, and its year."""
-    if str(folder) in get_args(WeatherKind):
+    if _is_made_up(folder):
         return GeneratedWeather(cast("WeatherKind", str(folder)), site, SEED), MADE_UP_YEAR
     (path,) = _files_of(folder, month)
     weather = measured_weather(path)
     return weather, datetime.fromtimestamp(weather.start_utc_s + DAY_S, UTC).year
+
+
+def _is_made_up(folder: Path) -> bool:
+    return str(folder) in get_args(WeatherKind)
 
 
 def _files_of(folder: Path, month: int) -> list[Path]:
@@ -237,9 +241,8 @@ def main() -> None:
     parser.add_argument("--site", default=",".join(map(str, LYNGBY)))
     parser.add_argument("--quick", action="store_true")
     arguments = parser.parse_args()
-    made_up = str(arguments.folder) in get_args(WeatherKind)
     for month in arguments.month:
-        if not made_up and len(_files_of(arguments.folder, month)) != 1:
+        if not _is_made_up(arguments.folder) and len(_files_of(arguments.folder, month)) != 1:
             parser.error(f"{arguments.folder} needs one file for month {month}, such as 2016-{month:02d}.csv.gz")
     site = Site(*parse_site(arguments.site))
     for month, sky in itertools.product(arguments.month, arguments.sky):
