@@ -183,7 +183,7 @@ class Wishes(BaseModel):
         """
         if self.stop is not None and now.stop is not None:
             stands = self.describe("stop") or ""
-            return "" if stands in said or now.stop.also == self.stop.also else f"; noted in addition to: {stands}"
+            return "" if stands in said or now.stop.also == self.stop.also else f"; also in force: {stands}"
         ended = "; ".join(self.gone_in(now))
         return f"; this replaces: {ended}" if ended else ""
 

@@ -12,7 +12,7 @@ def why_not_standing(seen: Telemetry, within_s: float, *, still: bool) -> str:
     """Return why stops have not brought both axes to a standstill within this time [s]."""
     if still:
         aims = f"A at {seen.position_a:g} of {seen.destination_a:g}, B at {seen.position_b:g} of {seen.destination_b:g}"
-        return f"does not accept the stop: it stands, but has not reached its destinations: {aims}"
+        return f"does not accept the stop: it stands short of its destinations: {aims}"
     return f"keeps moving after {within_s:g} s of stops, at A {seen.a_deg:z.1f}, B {seen.b_deg:z.1f} deg"
 
 

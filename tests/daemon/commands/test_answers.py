@@ -277,7 +277,8 @@ def test_no_room_for_what_draws_the_pictures_is_a_sentence_and_no_defect(tmp_pat
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT, env=without_home)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
-    assert done.stderr.splitlines()[-1].startswith("heliocube: matplotlib, which draws the pictures, needs a folder")
+    words = "heliocube: matplotlib, which draws the pictures, needs a folder of its own, and"
+    assert done.stderr.splitlines()[-1].startswith(words)
 
 
 def test_a_home_that_cannot_be_written_to_is_no_word_more_about_a_picture(tmp_path):

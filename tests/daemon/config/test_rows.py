@@ -42,7 +42,11 @@ def test_two_groups_in_one_process_stand_in_the_tables_of_their_trackers(read):
         ("[0, 5, 10]", "[0, nan, 10]", "rows.east_m[1] = nan: must be a number from -100000 to 100000 m"),
         ("= 2.0", "= -2.0", "rows.module_width_m = -2.0: must be a number above 0 and up to 100 m"),
         ("module_width_m = 2.0", "", "rows.east_m = [0.0, 5.0, 10.0]: needs rows.module_width_m, the size of the"),
-        ("module_width_m", "up_m = [0]\n    module_width_m", "rows.up_m = [0.0]: names 1 tracker and rows.east_m"),
+        (
+            "module_width_m",
+            "up_m = [0]\n    module_width_m",
+            "rows.up_m = [0.0]: names 1 tracker and rows.east_m names 3;",
+        ),
     ],
 )
 def test_what_is_no_group_is_told_in_one_sentence(read, before, after, told):

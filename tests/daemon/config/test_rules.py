@@ -107,7 +107,10 @@ SLEW = "[instruments.positioner]\nposition_unit = 'deg'\n[instruments.positioner
         ),
         (
             "[limits]\nb_min_deg = 89.9\n",
-            "limits.b_min_deg = 89.9: leaves no whole position unit up to limits.b_max_deg to which axis B, built as",
+            (
+                "limits.b_min_deg = 89.9: leaves no whole position unit up to limits.b_max_deg to which axis B, built"
+                " as instruments.positioner.b_axis says,"
+            ),
         ),
     ],
 )

@@ -201,7 +201,10 @@ def answering(monkeypatch, **answers):
 
 
 @pytest.mark.parametrize(("answer", "words"), [
-    ({"target": Angles(np.nan, 60.0)}, "ValueError: its target is A nan, B 60 deg: a law without"),
+    (
+        {"target": Angles(np.nan, 60.0)},
+        "ValueError: its target is A nan, B 60 deg: a law without a target answers None",
+    ),
     ({"target": Angles(np.zeros(2), np.zeros(2))}, "TypeError: "),
     ({"target": 60.0}, "TypeError: its target is 60.0, not Angles"),
     ({"target": (1.0, 2.0, 3.0)}, "TypeError: its target is .*, not Angles"),

@@ -229,7 +229,7 @@ def test_a_stop_while_unplugged_is_named_beside_the_fault_and_in_force_at_the_re
         await rig.until_mode(Mode.FAULT, 15)
         with pytest.raises(CommandError, match="stop could not be sent"):
             await operator(rig).stop("repair", "ana")
-        with pytest.raises(CommandError, match=r"noted in addition to: stopped by ana since .* UTC: repair$"):
+        with pytest.raises(CommandError, match=r"unplugged; also in force: stopped by ana since \S+ \S+ UTC: repair$"):
             await operator(rig).stop("a noise", "bob")
         assert rig.mode is Mode.FAULT
         assert "unplugged; stopped by ana since " in rig.control.why

@@ -243,7 +243,8 @@ def test_keys_that_go_together_are_asked_for_together(file, role, needed):
 def test_a_key_that_is_not_asked_for_is_named_with_the_way_to_change_it(file, asked, answer, other):
     dialogue = dialogue_of(file, "tracker", "real", *SITE)
     walk(dialogue, POZSOL, until=asked)
-    with pytest.raises(UserError, match=f"{other} is not asked for here: give an answer that fits it") as said:
+    words = f"{other} is not asked for here: give an answer that fits it, and change both"
+    with pytest.raises(UserError, match=words) as said:
         dialogue.take(answer)
     assert str(said.value).startswith(f"{other} = ")
 

@@ -74,7 +74,7 @@ def test_given_again_it_does_not_go_forward_to_the_newer_release(
     (tmp_path / "asked").unlink()
     code, _, err = heliocube("rollback", "-c", config)
     assert (code, len(err.splitlines())) == (2, 1)
-    assert "has no release before older, which is in use: start the units that" in err
+    assert "has no release before older, which is in use: start the units that do not run" in err
     assert (installation.parent / "current").resolve() == installation / "older"
     assert not (tmp_path / "asked").exists(), "nothing is stopped"
 

@@ -257,7 +257,7 @@ def test_angles_and_positions_that_do_not_go_together_are_given_no_target():
 def test_one_that_stands_but_aims_elsewhere_takes_no_stop():
     async def scenario(positioner, unit, now):
         await positioner.open()
-        sentence = r"the stop: it stands, but has not reached its destinations: A at \S+ of 300, B at \S+ of \S+"
+        sentence = r"does not accept the stop: it stands short of its destinations: A at \S+ of 300, B at \S+ of \S+"
         await fails_after(positioner.halt(), now, 12.04, StillMovingError, sentence)
         times = [at_s for at_s, _ in unit.sent]
         assert times[1] - times[0] == pytest.approx(wire.COMMAND_SPACING_S, abs=0.05)
