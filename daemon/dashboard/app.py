@@ -3,8 +3,10 @@
 import asyncio
 import hashlib
 import json
+import math
 import re
 from collections.abc import AsyncIterator, Collection, Mapping
+from contextlib import asynccontextmanager
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -50,6 +52,9 @@ _KINDS = ("scans", "poses", "decisions", "curves", "modes", "moves", "events")
 _READABLE = ("sun", "days", *(f"history/{kind}" for kind in _KINDS))
 _READ_S = 30.0
 _ANSWER_S = 5.0
+# Less than the server's grace, after which it would cut requests off with a traceback each.
+_END_WITHIN_S = 0.5
+_ENDS = "the dashboard was told to end before the service answered: look at the tracker"
 
 
 class Dashboard:
@@ -72,6 +77,7 @@ class Dashboard:
         self._places = Places(_MOST_LISTENERS)
         self._readers = Places(_MOST_READERS)
         self._closing = asyncio.Event()
+        self._waits: set[asyncio.Timeout] = set()
         digest = _digest(STATIC)
         index = (STATIC / "index.html").read_text(encoding="utf-8")
         self._index = index.replace('data-page=""', f'data-page="{digest}"')
@@ -96,8 +102,10 @@ class Dashboard:
         )
 
     def close(self) -> None:
-        """End the streams of all browsers."""
+        """End the streams of all browsers, and soon after the waits for services that do not answer."""
         self._closing.set()
+        for wait in self._waits:
+            self._end_soon(wait)
 
     async def _page(self, _: Request) -> Response:
         return HTMLResponse(self._index)
@@ -133,8 +141,9 @@ class Dashboard:
         if not self._readers.are_free_for(host):
             raise HTTPException(503, "too many pages read stored days already; try again in half a minute")
         url = f"{service.url}/api/{what}"
+        client = self._fleet.client
         with self._readers.taken_by(host):
-            async with self._fleet.client.stream("GET", url, params=query, timeout=_READ_S) as reply:
+            async with self._wait(None), client.stream("GET", url, params=query, timeout=_READ_S) as reply:
                 content = await _raw(reply, _LONGEST_RECORDS)
         # Unchanged: the browser unpacks compressed content.
         kept = {name: reply.headers[name] for name in ("content-type", "content-encoding") if name in reply.headers}
@@ -248,14 +257,33 @@ class Dashboard:
         headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
         # Not compressed: a few compressed bytes may become gigabytes.
         headers["Accept-Encoding"] = "identity"
+        async with (
+            self._wait(within_s),
+            client.stream("POST", url, content=content, headers=headers, timeout=within_s) as reply,
+        ):
+            return reply.status_code, await _raw(reply, _LONGEST_ANSWER)
+
+    @asynccontextmanager
+    async def _wait(self, within_s: float | None) -> AsyncIterator[None]:
+        """Limit the time in which a service answers as a whole; it ends early if the dashboard is told to end."""
         try:
-            async with (
-                asyncio.timeout(within_s),
-                client.stream("POST", url, content=content, headers=headers, timeout=within_s) as reply,
-            ):
-                return reply.status_code, await _raw(reply, _LONGEST_ANSWER)
+            async with asyncio.timeout(within_s) as wait:
+                self._waits.add(wait)
+                if self._closing.is_set():
+                    self._end_soon(wait)
+                try:
+                    yield
+                finally:
+                    self._waits.discard(wait)
         except TimeoutError:
+            if self._closing.is_set():
+                raise HTTPException(503, _ENDS) from None
             raise httpx.ReadTimeout(f"no whole answer in {within_s:g} s") from None
+
+    def _end_soon(self, wait: asyncio.Timeout) -> None:
+        ends_s = asyncio.get_running_loop().time() + _END_WITHIN_S
+        if not wait.expired():
+            wait.reschedule(min(ends_s, wait.when() or math.inf))
 
     def _refuse_old(self, name: str, given: dict[str, Any]) -> None:
         """Refuse an order that was under way for too long, if it says when it was given; never refuse a stop."""

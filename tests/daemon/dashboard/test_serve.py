@@ -272,6 +272,41 @@ def test_no_order_meets_the_end_of_a_connection_that_the_service_no_longer_keeps
         runner.run(scenario())
 
 
+def test_at_its_end_requests_that_wait_for_a_service_are_answered_in_a_sentence(caplog):
+    async def scenario():
+        asked, ended = asyncio.Semaphore(0), asyncio.Event()
+
+        async def answer(reader, writer):
+            head = await reader.readuntil(b"\r\n\r\n")
+            if b"/api/authorised" in head:
+                writer.write(ACCEPTED)
+            elif b"/api/events" not in head:
+                asked.release()
+                await ended.wait()
+            writer.close()
+
+        async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
+            service = "{}:{}".format(*server.sockets[0].getsockname())
+            async with served(service) as address:
+                page = "http://{}:{}".format(*address)
+                browser = httpx.AsyncClient(base_url=page, headers={"Origin": page}, timeout=PATIENCE_S)
+                await browser.post("/login", json={"token": "t" * 43, "by": "ana"})
+                waiting = [
+                    asyncio.create_task(browser.get("/read/sun", params={"service": service})),
+                    asyncio.create_task(browser.post("/command", json={"name": "stow", "service": service})),
+                ]
+                for _ in waiting:
+                    await asyncio.wait_for(asked.acquire(), PATIENCE_S)
+            answers = await asyncio.gather(*waiting)
+            await browser.aclose()
+            ended.set()
+        sentence = "the dashboard was told to end before the service answered: look at the tracker"
+        assert [(each.status_code, each.json()) for each in answers] == [(503, {"error": sentence})] * 2
+
+    asyncio.run(scenario())
+    assert [record for record in caplog.records if record.name.startswith("uvicorn")] == []
+
+
 def test_however_many_browsers_ask_at_once_it_needs_no_more_threads_than_its_unit_allows():
     unit = (ROOT / "deploy" / "heliocube-dashboard.service").read_text()
     allowed = int(re.search(r"^TasksMax=(\d+)$", unit, re.MULTILINE)[1])
