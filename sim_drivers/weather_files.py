@@ -250,7 +250,7 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
     for column in ("time", *IRRADIANCES, *OPTIONAL, "simulated"):
         # pandas adds a number to the second of two columns with one name.
         if found.count(column) > 1 or f"{column}.1" in found:
-            raise WeatherFileError(f"weather file {path} has two columns {column}: leave in the one that counts")
+            raise WeatherFileError(f"weather file {path} has two columns {column}: keep only the right one")
     if not isinstance(frame.index, pd.RangeIndex):
         raise WeatherFileError(f"weather file {path} has more cells in its lines than names in its header")
     broken = broken_line(path, separator)

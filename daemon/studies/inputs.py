@@ -121,7 +121,7 @@ def check_table(path: Path) -> str:
         if len(line) == _LONGEST_LINE:
             raise UserError(
                 f"{path}, line {number} is longer than {_LONGEST_LINE} characters: name a table with one line for each"
-                " time, and leave in the columns that are needed"
+                " time, and keep only the columns that are needed"
             )
     return separator_of(header.decode("latin-1"))
 
@@ -130,7 +130,7 @@ def check_names(where: str, found: Sequence[str], counted: Iterable[str]) -> Non
     """Raise `UserError` if one of the columns in `counted` stands twice among those found."""
     for name in counted:
         if found.count(name) > 1:
-            raise UserError(f"{where} has two columns {name}: leave in the one that counts")
+            raise UserError(f"{where} has two columns {name}: keep only the right one")
 
 
 def check_frame(path: Path, frame: "pd.DataFrame") -> None:

@@ -235,14 +235,14 @@ def _rows(faces: pd.DataFrame) -> RecordedScans:
         raise UserError("the readings need an index of times with their zone, in rising order, as read_faces gives it")
     if not index.is_unique:
         raise UserError(
-            f"the readings have the time {index[index.duplicated()][0]} twice; leave in the one that counts"
+            f"the readings have the time {index[index.duplicated()][0]} twice; keep only the right one"
         )
     missing = [face for face in FACES if face not in faces]
     if missing:
         raise UserError(f"the readings have no column {', '.join(missing)}: east, south, west and zenith are needed")
     doubled = [face for face in FACES if list(faces.columns).count(face) > 1]
     if doubled:
-        raise UserError(f"the readings have two columns {doubled[0]}; leave in the one that counts")
+        raise UserError(f"the readings have two columns {doubled[0]}; keep only the right one")
     since = index - pd.Timestamp(0, tz=UTC)
     seconds = np.asarray(since / pd.Timedelta(seconds=1), dtype=np.float64)
     try:

@@ -35,7 +35,7 @@ def at(weather, text):
     return weather.at(np.array([utc(text)]))
 
 
-TWICE = "leave in the one that counts"
+TWICE = "keep only the right one"
 EMPTY = "leave the cell empty where the value is missing"
 CSV = """time,ghi,dni,dhi,wind_speed,temp_air
 2016-06-05T12:00:00Z,800.0,900.0,80.0,3.0,20.0

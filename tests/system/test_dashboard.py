@@ -340,7 +340,7 @@ def test_what_the_page_shows_is_what_the_interface_says(site, open_page):
             "sun": figure(page.text(".facts div:has-text('Sun') dd").partition("elevation")[2]),
             "board": site_board in equipment,
             "gain": figure(page.text(".facts div:has-text('Against chronometric') dd")),
-            "next_b": figure(page.text(".facts div:has-text('In the light of now') dd").partition("B ")[2]),
+            "next_b": figure(page.text(".facts div:has-text('In the present light') dd").partition("B ")[2]),
         }
 
     site_board = site.state()["tracker"]["identity"]["board"]

@@ -297,7 +297,7 @@ def _target(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
     coming = state.get("next_decision")
     if coming is not None:
         does = "would go to" if coming["moves"] else "would stay; aim"
-        yield "  next", Text(f"in the light of now it {does} {_pair(coming)}: {_reason(coming)}")
+        yield "  next", Text(f"in the present light it {does} {_pair(coming)}: {_reason(coming)}")
 
 
 def _pair(decision: dict[str, Any]) -> str:

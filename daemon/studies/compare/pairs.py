@@ -240,7 +240,7 @@ def _refuse_contradictions(frame: pd.DataFrame) -> None:
         first = again.iloc[0]
         raise UserError(
             f"'{first['tracker']}' has two different measurements at {iso_utc(first['time'])}, the first of"
-            f" {len(again)} such repeats: leave in the one that counts"
+            f" {len(again)} such repeats: keep only the right ones"
         )
 
 

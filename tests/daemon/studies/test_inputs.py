@@ -133,7 +133,7 @@ def test_powers_may_have_blanks_around_their_commas_and_a_comma_at_the_end(tmp_p
 def test_powers_with_a_column_twice_are_refused(tmp_path, again):
     path = tmp_path / "powers.csv"
     path.write_text(f"time,tracker,pmpp_w,{again}\n2022-10-14T10:00Z,cube,50,chrono\n")
-    with pytest.raises(UserError, match=rf"{path} has two columns tracker: leave in the one that counts"):
+    with pytest.raises(UserError, match=rf"{path} has two columns tracker: keep only the right one"):
         read_tables([path])
 
 
@@ -181,7 +181,7 @@ def test_a_column_twice_is_refused_in_every_table(tmp_path, read, head, row):
     path = tmp_path / "table.csv"
     name = head.split(",")[1]
     path.write_text(f"{head},{name}\n{row},1\n")
-    with pytest.raises(UserError, match=rf"{path}.* two columns {name}: leave in the one that counts"):
+    with pytest.raises(UserError, match=rf"{path}.* two columns {name}: keep only the right one"):
         read(path)
 
 

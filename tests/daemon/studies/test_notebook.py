@@ -39,7 +39,7 @@ def test_readings_with_a_time_or_a_face_twice_are_refused():
     site = heliocube.Site(48.7176, 2.209, 156.0)
     with pytest.raises(heliocube.UserError, match=f"have the time {re.escape(str(readings.index[3]))} twice"):
         heliocube.replay(pd.concat([readings, readings.iloc[3:4]]).sort_index(), site=site)
-    with pytest.raises(heliocube.UserError, match="have two columns south; leave in the one that counts"):
+    with pytest.raises(heliocube.UserError, match="have two columns south; keep only the right one"):
         heliocube.replay(pd.concat([readings, readings[["south"]]], axis=1), site=site)
 
 

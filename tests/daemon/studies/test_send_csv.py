@@ -168,7 +168,7 @@ def test_a_number_that_no_face_can_read_is_a_missing_reading_and_is_counted(tmp_
     [
         ("", "is empty: name a CSV file with the columns time,east"),
         ("time,east,west,zenith\n", "line 1: the column south is missing"),
-        ("time,east,south,west,zenith,east\n", "line 1 has two columns east: leave in the one that counts"),
+        ("time,east,south,west,zenith,east\n", "line 1 has two columns east: keep only the right one"),
         (HEADER, "has no readings below its header"),
         (HEADER + "yesterday,1,2,3,4\n", "line 2: the time 'yesterday' is not ISO 8601"),
         (HEADER + f"{START},1,2,x,4\n", "line 2: west is 'x', not a number"),

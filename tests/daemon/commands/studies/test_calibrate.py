@@ -329,7 +329,7 @@ def test_a_field_calibration_that_the_readings_cannot_support_says_what_is_missi
         ({"reference": ""}, "reference.csv is empty: name a CSV file with the columns time and ghi"),
         ({"sensors": "\n"}, "sensors.csv is empty: name a CSV file with the columns time, east_mv, south_mv, west_mv"),
         ({"reference": "time,ghi\n"}, "reference.csv has a header and no data: name a file with readings below"),
-        ({"reference": "time,ghi,ghi\n2022-03-11T12:00Z,1,2\n"}, "reference.csv has two columns ghi: leave in the one"),
+        ({"reference": "time,ghi,ghi\n2022-03-11,1,2\n"}, "reference.csv has two columns ghi: keep only the right one"),
         ({"reference": "time,dni\n2022-03-11T12:00Z,1\n"}, "has no column ghi; found: time, dni"),
         ({"reference": "time,ghi\n2022-03-11T12:00Z,much\n"}, "line 2: ghi is 'much', not a number"),
         ({"reference": "time,ghi\n2022-03-11T12:00Z,inf\n"}, "line 2: ghi is 'inf', not a number"),

@@ -25,7 +25,7 @@ function inTheShadow({ law, failed_why, gain, travelled_deg, active_travelled_de
 
 export function next() {
   const big = h("p", { class: "big" });
-  const { list, values } = facts(["In the light of now", "Last decision", "It said", "Moves today", "Travel today", "Received today", "Against chronometric", "Law in the shadow"]);
+  const { list, values } = facts(["In the present light", "Last decision", "It said", "Moves today", "Travel today", "Received today", "Against chronometric", "Law in the shadow"]);
   const node = card("Next decision", null, big, list);
 
   function update({ tracker, extra, now, old }) {
@@ -38,8 +38,8 @@ export function next() {
     const coming = tracker.next_decision ?? null;
     const law = coming?.law ?? tracker.law.name;
     setText(big, due === null ? `None while the mode is ${tracker.mode.name}` : left > 0 ? `in ${countdown(left)}, by ${law}` : `due now, by ${law}`);
-    values["In the light of now"].parentElement.hidden = coming === null;
-    if (coming) setText(values["In the light of now"], `${coming.moves ? "would go to" : "would stay; aim"} ${pair(coming)}: ${because(coming)}`);
+    values["In the present light"].parentElement.hidden = coming === null;
+    if (coming) setText(values["In the present light"], `${coming.moves ? "would go to" : "would stay; aim"} ${pair(coming)}: ${because(coming)}`);
     const decision = tracker.decision;
     setText(values["Last decision"], decision ? `${at(decision.time, now)}, ${duration(decision.age_s + extra)} ago` : "none yet");
     setText(values["It said"], decision ? `${decision.moved ? "go to" : "stay; aim"} ${pair(decision)}: ${because(decision)}` : "–");
