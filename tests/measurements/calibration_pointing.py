@@ -2,7 +2,8 @@
 
     python tests/measurements/calibration_pointing.py FOLDER
 
-FOLDER holds the measured weather (2016-MM.csv.gz). The run takes some minutes, and always gives the same numbers.
+FOLDER holds the measured weather (2016-MM.csv.gz). The run takes up to a quarter of an hour, and always gives the same
+numbers.
 """
 
 import sys

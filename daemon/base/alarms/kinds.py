@@ -232,7 +232,7 @@ _ALL = (
     _kind(
         "store-aside",
         Severity.WARNING,
-        "the file of records was damaged, and a new one was begun",
+        "the store could not be used (damaged, or written by a newer heliocube), and was moved aside",
         "the earlier records are in the file that was moved aside",
         "salvage them with `heliocube store salvage FILE --into FOLDER`, then move that file to another folder",
     ),
