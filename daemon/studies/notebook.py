@@ -234,9 +234,7 @@ def _rows(faces: pd.DataFrame) -> RecordedScans:
     if not isinstance(index, pd.DatetimeIndex) or index.tz is None or not index.is_monotonic_increasing:
         raise UserError("the readings need an index of times with their zone, in rising order, as read_faces gives it")
     if not index.is_unique:
-        raise UserError(
-            f"the readings have the time {index[index.duplicated()][0]} twice; keep only the right one"
-        )
+        raise UserError(f"the readings have the time {index[index.duplicated()][0]} twice; keep only the right one")
     missing = [face for face in FACES if face not in faces]
     if missing:
         raise UserError(f"the readings have no column {', '.join(missing)}: east, south, west and zenith are needed")
