@@ -10,7 +10,7 @@ RECORDS = {ROOT / "tests" / "drivers" / "transcripts"}
 
 
 @pytest.mark.parametrize("top", MIRRORED)
-def test_every_folder_of_tests_has_its_source(top):
+def test_every_test_folder_mirrors_a_source_folder(top):
     own = ROOT / "tests" / top
     folders = [own, *(path for path in own.rglob("*") if path.is_dir() and path.name != "__pycache__")]
     astray = [
@@ -21,7 +21,7 @@ def test_every_folder_of_tests_has_its_source(top):
     assert not astray, f"no such folder in the source: {astray}"
 
 
-def test_every_test_lies_with_a_source_or_in_a_tier_of_its_own():
+def test_top_level_test_folders_are_mirrored_packages_or_known_tiers():
     tiers = {"campaign", "firmware", "fuzz", "mutation", "support", "system"}
     # Tests at the top look at the whole house.
     places = {path.relative_to(ROOT / "tests").parts[0] for path in (ROOT / "tests").rglob("*/test_*.py")}

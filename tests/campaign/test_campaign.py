@@ -30,20 +30,20 @@ def test_the_seeds_draw_every_fault_and_every_command():
 
 # The same seeds each time: a change that breaks one fails before it lands and after. `.ci/run` takes fresh seeds.
 @pytest.mark.parametrize("seed", SEEDS)
-def test_no_promise_is_broken(seed):
+def test_fault_campaign_with_fixed_seeds_breaks_no_promise(seed):
     schedule = draw(seed, HOURS)
     outcome = run_schedule(schedule)
     assert not outcome.violations, shown(schedule, outcome)
 
 
-def test_no_promise_is_broken_by_several_trackers():
+def test_fault_campaign_of_three_trackers_breaks_no_promise():
     schedule = draw(2263, HOURS, trackers=3)
     outcome = run_schedule(schedule)
     assert not outcome.violations, shown(schedule, outcome)
 
 
 @pytest.mark.parametrize("path", FAILED_ONCE, ids=lambda path: path.stem)
-def test_what_failed_once_does_not_fail_again(path):
+def test_schedules_that_failed_once_break_no_promise_again(path):
     schedule = Schedule.from_json(path.read_text())
     outcome = run_schedule(schedule)
     assert not outcome.violations, shown(schedule, outcome)

@@ -44,7 +44,7 @@ def until_connected(tracker):
 
 
 @pytest.mark.system
-def test_a_stop_from_the_shell_outlasts_every_command_and_a_kill(tmp_path):
+def test_a_stop_from_the_shell_survives_other_commands_and_a_kill_of_the_service(tmp_path):
     with unit_and_tracker(tmp_path) as (unit, tracker):
         tracker.until_it_takes(-45, 30)
         until_it_moves(unit)

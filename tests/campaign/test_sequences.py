@@ -80,14 +80,14 @@ def schedule(phase, after_s, commands, *, rehome="automatic"):
 
 
 @pytest.mark.parametrize(("phase", "after_s", "door"), CASES)
-def test_a_stop_holds_in_every_phase_against_every_other_command(phase, after_s, door):
+def test_a_stop_given_in_any_phase_stays_in_force_against_every_other_command(phase, after_s, door):
     chosen = schedule(phase, after_s, known(DOORS[door]))
     outcome = run_schedule(chosen, DOORS[door], heal=False)
     assert not outcome.violations, "\n".join([*map(str, outcome.violations), chosen.text()])
 
 
 @pytest.mark.parametrize("name", ["goto", "stow", "hold", "home", "clear", "snow", "maintenance"])
-def test_every_command_goes_through_every_door(name):
+def test_every_command_can_be_given_directly_over_http_and_over_mqtt(name):
     assert [door for door, way in DOORS.items() if not way.has(name)] == []
 
 
@@ -105,7 +105,7 @@ class AnyDoor:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_last_of_stop_and_auto_counts_by_whatever_doors_they_come_and_across_a_kill(seed):
+def test_the_last_of_stop_and_auto_wins_over_any_mix_of_interfaces_and_across_a_kill(seed):
     random, at_s, events = Random(seed), BEGUN_S, list(UNDER_WAY)
     for killed in (False, True):
         for _ in range(5):

@@ -18,12 +18,12 @@ def drawing():
     return module
 
 
-def test_the_picture_is_the_house_as_it_is():
+def test_the_committed_house_picture_matches_what_its_script_draws():
     house = drawing()
     assert house.PICTURE.read_text(encoding="utf-8") == house.picture(), "run python docs/develop/house.py"
 
 
-def test_every_room_is_in_the_picture_and_no_text_leaves_its_box():
+def test_the_house_picture_shows_every_daemon_package_and_all_text_fits_its_box():
     house = drawing()
     boxes = house.laid_out(house.floors())
     rooms = {path.parent.name for path in (house.ROOT / "daemon").glob("*/__init__.py")}

@@ -23,11 +23,11 @@ def example(request, tmp_path):
     return path
 
 
-def test_there_are_examples():
+def test_the_instruments_page_has_at_least_four_examples():
     assert len(EXAMPLES) >= 4
 
 
-def test_it_is_a_good_file_for_a_real_rig_and_runs_on_a_simulated_one(example):
+def test_each_instruments_page_example_builds_a_real_cube_and_tracks_on_a_simulated_rig(example):
     settings = load_settings(example)
     assert settings.real
     assert build_cube(settings, SystemClock()) is not None

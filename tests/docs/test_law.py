@@ -31,7 +31,7 @@ def test_the_law_is_found_by_its_name_with_its_settings(installed):
     assert (settings.driver, settings.least_zenith_w_m2) == ("bright-only", 250.0)
 
 
-def test_the_configuration_takes_it_by_its_name(installed, tmp_path):
+def test_the_configuration_accepts_the_example_law_by_name_and_refuses_wrong_settings_of_it(installed, tmp_path):
     file = tmp_path / "heliocube.toml"
     file.write_text(re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)[1])
     law = load_settings(file).law

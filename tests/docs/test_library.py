@@ -36,7 +36,7 @@ def test_the_sun_is_in_the_south_at_noon_and_highest_then(names):
     assert names["sun"].elevation_deg.argmax() == 4
 
 
-def test_the_examples_point_as_the_page_says(names):
+def test_the_library_page_examples_give_the_angles_that_the_page_describes(names):
     a_deg, b_deg = names["a_deg"], names["b_deg"]
     assert -50.0 < a_deg[0] < 0.0  # East
     assert 15.0 < b_deg[0] < 90.0
@@ -44,7 +44,7 @@ def test_the_examples_point_as_the_page_says(names):
     assert names["between_deg"].shape == (2,)
 
 
-def test_a_simulated_day_comes_as_frames(names):
+def test_a_simulated_day_is_returned_as_data_frames_with_a_utc_index(names):
     tables = names["tables"]
     assert tables.keys() == {"scans", "decisions", "moves", "poses", "modes", "events", "curves"}
     for table in tables.values():
@@ -56,7 +56,7 @@ def test_a_simulated_day_comes_as_frames(names):
     assert (names["turned_deg"] > 5.0).all()
 
 
-def test_recorded_readings_come_back_as_they_were_and_drive_a_tracker(names):
+def test_recorded_readings_are_read_back_unchanged_and_drive_a_tracker(names):
     faces, positions = names["faces"], names["positions"]
     written = names["recorded"][["east", "south", "west", "zenith"]]
     np.testing.assert_allclose(faces.to_numpy(), written.to_numpy())
@@ -67,7 +67,7 @@ def test_recorded_readings_come_back_as_they_were_and_drive_a_tracker(names):
     assert positions["dni_est"].notna().any()
 
 
-def test_a_store_comes_as_frames(names, tmp_path):
+def test_a_store_is_read_as_data_frames_and_a_missing_store_is_an_error(names, tmp_path):
     store = Store(tmp_path, 60.0, 400, ORIGIN, SystemClock(), print)
     store.keep(replace(scan(0), time_utc_s=NOON_UTC_S))
     store.keep(replace(scan(1), time_utc_s=NOON_UTC_S + 86400.0))

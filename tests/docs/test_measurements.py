@@ -110,7 +110,7 @@ def begin(name, arguments, monkeypatch):
 
 @pytest.mark.usefixtures("folder", "program")
 @pytest.mark.parametrize("name", SLICES)
-def test_a_slice_of_a_script_comes_to_its_figures(name, monkeypatch, capsys):
+def test_a_measurement_script_prints_its_figures_when_run_on_little_data(name, monkeypatch, capsys):
     module = importlib.import_module(f"tests.measurements.{name}")
     for constant, value in SLICES[name].smaller:
         monkeypatch.setattr(module, constant, value)
@@ -118,13 +118,13 @@ def test_a_slice_of_a_script_comes_to_its_figures(name, monkeypatch, capsys):
     assert re.search(SLICES[name].answer, capsys.readouterr().out)
 
 
-def test_every_script_is_run_or_named_with_a_reason():
+def test_every_measurement_script_is_run_here_or_listed_with_the_reason_why_not():
     assert {*SLICES, *NOT_RUN} == set(SCRIPTS)
     assert not SLICES.keys() & NOT_RUN
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
-def test_a_script_has_the_options_that_its_usage_names(name, monkeypatch, capsys):
+def test_a_measurement_script_has_exactly_the_options_that_its_docstring_names(name, monkeypatch, capsys):
     module = importlib.import_module(f"tests.measurements.{name}")
     if not hasattr(module, "argparse"):
         return

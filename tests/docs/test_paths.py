@@ -27,7 +27,7 @@ def module(name):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_what_a_page_points_at_is_there(page):
+def test_every_path_module_and_link_that_a_page_names_exists(page):
     text = page.read_text()
     missing = []
     if page.name != NOT_TAKEN:
@@ -38,7 +38,7 @@ def test_what_a_page_points_at_is_there(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_addresses_of_others_are_whole(page):
+def test_external_links_of_a_page_are_well_formed(page):
     for address in FOREIGN.findall(page.read_text()):
         parts = urlsplit(address)
         assert re.fullmatch(r"[\w.-]+\.[a-z]{2,}|127\.0\.0\.1|tracker\.lab", parts.hostname or ""), address
@@ -46,7 +46,7 @@ def test_addresses_of_others_are_whole(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_what_the_user_of_the_service_is_to_run_names_the_configuration(page):
+def test_commands_run_as_the_service_user_name_the_configuration_file(page):
     # sudo does not hand HELIOCUBE_CONFIG on; a store is salvaged without one.
     commands = re.findall(r"sudo -u heliocube heliocube (?!store )([^`\n]*)", page.read_text())
     assert [command for command in commands if "/etc/heliocube/" not in command and "..." not in command] == []

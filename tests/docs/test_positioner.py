@@ -32,7 +32,7 @@ def file(tmp_path, monkeypatch):
     return config
 
 
-def test_a_simulated_rig_tracks_with_it(file):
+def test_a_simulated_rig_tracks_with_the_example_positioner(file):
     tables = heliocube.simulate("2022-10-14T10:00Z", days=0.5 / 24, weather="clear", config=file, seed=3)
     moves, decisions = tables["moves"], tables["decisions"]
     assert set(moves["outcome"]) == {"arrived"}
@@ -49,7 +49,7 @@ def in_virtual_time(file, act):
 
 
 @pytest.mark.parametrize("target", [(51.0, 45.0), (0.0, 14.0), (math.nan, 45.0), (0.0, math.inf)])
-def test_its_own_limits_hold(file, target):
+def test_the_example_positioner_refuses_targets_outside_its_limits_and_does_not_move(file, target):
     async def act(positioner, truth):
         await positioner.open()
         with pytest.raises(ValueError, match="outside the limits"):
@@ -60,7 +60,7 @@ def test_its_own_limits_hold(file, target):
     in_virtual_time(file, act)
 
 
-def test_what_it_tells_of_itself_is_told_by_its_name(file):
+def test_telemetry_of_the_example_positioner_has_its_own_state_as_a_named_detail(file):
     async def act(positioner, truth):
         await positioner.open()
         await positioner.home("a")
@@ -70,7 +70,7 @@ def test_what_it_tells_of_itself_is_told_by_its_name(file):
     in_virtual_time(file, act)
 
 
-def test_a_halt_ends_a_move_where_it_is(file):
+def test_a_halt_stops_the_example_positioner_where_it_is(file):
     async def act(positioner, truth):
         await positioner.open()
         await positioner.move_to(30.0, 60.0)
@@ -84,7 +84,7 @@ def test_a_halt_ends_a_move_where_it_is(file):
     in_virtual_time(file, act)
 
 
-def test_a_reference_run_is_seen_and_ends_at_its_switch(file):
+def test_a_reference_run_shows_in_the_telemetry_and_ends_at_its_end_switch(file):
     async def act(positioner, truth):
         await positioner.open()
         await positioner.home("a")
@@ -97,7 +97,7 @@ def test_a_reference_run_is_seen_and_ends_at_its_switch(file):
     in_virtual_time(file, act)
 
 
-def test_a_rig_without_its_port_says_so(file):
+def test_a_real_rig_without_a_positioner_port_is_refused_naming_the_missing_key(file):
     file.write_text(CONFIG + '[instruments]\nkind = "real"\n')
     with pytest.raises(UserError, match=r"instruments\.positioner\.resource is missing"):
         build_positioner(load_settings(file), SystemClock())

@@ -12,7 +12,7 @@ from tests.support import DOCS
 (EXAMPLE,) = re.findall(r"```toml\n(.*?)```", (DOCS / "rotator.md").read_text(), re.DOTALL)
 
 
-def test_it_is_a_file_that_can_be_run(tmp_path):
+def test_the_rotator_page_example_is_a_valid_file_for_a_real_rotctld_positioner(tmp_path):
     file = tmp_path / "heliocube.toml"
     file.write_text(EXAMPLE)
     settings = check_file(file)
@@ -20,7 +20,7 @@ def test_it_is_a_file_that_can_be_run(tmp_path):
     assert isinstance(build_positioner(settings, SystemClock()), RotctldPositioner)
 
 
-def test_the_same_rig_tracks_in_simulation(tmp_path):
+def test_all_moves_arrive_when_the_rotator_page_example_is_simulated(tmp_path):
     file = tmp_path / "heliocube.toml"
     file.write_text(EXAMPLE.replace('kind = "real"', 'kind = "simulated"'))
     moves = heliocube.simulate("2022-10-14T10:00Z", days=0.5 / 24, weather="clear", config=file, seed=3)["moves"]

@@ -224,7 +224,7 @@ def try_out(command, heliocube):
     [page for page, listed in ALL.items() if listed and page.name not in WITH_A_SERVICE],
     ids=lambda page: str(page.relative_to(ROOT)),
 )
-def test_the_commands_of_a_page_do_what_they_say(page, folder, heliocube):
+def test_the_shell_commands_of_a_page_work_as_printed(page, folder, heliocube):
     for command in ALL[page]:
         try_out(command, heliocube)
 
@@ -273,12 +273,12 @@ def test_a_tutorial_runs_from_its_first_command_to_its_last(name, readers_folder
     assert service.exit_code == 0
 
 
-def test_every_reason_has_a_command():
+def test_every_reason_for_not_running_a_command_still_applies_to_some_command():
     for table in (LEFT_OUT, ONLY_READ):
         assert [start for start in table if not any(command.startswith(start) for command in EVERY)] == []
 
 
-def test_no_command_hides_in_a_block_of_another_kind():
+def test_pages_have_commands_only_in_sh_and_console_blocks():
     for page in PAGES:
         for _, language, body in BLOCK.findall(page.read_text(encoding="utf-8")):
             if language not in {"sh", "console"}:
@@ -287,6 +287,6 @@ def test_no_command_hides_in_a_block_of_another_kind():
                 )
 
 
-def test_an_option_that_is_not_there_is_found():
+def test_an_unknown_option_in_a_printed_command_is_detected():
     with pytest.raises(Exception, match="No such option"):
         read("heliocube simulate --start 2022-10-14 --colour red --out x")

@@ -46,7 +46,7 @@ def watch(example, tmp_path):
     return start
 
 
-def test_it_stows_while_the_file_warns_and_for_its_time_after(watch, tmp_path):
+def test_the_example_source_stows_while_the_file_warns_and_for_its_calm_time_after(watch, tmp_path):
     warning, clock = tmp_path / "warning", Clock()
     warning.write_text("clear\n")
     stow = watch(clock)
@@ -62,21 +62,21 @@ def test_it_stows_while_the_file_warns_and_for_its_time_after(watch, tmp_path):
 
 
 @pytest.mark.parametrize("content", [None, b"\xff\xfe", b""])
-def test_silence_and_nonsense_are_danger(watch, tmp_path, content):
+def test_a_missing_empty_or_undecodable_warning_file_causes_a_stow(watch, tmp_path, content):
     if content is not None:
         (tmp_path / "warning").write_bytes(content)
     clock = Clock()
     assert watch(clock).reasons(clock.now_s)
 
 
-def test_what_was_never_read_was_never_heard(watch):
+def test_a_warning_file_that_was_never_read_has_an_infinite_age(watch):
     clock = Clock()
     stow = watch(clock)
     assert stow.reasons(clock.now_s)
     assert stow.statuses(clock.now_s)[0].age_s == math.inf
 
 
-def test_a_restart_forgets_nothing(watch, tmp_path, caplog):
+def test_a_stow_warning_outlasts_a_restart_for_its_calm_time(watch, tmp_path, caplog):
     caplog.set_level(logging.ERROR, "heliocube")
     warning, clock = tmp_path / "warning", Clock()
     warning.write_text("hail\n")

@@ -40,7 +40,7 @@ def file(tmp_path, monkeypatch):
     return config
 
 
-def test_a_simulated_rig_reads_with_it_what_the_usual_cube_reads(file):
+def test_a_simulated_rig_reads_the_same_with_the_example_cube_as_with_the_usual_one(file):
     start = HALF_AN_HOUR["start"]
     rest = {name: value for name, value in HALF_AN_HOUR.items() if name != "start"}
     own, usual = heliocube.simulate(start, config=file, **rest), heliocube.simulate(start, **rest)
@@ -90,7 +90,7 @@ def reading_of(file, line):
         return runner.run(work())
 
 
-def test_a_face_without_a_voltage_costs_the_others_nothing(file):
+def test_a_face_without_a_valid_voltage_does_not_affect_the_other_faces(file):
     line = Answers("HEWLETT-PACKARD,34970A,0,1", "+3.0E-02,+9.9E+37,NAN,-1.0E-05")
     faces = reading_of(file, line).faces
     assert [face.flaw for face in faces] == [None, "over-range", "missing", None]
@@ -99,28 +99,28 @@ def test_a_face_without_a_voltage_costs_the_others_nothing(file):
 
 
 @pytest.mark.parametrize("answer", ["+1.0E-02", "+1E-02,+1E-02,+1E-02,+1E-02,+1E-02", DeadlineError("scanner", "late")])
-def test_an_answer_in_doubt_ends_the_connection(file, answer):
+def test_a_late_answer_or_one_without_exactly_four_voltages_is_a_lost_link(file, answer):
     with pytest.raises(LinkLostError):
         reading_of(file, Answers("HEWLETT-PACKARD,34970A,0,1", answer))
 
 
-def test_another_instrument_is_not_read(file):
+def test_an_instrument_of_another_model_is_refused(file):
     with pytest.raises(IdentityError, match="no 34970A"):
         reading_of(file, Answers("KEITHLEY,2000"))
 
 
-def test_a_rig_without_its_address_says_so(file):
+def test_a_real_rig_without_a_meter_address_is_refused_naming_the_missing_key(file):
     file.write_text(CONFIG + '[instruments]\nkind = "real"\n')
     with pytest.raises(UserError, match=r"instruments\.cube\.resource is missing"):
         build_cube(load_settings(file), SystemClock())
 
 
-def test_rules_of_the_multiplexer_do_not_hold_for_it(file):
+def test_the_rules_of_the_multiplexer_do_not_apply_to_the_example_cube(file):
     file.write_text(CONFIG + "[cube]\nscan_every_s = 0.5\n[cube.south]\nchannel = 0\n")
     assert load_settings(file).cube.scan_every_s == 0.5
 
 
-def test_its_mistakes_are_told_as_those_of_every_key(file):
+def test_a_wrong_setting_of_the_example_cube_is_refused_with_its_key_and_allowed_range(file):
     file.write_text(CONFIG.replace("201", "7"))
     with pytest.raises(
         UserError, match=r"instruments\.cube\.first_channel = 7: must be a whole number from 101 to 316"
@@ -128,13 +128,13 @@ def test_its_mistakes_are_told_as_those_of_every_key(file):
         load_settings(file)
 
 
-def test_an_unknown_name_lists_the_known_ones(file):
+def test_an_unknown_cube_driver_is_refused_with_a_list_of_the_known_ones(file):
     file.write_text(CONFIG.replace('"scanner"', '"scaner"'))
     with pytest.raises(UserError, match=r'instruments\.cube\.driver = "scaner".*"multiplexed".*"scanner"'):
         load_settings(file)
 
 
-def test_it_has_no_multiplexer_and_no_voltmeter_to_look_at(file):
+def test_probing_a_multiplexer_or_voltmeter_is_refused_with_the_example_cube(file):
     settings = load_settings(file)
     with pytest.raises(UserError, match='only the cube "multiplexed" has a multiplexer'):
         asyncio.run(probe_multiplexer(settings, no_tap, print, write=False))
@@ -142,7 +142,7 @@ def test_it_has_no_multiplexer_and_no_voltmeter_to_look_at(file):
         asyncio.run(probe_voltmeter(settings, lambda: 0.0, no_tap, print, write=False))
 
 
-def test_with_another_cube_ours_is_not_imported(file, tmp_path):
+def test_built_in_cube_drivers_are_not_imported_when_the_example_cube_is_configured(file, tmp_path):
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path;"
         "from daemon.config.file import load_settings; load_settings(Path(sys.argv[2])); import daemon.rigs.simulated;"

@@ -8,6 +8,6 @@ KINDS = [one for one in vars(errors).values() if isinstance(one, type) and issub
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_fault_names_the_instrument_and_what_is_wrong(kind):
+def test_every_device_error_names_the_instrument_and_what_is_wrong(kind):
     fault = kind("positioner", "is silent")
     assert (str(fault), fault.device, fault.message) == ("positioner: is silent", "positioner", "is silent")

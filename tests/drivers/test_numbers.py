@@ -19,13 +19,13 @@ from drivers.numbers import read_number
         ("1e400", math.inf),
     ],
 )
-def test_what_senders_write_is_read(text, number):
+def test_numbers_in_the_usual_notations_are_read(text, number):
     assert read_number(text) == number
 
 
 @pytest.mark.parametrize(
     "text", ["", " ", "1_5", "\uff11\uff15", "\u0661", "nan", "inf", "-infinity", "1,5", "0x1F", "1 5", "."]
 )
-def test_what_no_sender_means_is_no_number(text):
+def test_text_that_is_not_a_plain_decimal_number_is_refused(text):
     with pytest.raises(ValueError, match="is not a number"):
         read_number(text)

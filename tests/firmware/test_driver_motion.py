@@ -13,7 +13,7 @@ from tests.firmware.live import A, B, clear, driver_on, move, opened, standstill
 STANDS_WITHIN_S = 2.0
 
 
-def test_it_connects_by_listening_and_finds_the_configuration_to_be_that_of_the_unit(start_firmware):
+def test_the_driver_connects_by_listening_and_finds_that_the_configuration_fits_the_unit(start_firmware):
     firmware = start_firmware()
 
     async def scene():
@@ -28,7 +28,7 @@ def test_it_connects_by_listening_and_finds_the_configuration_to_be_that_of_the_
 
 
 @pytest.mark.parametrize("target", [(-50.0, 90.0), (-48.0, 88.5)])
-def test_a_move_ends_half_a_unit_from_its_target_and_inside_the_limits(start_firmware, target):
+def test_a_move_ends_close_to_its_target_and_inside_the_limits(start_firmware, target):
     firmware = start_firmware(-47.0, 87.0)
 
     async def scene():
@@ -50,7 +50,7 @@ def test_a_move_ends_half_a_unit_from_its_target_and_inside_the_limits(start_fir
     asyncio.run(scene())
 
 
-def test_a_halt_ends_a_move_although_the_first_packet_after_an_enumeration_is_lost(start_firmware):
+def test_halt_ends_a_move_although_the_first_packet_after_a_usb_enumeration_is_lost(start_firmware):
     firmware = start_firmware()
 
     async def scene():
@@ -71,7 +71,7 @@ def test_a_halt_ends_a_move_although_the_first_packet_after_an_enumeration_is_lo
     asyncio.run(scene())
 
 
-def test_a_single_stop_that_is_the_first_word_of_a_connection_is_heard(start_firmware):
+def test_a_single_stop_as_the_first_command_of_a_connection_takes_effect(start_firmware):
     firmware = start_firmware()
 
     async def lost(positioner):
@@ -105,7 +105,7 @@ def test_a_single_stop_that_is_the_first_word_of_a_connection_is_heard(start_fir
     asyncio.run(scene())
 
 
-def test_after_power_up_it_takes_no_target_before_its_status_is_cleared(start_firmware):
+def test_after_power_up_the_unit_takes_no_target_before_its_status_is_cleared(start_firmware):
     firmware = start_firmware(-20.0, 60.0, cleared=False)
 
     async def scene():
@@ -149,7 +149,7 @@ def test_the_axis_that_is_named_first_moves_first(start_firmware):
     asyncio.run(scene())
 
 
-def test_a_move_without_supply_is_refused_with_its_cause_and_nothing_moves(start_firmware):
+def test_a_move_at_low_motor_supply_is_refused_with_its_cause_and_nothing_moves(start_firmware):
     firmware = start_firmware()
 
     async def scene():
@@ -172,7 +172,7 @@ def test_a_move_without_supply_is_refused_with_its_cause_and_nothing_moves(start
     asyncio.run(scene())
 
 
-def test_own_tracking_is_switched_off_and_what_it_drove_is_stopped(start_firmware):
+def test_own_tracking_is_switched_off_and_the_axes_that_it_drove_are_stopped(start_firmware):
     firmware = start_firmware()
 
     async def scene():

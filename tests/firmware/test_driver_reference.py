@@ -30,7 +30,7 @@ def freeze_after(act, seconds):
         waker.kill()
 
 
-def test_both_axes_are_homed_and_the_count_is_believed(start_firmware):
+def test_both_axes_are_homed_and_no_reference_doubt_remains(start_firmware):
     # A way of some seconds, so that even a busy machine sees more than its end.
     firmware = start_firmware(-47.0, 18.0)
 
@@ -48,7 +48,7 @@ def test_both_axes_are_homed_and_the_count_is_believed(start_firmware):
     asyncio.run(scene())
 
 
-def test_a_run_that_a_supply_dip_breaks_off_leaves_a_doubt_until_a_good_one(start_firmware):
+def test_a_reference_run_that_a_supply_dip_breaks_off_leaves_a_doubt_until_a_good_run(start_firmware):
     firmware = start_firmware(-50.0, 90.0)
 
     async def scene():
@@ -70,7 +70,7 @@ def test_a_run_that_a_supply_dip_breaks_off_leaves_a_doubt_until_a_good_one(star
     asyncio.run(scene())
 
 
-def test_a_count_that_was_lost_while_nobody_read_is_settled_by_one_reference_run(start_firmware):
+def test_a_count_lost_while_telemetry_was_not_read_is_settled_by_one_reference_run(start_firmware):
     firmware = start_firmware(-46.0, 90.0)
 
     async def scene():
@@ -91,7 +91,7 @@ def test_a_count_that_was_lost_while_nobody_read_is_settled_by_one_reference_run
     asyncio.run(scene())
 
 
-def test_a_switch_that_is_stuck_closed_does_not_make_a_reference(start_firmware):
+def test_homing_on_an_end_switch_that_is_stuck_closed_does_not_restore_the_reference(start_firmware):
     firmware = start_firmware(-20.0, 90.0)
 
     async def scene():
@@ -110,7 +110,7 @@ def test_a_switch_that_is_stuck_closed_does_not_make_a_reference(start_firmware)
     asyncio.run(scene())
 
 
-def test_a_count_and_a_switch_that_contradict_each_other_are_told_apart_off_the_switch(start_firmware):
+def test_homing_after_a_contradicted_run_drives_the_axis_off_its_switch_and_settles_the_doubt(start_firmware):
     firmware = start_firmware(-48.0, 90.0)
 
     async def scene():
@@ -136,7 +136,7 @@ def test_a_count_and_a_switch_that_contradict_each_other_are_told_apart_off_the_
     asyncio.run(scene())
 
 
-def test_a_switch_that_is_stuck_after_a_restart_shows_by_where_the_axis_stood_before_it(start_firmware):
+def test_an_end_switch_stuck_after_a_restart_is_detected_by_the_position_recalled_from_before(start_firmware):
     firmware = start_firmware(-30.0, 90.0, cleared=False)
 
     async def scene():
@@ -177,7 +177,7 @@ def test_homing_stops_the_other_axis_first(start_firmware):
     asyncio.run(scene())
 
 
-def test_dead_hall_sensors_are_a_fault_and_nothing_is_sent_to_either_axis(start_firmware):
+def test_dead_hall_sensors_show_as_a_fault_that_refuses_moves_and_can_be_cleared(start_firmware):
     firmware = start_firmware()
 
     async def scene():

@@ -17,7 +17,7 @@ from tests.firmware.live import driver_on, until
 MOVES = (Target(-3.0, 88.0, "first"), Target(1.0, 86.0, "at once"), Target(-2.0, 88.5, "at once again"))
 
 
-def test_a_target_that_falls_into_the_braking_of_the_move_before_is_reached_without_a_warning(start_firmware, caplog):
+def test_a_target_ordered_while_the_previous_move_brakes_is_reached_without_a_warning(start_firmware, caplog):
     caplog.set_level(logging.INFO)
     firmware = start_firmware(0.0, 90.0)
     records, left = [], list(MOVES)

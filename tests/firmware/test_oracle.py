@@ -24,7 +24,7 @@ def agreement(recorded, which, seed):
 
 
 @pytest.mark.parametrize("which", MAKERS)
-def test_sequences_agree_in_position_destination_motion_and_status(recorded, record_property, which):
+def test_simulated_unit_and_firmware_agree_in_position_destination_motion_and_status(recorded, record_property, which):
     outcomes = [agreement(recorded, which, seed) for seed in SEEDS]
     different = [outcome for outcome in outcomes if outcome.differences]
     told = "\n".join(
@@ -47,5 +47,5 @@ def test_the_firmware_does_what_is_recorded(lock_step, recorded, which):
 
 
 @pytest.mark.parametrize(("which", "seed"), [(which, seed) for which, seeds in ONCE_DIFFERED.items() for seed in seeds])
-def test_sequences_that_once_differed_agree(recorded, which, seed):
+def test_sequences_on_which_simulated_unit_and_firmware_once_differed_now_agree(recorded, which, seed):
     assert agreement(recorded, which, seed).differences == []

@@ -116,7 +116,7 @@ def home(config, address):
     return seen
 
 
-def test_the_trackers_role_goes_where_it_is_told_and_stops_when_it_is_told(start_firmware, tmp_path):
+def test_the_tracker_role_moves_on_the_goto_command_and_stands_after_the_stop_command(start_firmware, tmp_path):
     firmware = start_firmware()
     with tracker(firmware, tmp_path, 300) as (config, _):
         deadline_s = time.monotonic() + PATIENCE_S
@@ -137,7 +137,7 @@ def test_the_trackers_role_goes_where_it_is_told_and_stops_when_it_is_told(start
 
 
 @pytest.mark.long
-def test_a_count_that_was_lost_is_a_fault_until_the_trackers_role_has_homed_both_axes(start_firmware, tmp_path):
+def test_a_lost_count_is_a_fault_until_the_tracker_role_has_homed_both_axes(start_firmware, tmp_path):
     # A way of some seconds, so that even a busy machine sees more than its end.
     firmware = start_firmware(-46.0, 20.0)
     with tracker(firmware, tmp_path, 480) as (config, address):

@@ -38,7 +38,7 @@ def test_the_first_packet_after_each_connection_is_lost(both):
     assert both.look().motion == (0, 0)
 
 
-def test_a_supply_dip_ends_a_reference_run_without_a_word(both):
+def test_a_supply_dip_ends_a_reference_run_without_any_report_in_the_status(both):
     assert after(both, HOME_A, 1000).status & A_HOMING
     both.cause("supply low")
     both.step(800)
@@ -60,7 +60,7 @@ def test_the_homing_bit_comes_with_the_first_impulse_and_goes_when_the_axis_is_s
     assert both.look().status & 0xFF == 1 << 1
 
 
-def test_homing_one_axis_while_the_other_moves_leaves_that_without_control(both):
+def test_homing_one_axis_while_the_other_moves_leaves_the_other_without_control(both):
     after(both, b"$.300\r", 2000)
     counted = both.look().position_mm[0]
     look = after(both, HOME_B, 300)
@@ -72,7 +72,7 @@ def test_homing_one_axis_while_the_other_moves_leaves_that_without_control(both)
 
 
 @pytest.mark.parametrize("of", ["firmware", "simulated"])
-def test_an_axis_told_its_own_place_is_left_switched_on_and_faulted_by_an_order_for_the_other(lock_step, of):
+def test_an_axis_sent_to_its_own_position_stays_on_and_faults_at_an_order_for_the_other_axis(lock_step, of):
     with contextlib.closing(Firmware(lock_step, A_ACTUATOR.angle_deg(228.96), 90.0)) as firmware:
         unit = firmware if of == "firmware" else firmware.twin()
         for _ in range(2):
@@ -83,7 +83,7 @@ def test_an_axis_told_its_own_place_is_left_switched_on_and_faulted_by_an_order_
         assert look.position_mm == (pytest.approx(228.96, abs=0.01), pytest.approx(275, abs=5))
 
 
-def test_homing_an_axis_that_moves_outwards_is_lost(both):
+def test_homing_an_axis_that_moves_outwards_ends_early_short_of_its_switch(both):
     after(both, b"$.300\r", 2000)
     turn = both.look().position_mm[0]
     after(both, HOME_A, 12_000)
@@ -93,7 +93,7 @@ def test_homing_an_axis_that_moves_outwards_is_lost(both):
 
 
 # One unit for all of them: powering one up takes five times as long as sending it a number.
-def test_a_negative_destination_is_the_far_end(both):
+def test_a_negative_or_too_large_destination_is_taken_as_the_far_end(both):
     for text in (b"-5", b"-400", b"99999999999"):
         assert after(both, b"$.300\r", 100).destination_mm[0] == 300.0
         assert after(both, b"$.%s\r" % text, 100).destination_mm[0] == 376.0, text
@@ -106,13 +106,13 @@ def test_numbers_are_read_as_c_reads_them(both):
         assert after(both, b"$,%s\r" % text, 100).destination_mm[0] == destination_mm, text
 
 
-def test_a_command_begins_with_the_first_byte(both):
+def test_a_command_is_recognised_only_if_its_packet_begins_with_a_dollar(both):
     before = both.look().destination_mm
     assert after(both, b"\r$.300\r", 100).destination_mm == before
     assert after(both, b"$.300\r", 100).destination_mm[0] == 300.0
 
 
-def test_after_a_stop_the_destination_is_the_position_and_the_bits_are_clear_while_the_axis_runs_out(both):
+def test_after_a_stop_the_destination_is_the_position_while_the_axis_still_runs_out(both):
     after(both, b"$.300\r", 2000)
     look = after(both, STOP, 80)
     assert look.motion[0] == 1
@@ -122,7 +122,7 @@ def test_after_a_stop_the_destination_is_the_position_and_the_bits_are_clear_whi
     assert both.look().position_mm[0] == pytest.approx(look.position_mm[0] + 0.3, abs=0.15)
 
 
-def test_during_homing_the_destination_runs_ahead_and_the_other_axis_targets_are_taken(both):
+def test_during_homing_the_destination_runs_ahead_and_only_the_other_axis_takes_targets(both):
     look = after(both, HOME_A, 1000)
     assert look.destination_mm[0] == pytest.approx(look.position_mm[0] - 10.0, abs=0.05)
     assert after(both, b"$2100\r", 100).destination_mm[1] == 100.0
@@ -140,7 +140,7 @@ def test_targets_are_refused_until_five_seconds_after_an_undervoltage(both):
     assert after(both, b"$.300\r", 100).destination_mm[0] == 300.0
 
 
-def test_overcurrent_forgets_that_axis_target_and_the_other_axis_begins(both):
+def test_overcurrent_discards_the_target_of_its_axis_and_the_other_axis_begins_its_move(both):
     after(both, b"$.300\r", 1500)
     after(both, b"$2200\r", 500)
     both.cause("overcurrent A")
@@ -151,7 +151,7 @@ def test_overcurrent_forgets_that_axis_target_and_the_other_axis_begins(both):
     assert look.destination_mm[0] == pytest.approx(look.position_mm[0], abs=0.02)
 
 
-def test_on_a_reversal_it_drives_the_old_way_for_another_second(both):
+def test_on_a_reversal_the_axis_drives_the_old_way_for_another_second(both):
     after(both, b"$.300\r", 2000)
     turn = both.look().position_mm[0]
     look = after(both, b"$.200\r", 900)
@@ -161,7 +161,7 @@ def test_on_a_reversal_it_drives_the_old_way_for_another_second(both):
     assert both.look().motion[0] == -1
 
 
-def test_the_button_shows_only_while_it_is_held(both):
+def test_the_button_shows_in_the_status_and_drives_the_axis_only_while_it_is_held(both):
     both.cause("button out")
     both.step(100)
     assert both.look().status == 1 << 9
@@ -173,7 +173,7 @@ def test_the_button_shows_only_while_it_is_held(both):
     assert both.look().motion[0] == 0
 
 
-def test_off_puts_a_slave_on_standby_and_never_switches_tracking_on(both):
+def test_the_tracking_off_command_puts_a_slave_on_standby_and_never_switches_tracking_on(both):
     both.cause("slave")
     assert after(both, b"$8Y\r", 100).status & 1 << 25
     for _ in range(2):
@@ -181,7 +181,7 @@ def test_off_puts_a_slave_on_standby_and_never_switches_tracking_on(both):
     assert after(both, b"$.100\r", 100).destination_mm[0] == 100.0
 
 
-def test_an_action_without_a_meaning_ends_a_move(both):
+def test_an_unknown_action_code_ends_a_move(both):
     after(both, b"$.300\r", 1000)
     assert after(both, b"$9x\r", 250).motion[0] == 1
     both.step(500)
@@ -189,7 +189,7 @@ def test_an_action_without_a_meaning_ends_a_move(both):
     assert both.look().destination_mm[0] < 240
 
 
-def test_a_reference_run_ends_beyond_its_switch_with_the_count_anew(lock_step):
+def test_a_reference_run_ends_just_beyond_its_switch_with_the_count_set_anew(lock_step):
     firmware = Firmware(lock_step, -51.0, 90.0)
     try:
         for unit in (firmware.twin(), firmware):
@@ -203,7 +203,7 @@ def test_a_reference_run_ends_beyond_its_switch_with_the_count_anew(lock_step):
         firmware.close()
 
 
-def test_own_tracking_that_comes_on_in_a_reference_run_lets_it_end_and_moves_nothing_meanwhile(lock_step):
+def test_own_tracking_switched_on_in_a_reference_run_lets_it_end_and_moves_nothing_meanwhile(lock_step):
     firmware = Firmware(lock_step, -50.0, 60.0)
     try:
         for unit in (firmware.twin(), firmware):
@@ -221,7 +221,7 @@ def test_own_tracking_that_comes_on_in_a_reference_run_lets_it_end_and_moves_not
         firmware.close()
 
 
-def test_geometry_ranges_supply_and_mode_are_printed_alike(unit):
+def test_simulated_unit_and_firmware_print_geometry_ranges_supply_and_mode_alike(unit):
     unit.step(4000)
     theirs = unit.unit.fields()
     ours = dict(TokenStream().feed(unit.twin().core.screens(0.0) + b"$"))
@@ -263,7 +263,7 @@ def test_geometry_ranges_supply_and_mode_are_printed_alike(unit):
     ],
     ids=["holder", "zero offset", "lowers"],
 )
-def test_another_triangle_is_driven_to_alike(unit, actuator):
+def test_simulated_unit_and_firmware_give_targets_of_other_triangles_the_same_destinations(unit, actuator):
     angle_deg = -actuator.apex_deg if actuator.raises else 180.0 - actuator.apex_deg
     sides = (actuator.stator_mm, actuator.arm_1_mm, actuator.arm_2_mm, 0.0, actuator.holder_mm, float(actuator.raises))
     for code, value in [*enumerate((*sides, angle_deg, 0.0), start=70), (192, actuator.zero_offset_mm)]:

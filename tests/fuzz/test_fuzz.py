@@ -31,11 +31,11 @@ def test_no_kept_and_no_mutated_input_makes_a_parser_raise(name):
             raise
 
 
-def test_each_folder_of_the_corpus_is_a_parsers():
+def test_each_parser_has_a_folder_of_the_fuzz_corpus_and_each_folder_a_parser():
     assert {path.name for path in (ROOT / "tests" / "fuzz" / "corpus").iterdir()} == set(PARSERS)
 
 
-def test_the_program_counts_what_it_fed():
+def test_the_fuzz_program_reports_the_number_of_inputs_that_it_fed():
     command = [sys.executable, "-m", "tests.fuzz.run", "mqtt-credentials", "--inputs", "200", "--seed", "3"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     assert "200" in done.stdout + done.stderr

@@ -17,11 +17,11 @@ def begun(work):
     return child
 
 
-def test_a_process_that_waits_is_waited_for():
+def test_ended_within_waits_for_a_sleeping_process_beyond_the_limit():
     assert ended_within(begun(lambda: time.sleep(2 * LIMIT_S)), LIMIT_S) == 0
 
 
-def test_one_that_computes_without_end_is_not():
+def test_ended_within_gives_up_on_a_process_that_computes_without_end():
     def compute():
         while True:
             pass

@@ -39,16 +39,16 @@ def changes(line):
         ("x: int | None = 0.5", {"0.5 -> (1.0)"}),
     ],
 )
-def test_a_line_is_changed_in_each_way_that_matters(line, expected):
+def test_each_line_of_code_yields_the_expected_mutants(line, expected):
     assert changes(line) == expected
 
 
-def test_a_change_knows_the_function_that_it_is_in():
+def test_a_mutant_knows_its_line_and_the_function_that_contains_it():
     source = b"LIMIT = 3\nclass A:\n    best = 4\n    def f(self):\n        return lambda: 5\n"
     assert [(mutant.line, mutant.function) for mutant in mutants("f.py", source)] == [(1, ""), (3, ""), (5, "A.f")]
 
 
-def test_every_change_that_is_said_to_be_unnoticeable_is_one_of_this_source_and_has_a_reason():
+def test_every_mutant_listed_as_equivalent_exists_in_the_present_source_and_has_a_reason():
     for entry in equivalent():
         keys = {mutant.key for mutant in mutants(entry["path"], (ROOT / entry["path"]).read_bytes())}
         assert f"{entry['path']} | {entry['was']} | {entry['now']}" in keys, "it has changed: judge it anew"

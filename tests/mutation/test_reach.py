@@ -67,14 +67,14 @@ def test_a_block_is_marked_when_it_is_reached(call, lines):
     assert reached(call) == lines
 
 
-def test_each_line_of_a_function_is_of_one_block():
+def test_each_line_of_a_function_belongs_to_one_block():
     blocks = {line: int(block.partition(":")[2]) for line, block in block_of_line("m.py", SOURCE).items()}
     assert {line: blocks.get(line) for line in (3, 6, 8, 9, 10, 11, 12, 13, 15, 16, 19, 21, 22, 24)} == {
         3: None, 6: None, 8: 9, 9: 9, 10: 9, 11: 11, 12: 12, 13: 13, 15: 15, 16: 14, 19: 19, 21: 21, 22: 22, 24: 24,
     }  # fmt: skip
 
 
-def test_of_what_is_worked_out_once_all_tests_of_its_file_are_asked(tmp_path):
+def test_a_mutant_of_a_cached_function_is_put_to_all_tests_that_reach_its_file(tmp_path):
     path = "solar/skies/dome.py"
     source = (ROOT / path).read_bytes()
     change = next(mutant for mutant in mutants(path, source) if mutant.function == "dome")
@@ -84,7 +84,7 @@ def test_of_what_is_worked_out_once_all_tests_of_its_file_are_asked(tmp_path):
     assert {test for stage in Reached(notes).stages(change) for test in stage} >= tests.keys()
 
 
-def test_a_change_goes_to_the_tests_of_its_module_first_and_then_to_all_others_that_reach_its_line(tmp_path):
+def test_a_mutant_is_put_to_the_tests_of_its_module_first_and_then_to_others_reaching_its_line(tmp_path):
     path = "daemon/base/reconnect.py"
     source = (ROOT / path).read_bytes()
     blocks = block_of_line(path, source)

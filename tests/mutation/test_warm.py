@@ -64,11 +64,11 @@ def change(line, was):
     )
 
 
-def test_what_runs_when_the_file_is_read_is_of_no_function():
+def test_code_that_runs_at_import_counts_as_outside_of_any_function():
     assert {line for line in range(1, 36) if is_of_a_function_at(line)} == {7, 8, 9, 17, 18, 19, 23, 27, 31, 35}
 
 
-def test_a_function_that_needs_another_cell_is_read_anew():
+def test_a_mutant_that_removes_super_does_not_keep_the_closure_cells_of_its_function():
     source = b"class A(B):\n    def f(self):\n        super().f(1)\n"
     kept = {mutant.now: keeps_its_cells(mutant, source) for mutant in mutants("f.py", source)}
     assert kept == {"pass": False, "(2)": True}
@@ -89,7 +89,9 @@ def is_of_a_function_at(line):
         (35, "x + 8", lambda m: m.remembered(1), 9, -7),
     ],
 )
-def test_a_change_is_in_the_function_that_everybody_holds(program, line, was, call, before, after):
+def test_a_mutant_takes_effect_in_existing_methods_properties_and_wrapped_functions(
+    program, line, was, call, before, after
+):
     module, functions = program
     assert call(module) == before
     functions.with_change(change(line, was), SOURCE)()

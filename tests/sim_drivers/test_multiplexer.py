@@ -11,7 +11,7 @@ def volts(channel, now):
     return channel + now / 1000.0 if channel in CONNECTED else None
 
 
-def test_it_selects_its_last_input_at_power_up_and_after_a_reset():
+def test_the_multiplexer_selects_input_7_at_power_up_and_after_a_power_cycle():
     core = MultiplexerCore(volts)
     assert core.selected(0.0) == 7
     core.write(2, 1.0)
@@ -38,7 +38,7 @@ def test_writes_take_effect_in_their_order():
     assert [core.selected(now) for now in (0.0, 0.02, 0.03)] == [7, 1, 2]
 
 
-def test_a_connected_input_is_on_the_output_as_it_is_now():
+def test_the_output_follows_the_present_voltage_of_a_connected_input():
     core = MultiplexerCore(volts)
     core.write(3, 0.0)
     assert core.output_voltage(100.0) == pytest.approx(3.1)
@@ -54,7 +54,7 @@ def test_a_floating_input_keeps_the_voltage_of_the_moment_of_switching():
     assert core.output_voltage(1900.0) == pytest.approx(3.2)
 
 
-def test_it_keeps_it_over_any_number_of_open_inputs_even_if_nobody_looked():
+def test_the_output_keeps_its_voltage_over_any_number_of_open_inputs_even_if_it_was_not_read():
     core = MultiplexerCore(volts, latency_s=0.0)
     core.write(3, 0.0)
     core.write(6, 100.0)
@@ -94,7 +94,7 @@ def test_a_bit_that_sticks_while_a_channel_is_selected_changes_it_at_once():
     assert core.selected(1.0) == 5
 
 
-def test_swapped_lines_swap_inputs():
+def test_swapped_address_lines_swap_inputs():
     core = MultiplexerCore(volts, latency_s=0.0, address_lines=(1, 0, 2))
     core.write(1, 0.0)
     assert core.selected(0.0) == 2
@@ -102,7 +102,7 @@ def test_swapped_lines_swap_inputs():
     assert core.selected(1.0) == 3
 
 
-def test_the_enable_line_has_a_polarity():
+def test_the_enable_line_may_be_active_high_or_active_low():
     high = MultiplexerCore(volts, latency_s=0.0, enable="active-high")
     low = MultiplexerCore(volts, latency_s=0.0, enable="active-low")
     assert high.selected(0.0) == 7
@@ -116,7 +116,7 @@ def test_the_enable_line_has_a_polarity():
     assert low.output_voltage(3.0) == pytest.approx(2.002)
 
 
-def test_an_error_on_demand_leaves_the_selection_alone():
+def test_an_injected_write_error_leaves_the_selection_unchanged():
     core = MultiplexerCore(volts, latency_s=0.0)
     core.write(1, 0.0)
     core.fail_next(-200587, times=2)
@@ -129,7 +129,7 @@ def test_an_error_on_demand_leaves_the_selection_alone():
     assert core.selected(2.0) == 2
 
 
-def test_what_cannot_be_is_refused():
+def test_invalid_values_error_codes_bits_address_lines_and_latencies_are_refused():
     core = MultiplexerCore(volts)
     with pytest.raises(ValueError, match="0 to 15"):
         core.write(16, 0.0)

@@ -40,7 +40,7 @@ def test_perfect_sensors_give_a_tenth_of_a_millivolt_per_watt(offset, kind, mode
 
 
 @pytest.mark.parametrize("offset", [0.0, 30000.0, 43200.25, 46799.5, 61000.0])
-def test_the_scene_is_the_sky_of_its_weather(offset):
+def test_sun_irradiance_and_wind_of_the_scene_are_those_of_its_weather_and_site(offset):
     here, instant = scene("variable", albedo=0.3), np.array([MIDNIGHT + offset])
     weather = GeneratedWeather("variable", SIRTA, 1).at(instant)
     sun, direction = sun_position(MIDNIGHT + offset, *SIRTA), sun_direction(instant, *SIRTA)
@@ -57,7 +57,7 @@ def test_the_scene_is_the_sky_of_its_weather(offset):
     assert here.wind_speed(MIDNIGHT + offset) == pytest.approx(weather.wind_speed_m_s[0], abs=0.05)
 
 
-def test_flat_the_module_receives_the_global_irradiance_and_on_its_edges_what_the_faces_do():
+def test_the_module_receives_ghi_when_flat_and_the_irradiance_of_a_face_when_it_looks_its_way():
     here, noon = scene(), MIDNIGHT + 40000.0
     truth = here.irradiances(noon)
     assert here.plane_of_array(0.0, 90.0, noon) == pytest.approx(truth.zenith_w_m2)
@@ -67,7 +67,7 @@ def test_flat_the_module_receives_the_global_irradiance_and_on_its_edges_what_th
 
 
 @pytest.mark.parametrize("site", [SIRTA, CAPE_TOWN])
-def test_east_shines_in_the_morning_west_in_the_evening_and_the_equators_face_at_noon(site):
+def test_the_east_face_is_bright_in_the_morning_west_in_the_evening_and_the_equator_face_at_noon(site):
     here, day = scene(site=site), sun_day(MIDNIGHT + 43200.0, *site)
     morning, evening = here.irradiances(day.noon_utc_s - 12000.0), here.irradiances(day.noon_utc_s + 12000.0)
     noon = here.irradiances(day.noon_utc_s)
@@ -76,7 +76,7 @@ def test_east_shines_in_the_morning_west_in_the_evening_and_the_equators_face_at
     assert noon.south_w_m2 > 2.0 * noon.east_w_m2
 
 
-def test_faces_can_be_turned():
+def test_faces_can_be_turned_and_a_scene_needs_four_of_them():
     north = FaceGeometry(0.0, 90.0)
     east, _, west, zenith = default_faces(SIRTA.latitude_deg)
     turned, noon = scene(faces=(east, north, west, zenith)), MIDNIGHT + 42300.0
@@ -85,7 +85,7 @@ def test_faces_can_be_turned():
         scene(faces=(east, west, zenith))
 
 
-def test_what_was_asked_before_does_not_change_the_scene():
+def test_the_scene_does_not_depend_on_the_order_in_which_instants_are_asked():
     instants = MIDNIGHT + np.random.default_rng(2).uniform(0.0, 86400.0, 40)
     jumping, steady = scene("variable"), scene("variable")
     shuffled = {instant: jumping.irradiances(instant) for instant in instants}
@@ -93,7 +93,7 @@ def test_what_was_asked_before_does_not_change_the_scene():
         assert steady.irradiances(instant) == shuffled[instant]
 
 
-def test_readings_repeat_with_the_seed_and_differ_without():
+def test_sensor_readings_repeat_with_the_same_seed_and_differ_with_another():
     def readings(seed):
         here = Scene(SIRTA, GeneratedWeather("variable", SIRTA, 1), seed=seed)
         return [here.sensor_voltage(step % 4, MIDNIGHT + 5.0 * step) for step in range(9000)]
@@ -148,7 +148,7 @@ def test_the_cosine_error_takes_from_the_beam_only():
     assert lost.min() >= 0.0
 
 
-def test_a_shade_and_a_broken_sensor_strike_one_face_until_they_are_taken_away():
+def test_a_shade_or_a_broken_sensor_affects_one_face_until_it_is_removed():
     here, noon = scene(), MIDNIGHT + 43200.0
     whole, sound = here.irradiances(noon), voltages(here, noon)
     here.shade(SOUTH, 0.25)
@@ -173,14 +173,14 @@ def measured_minutes(count, wind):
     return instants, values
 
 
-def test_wind_is_none_where_the_weather_does_not_tell():
+def test_wind_speed_is_none_where_the_weather_has_no_wind():
     for wind, expected in ((np.nan, None), (4.0, 4.0)):
         instants, values = measured_minutes(90, wind)
         here = Scene(SIRTA, MeasuredWeather("it", instants, values))
         assert here.wind_speed(float(instants[3])) == expected
 
 
-def test_a_hole_in_the_weather_stops_the_scene_with_its_reason_and_not_a_moment_early():
+def test_a_gap_or_the_end_of_the_weather_stops_the_scene_with_its_reason_and_not_earlier():
     instants, values = measured_minutes(180, 4.0)
     kept = (np.arange(180) < 40) | (np.arange(180) > 110)
     values = {name: value[kept] for name, value in values.items()}
@@ -238,7 +238,7 @@ def test_without_the_albedo_term_the_cube_misses_the_sun_by_several_degrees(meas
     assert clear_day_errors(measured, "perez1990", albedo=0.0).mean() > 6.0
 
 
-def test_on_the_measured_mixed_day_pointing_at_the_sun_wins_in_sunshine_and_lying_flat_wins_under_cloud(measured):
+def test_on_the_measured_mixed_day_facing_the_sun_wins_in_sunshine_and_flat_wins_under_cloud(measured):
     weather = load_weather(measured / "dtu_lyngby_2016" / "2016-03.csv.gz")
     here = Scene(LYNGBY, weather, sensors=PERFECT_SENSORS)
     sunny, cloudy = [], []

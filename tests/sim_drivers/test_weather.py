@@ -46,7 +46,7 @@ def test_the_same_seed_gives_the_same_day_and_another_seed_another(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("site", [SIRTA, CAPE_TOWN])
-def test_every_second_is_finite_closed_and_dark_at_night(kind, site):
+def test_generated_weather_is_finite_ghi_is_beam_plus_diffuse_and_the_night_is_dark(kind, site):
     weather = GeneratedWeather(kind, site, 3)
     now, sun = weather.at(DAY), sun_position(DAY, *site)
     for field in FIELDS:
@@ -97,7 +97,7 @@ def test_a_variable_day_has_clear_thick_and_broken_spells_with_ramps_of_seconds(
         assert np.mean(np.abs(np.diff(beam)) > 0.02) > 0.001
 
 
-def test_sunlit_cloud_edges_lift_the_irradiance_towards_the_sun_above_1000_w_m2_and_above_a_clear_sky():
+def test_cloud_edges_lift_irradiance_towards_the_sun_above_1000_w_m2_and_above_a_clear_sky():
     sun = sun_direction(DAY, *SIRTA)
 
     def towards_sun(now):
@@ -124,7 +124,7 @@ def test_wind_is_gusty_but_smooth_and_temperature_fits_the_season(kind):
 
 
 @given(st.integers(0, 2**63 - 1))
-def test_noise_is_even_over_the_unit_interval_and_differs_by_name_and_seed(seed):
+def test_noise_is_uniform_over_the_unit_interval_and_differs_by_name_and_seed(seed):
     index = np.arange(-2000, 2000)
     numbers = Noise(seed).uniform("a", index)
     assert numbers.min() >= 0.0

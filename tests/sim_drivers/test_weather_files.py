@@ -46,7 +46,7 @@ CSV = """time,ghi,dni,dhi,wind_speed,temp_air
 
 
 @pytest.mark.parametrize("packed", [None, "gz", "GZ"])
-def test_our_csv_is_read_plain_and_gzipped_and_interpolated_over_missing_cells(tmp_path, packed):
+def test_the_csv_format_is_read_plain_and_gzipped_and_interpolated_over_missing_cells(tmp_path, packed):
     path = written(tmp_path, CSV)
     if packed:
         path = tmp_path / f"weather.csv.{packed}"
@@ -123,7 +123,7 @@ def test_an_impossible_value_is_a_missing_one_and_is_counted(tmp_path):
     )
 
 
-def test_a_file_without_a_possible_value_says_why_no_record_counts(tmp_path):
+def test_a_file_without_any_possible_value_is_refused_with_the_reason(tmp_path):
     path = written(tmp_path, "time,ghi,dni,dhi\n2016-06-05T12:00:00Z,800000,900000,80000\n")
     assert reason(path) == (
         f"weather file {path} has no record with ghi, dni and dhi all present; weather file {path} has 3 impossible"
@@ -168,7 +168,7 @@ def test_gaps_of_an_hour_are_bridged_and_longer_ones_are_named(tmp_path):
 
 
 @pytest.mark.parametrize("outside", ["2016-06-05T05:59:59", "2016-06-05T07:00:01", "2022-10-12"])
-def test_asking_outside_the_file_names_its_span(tmp_path, outside):
+def test_asking_for_an_instant_outside_the_weather_file_is_refused_with_its_span(tmp_path, outside):
     path = written(tmp_path, hours((6, 2), (7, 3)))
     with pytest.raises(WeatherError) as caught:
         at(load_weather(path), outside)
@@ -244,7 +244,7 @@ def test_midc_files_are_read_in_their_own_time_zone_with_their_own_names(tmp_pat
     assert (now.ghi_w_m2[0], now.dni_w_m2[0], now.dhi_w_m2[0]) == (710.0, 810.0, 105.0)
 
 
-def test_a_midc_file_without_diffuse_says_what_it_found(tmp_path):
+def test_a_midc_file_without_a_diffuse_column_is_refused_with_the_columns_found(tmp_path):
     message = reason(written(tmp_path, MIDC_RAW.replace("Diffuse Horizontal", "Something"), "midc.txt"))
     assert "has no column for dhi; found: " in message
     assert "Something [W/m^2]" in message
@@ -295,7 +295,7 @@ NETWORKS = {
 
 @pytest.mark.parametrize("name", NETWORKS)
 @pytest.mark.parametrize("packed", [False, True])
-def test_a_last_line_of_a_network_s_file_that_breaks_off_counts_nowhere_and_is_told(tmp_path, name, packed):
+def test_a_truncated_last_line_of_a_network_file_is_left_out_and_reported(tmp_path, name, packed):
     text, options = NETWORKS[name]
     lines = text.splitlines(keepends=True)
     last = lines.pop()
@@ -323,7 +323,7 @@ def test_a_last_line_of_a_network_s_file_that_breaks_off_counts_nowhere_and_is_t
     assert read(last.rstrip()).note() is None
 
 
-def test_a_network_s_last_number_with_fewer_decimals_than_all_above_it_breaks_off(tmp_path):
+def test_a_last_number_of_a_network_file_with_fewer_decimals_than_all_above_counts_as_truncated(tmp_path):
     rows = [f"1,2016,75,12{minute:02},700,800,100.5\n" for minute in range(31)]
     path = written(tmp_path, "".join([*MIDC_RAW.splitlines(keepends=True)[:1], *rows, "1,2016,75,1231,720,820,11"]))
     assert load_weather(path).note().endswith("the last line, 33, breaks off at cell 7 of 7 and is left out")
@@ -376,7 +376,7 @@ def test_hours_stamped_with_their_end_are_noticed_and_those_with_their_middle_ar
     )
 
 
-def test_a_day_in_kilowatts_is_noticed_and_a_night_is_not():
+def test_irradiance_in_kilowatts_is_noticed_in_a_day_and_not_in_a_night():
     instants = utc("2022-04-12") + np.arange(0.0, 86400.0, 60.0)
     now = GeneratedWeather("overcast", SIRTA, 1).at(instants)
     values = {"ghi": now.ghi_w_m2, "dni": now.dni_w_m2, "dhi": now.dhi_w_m2}
@@ -390,7 +390,7 @@ def test_a_day_in_kilowatts_is_noticed_and_a_night_is_not():
     assert site_mismatch(MeasuredWeather("it", instants[:200], night), SIRTA) is None
 
 
-def test_a_day_without_sun_fits_everywhere():
+def test_a_day_without_sunshine_fits_any_site():
     instants = utc("2022-10-12") + np.arange(0.0, 86400.0, 60.0)
     grey = np.full(instants.shape, 80.0)
     values = {"ghi": grey, "dni": 0.0 * grey, "dhi": grey, "wind_speed": grey, "temp_air": grey}

@@ -23,13 +23,13 @@ def test_each_part_has_its_own_weather():
     assert both.covers(before).all()
 
 
-def test_one_blends_into_the_next_within_four_minutes():
+def test_one_part_of_the_weather_blends_into_the_next_within_four_minutes():
     dni = WeatherInParts(parts()).at(NOON + np.array([-121.0, 0.0, 121.0])).dni_w_m2
     assert dni[1] == pytest.approx(dni[0] / 2, rel=0.01)
     assert dni[2] == 0.0
 
 
 @pytest.mark.parametrize("wrong", [[], parts()[::-1]])
-def test_parts_out_of_order_are_refused(wrong):
+def test_weather_without_parts_or_with_parts_out_of_order_is_refused(wrong):
     with pytest.raises(ValueError, match="part"):
         WeatherInParts(wrong)

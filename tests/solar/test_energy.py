@@ -37,7 +37,7 @@ def january_and_june(measured):
     return lay_out(utc_s, dni, dhi, LYNGBY)
 
 
-def test_a_plane_that_faces_the_sun_receives_dni_and_its_share_of_the_vault():
+def test_the_chronometric_tracker_harvests_the_dni_times_the_cosine_of_incidence():
     weather = weather_of(800.0, 0.0)
     light = build_sky(weather, "isotropic")
     result = harvest(weather, light, 0.0, IDEAL, steered(chronometric, weather))
@@ -78,7 +78,7 @@ def test_days_are_solar_days_wherever_the_site_lies():
         assert counts[1:-1].min() > 800
 
 
-def test_weather_without_daylight_is_refused():
+def test_weather_without_daylight_and_an_unknown_sky_model_are_refused():
     with pytest.raises(ValueError, match="no record with the sun"):
         lay_out(np.array([1465084800.0]), np.array([0.0]), np.array([0.0]), LYNGBY)
     with pytest.raises(ValueError, match="choose one of isotropic"):
@@ -91,7 +91,7 @@ def test_day_types_follow_the_diffuse_fraction():
 
 
 @pytest.mark.parametrize("model", SKIES)
-def test_no_law_beats_the_bound(model):
+def test_no_law_harvests_more_than_the_best_possible(model):
     weather = weather_of(400.0, 200.0)
     light = build_sky(weather, model)
     best = weather.by_day(best_possible(weather, light, LIMITS, 0.2))
@@ -108,7 +108,7 @@ def test_no_law_beats_the_bound(model):
 
 @pytest.mark.shared_data
 @pytest.mark.parametrize("model", SKIES)
-def test_on_measured_weather_the_law_takes_most_of_what_there_is(january_and_june, model):
+def test_on_measured_weather_the_optimal_law_takes_over_75_percent_of_the_possible_gain(january_and_june, model):
     weather = january_and_june
     light = build_sky(weather, model)
     faces = faces_under(light, 0.2)
@@ -126,7 +126,7 @@ def test_on_measured_weather_the_law_takes_most_of_what_there_is(january_and_jun
 
 
 @pytest.mark.shared_data
-def test_the_law_of_many_days_is_the_law_of_each(january_and_june):
+def test_the_optimal_law_run_over_many_days_at_once_harvests_on_a_day_what_it_does_on_it_alone(january_and_june):
     weather = january_and_june
     light = build_sky(weather, "perez1990")
     faces = faces_under(light, 0.2)

@@ -45,7 +45,7 @@ def test_positions_agree_with_pvlib_at_any_time_of_eighty_years(site):
 
 
 @pytest.mark.parametrize("remembered", [0, 5, 1000])
-def test_whole_days_are_the_same_from_memory_in_part_and_anew(monkeypatch, remembered):
+def test_positions_of_whole_days_agree_with_pvlib_whatever_the_size_of_the_cache_of_days(monkeypatch, remembered):
     monkeypatch.setattr(ephemeris, "REMEMBERED_WHOLE_DAYS", remembered)
     monkeypatch.setattr(ephemeris, "_whole_days", {})
     begin_s = utc("2021-06-01")
@@ -56,7 +56,7 @@ def test_whole_days_are_the_same_from_memory_in_part_and_anew(monkeypatch, remem
         assert len(ephemeris._whole_days) <= remembered
 
 
-def test_the_position_of_the_algorithms_own_example_is_reproduced():
+def test_the_sun_position_of_the_example_of_reda_and_andreas_2004_is_reproduced():
     # Reda & Andreas (2004), appendix A.5: 17 October 2003, 12:30:30 at UTC-7; their pressure and temperature differ.
     sun = sun_position(utc("2003-10-17T19:30:30"), 39.742476, -105.1786, 1830.14)
     assert sun.geometric_elevation_deg == pytest.approx(90.0 - 50.12790, abs=2e-4)
@@ -72,7 +72,7 @@ def test_one_instant_gives_floats_equal_to_those_of_an_array(instant):
     assert one.azimuth_deg == pytest.approx(many.azimuth_deg[0, 0], abs=1e-7)
 
 
-def test_nothing_jumps_at_whole_hours_at_midnight_or_at_the_wrap_of_right_ascension():
+def test_the_sun_direction_moves_evenly_through_whole_hours_of_daylight_on_the_day_of_the_equinox():
     equinox = utc("2024-03-20T00:00:00") + np.arange(0.0, 86400.0, 10.0)
     steps = separation_deg(sun_direction(equinox[:-1], *SIRTA), sun_direction(equinox[1:], *SIRTA))
     daylight = sun_position(equinox[:-1], *SIRTA).elevation_deg > 0.0
@@ -168,7 +168,9 @@ def test_near_the_date_line_the_solar_day_is_the_one_around_the_instant_on_every
         ((78.2, 15.6, 0.0), "2024-08-24T11:00", None, 11.14),
     ],
 )
-def test_where_the_sun_grazes_the_horizon_it_rises_and_sets_when_it_is_there(site, date, rise_h, set_h):
+def test_sunrise_and_sunset_are_right_where_the_sun_only_just_crosses_the_horizon_or_just_does_not(
+    site, date, rise_h, set_h
+):
     day = sun_day(utc(date), *site)
     for found_s, expected_h in ((day.sunrise_utc_s, rise_h), (day.sunset_utc_s, set_h)):
         if expected_h is None:
@@ -186,7 +188,7 @@ def test_at_high_latitudes_the_sun_never_sets_before_it_rises(latitude_deg):
             assert day.sunrise_utc_s < day.sunset_utc_s
 
 
-def test_a_day_is_worked_out_once_for_all_trackers_that_ask_in_it():
+def test_the_solar_day_of_a_site_is_computed_once_for_all_instants_in_it():
     one = sun_day(1665705600.0, 48.7, 2.2, 156.0)
     assert sun_day(1665705600.0 + 36000.0, 48.7, 2.2, 156.0) is one
     assert sun_day(1665705600.0 + 36000.0, 48.7, 2.3, 156.0) != one
@@ -203,7 +205,7 @@ def test_polar_night_and_polar_day_have_no_sunrise_and_differ_in_the_noon_elevat
 
 @pytest.mark.parametrize("zone", [None, "UTC", "Europe/Paris"])
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
-def test_dates_are_taken_for_the_instants_that_they_are(zone, unit):
+def test_dates_of_any_time_zone_and_unit_give_the_same_results_as_seconds_since_1970(zone, unit):
     utc_s = np.array([1665705600.0, 1665727200.5])
     dates = pd.to_datetime(utc_s, unit="s", utc=True).tz_convert(zone).as_unit(unit)
     seconds = np.floor(utc_s) if unit == "s" else utc_s
@@ -213,7 +215,7 @@ def test_dates_are_taken_for_the_instants_that_they_are(zone, unit):
 
 
 @pytest.mark.parametrize("zone", ["UTC", "Asia/Kolkata"])
-def test_a_single_date_is_the_instant_that_it_is_with_its_zone_or_without(zone):
+def test_a_single_date_with_or_without_time_zone_gives_the_same_sun_as_seconds_since_1970(zone):
     stamp = pd.Timestamp("2024-02-29T12:00", tz=zone)
     expected = sun_position(stamp.timestamp(), *SIRTA)
     for instant in (stamp, stamp.to_pydatetime(), stamp.tz_convert(None).to_pydatetime()):
@@ -222,7 +224,7 @@ def test_a_single_date_is_the_instant_that_it_is_with_its_zone_or_without(zone):
 
 
 @pytest.mark.parametrize("wrong", ["2024-02-29", ["noon"], pd.NaT, [pd.Timestamp(0)], np.array([1.7e9], np.float32)])
-def test_what_tells_no_time_exactly_is_refused_with_what_would(wrong):
+def test_an_instant_of_an_unsuitable_type_is_refused_and_seconds_since_1970_are_suggested(wrong):
     with pytest.raises(ValueError, match="seconds since 1970"):
         sun_position(wrong, *SIRTA)
 
@@ -237,20 +239,20 @@ def test_what_tells_no_time_exactly_is_refused_with_what_would(wrong):
         np.array([1.7e9 + 1j]),
     ],
 )
-def test_what_would_be_a_time_of_1970_is_refused(wrong):
+def test_data_frames_durations_booleans_and_complex_numbers_are_refused_as_instants(wrong):
     with pytest.raises(
         ValueError, match="a time is seconds since 1970, a datetime, dates of numpy or an index of them"
     ):
         sun_position(wrong, *SIRTA)
 
 
-def test_a_solar_day_is_that_of_one_instant():
+def test_the_solar_day_of_an_array_of_instants_is_refused():
     with pytest.raises(ValueError, match=r"takes one instant, not an array of \(2,\)"):
         sun_day(np.array([1.7e9, 1.71e9]), *SIRTA)
 
 
 @pytest.mark.parametrize("wrong", [1665705600e3, -1665705600e6, np.datetime64("NaT", "s"), pd.DatetimeIndex(["NaT"])])
-def test_milliseconds_and_no_time_are_no_instants(wrong):
+def test_milliseconds_microseconds_and_nat_are_refused_as_instants(wrong):
     with pytest.raises(ValueError, match="no milliseconds"):
         sun_position(wrong, *SIRTA)
 
@@ -264,7 +266,7 @@ def test_milliseconds_and_no_time_are_no_instants(wrong):
         (sun_day, np.nan),
     ],
 )
-def test_an_instant_that_is_no_time_is_refused(function, instant):
+def test_a_nan_or_infinite_instant_is_refused(function, instant):
     with pytest.raises(ValueError, match="finite seconds since 1970"):
         function(instant, *SIRTA)
 
@@ -276,19 +278,19 @@ ASKED_UTC_S = [1.7e9 + offset_s for offset_s in (0.0, 59.9, 60.0, 3540.0, 3599.0
 
 
 @pytest.mark.parametrize("site", [Site(48.7, 2.2, 156.0), Site(-33.9, 18.4, 0.0)])
-def test_what_is_asked_by_the_minute_is_the_position_at_its_beginning(site):
+def test_the_sun_elevation_by_the_minute_is_that_at_the_beginning_of_the_minute(site):
     elevation = SunElevation(site)
     for utc_s in ASKED_UTC_S:
         assert elevation(utc_s) == pytest.approx(sun_position(utc_s // 60.0 * 60.0, *site).elevation_deg, abs=1e-9)
 
 
 @pytest.mark.parametrize("site", [Site(48.7, 2.2, 156.0), Site(-33.9, 18.4, 0.0)])
-def test_what_is_asked_between_the_minutes_is_the_direction_of_the_instant(site):
+def test_the_sun_direction_interpolated_within_a_minute_agrees_with_the_exact_one(site):
     direction = SunDirection(site)
     for utc_s in ASKED_UTC_S:
         np.testing.assert_allclose(direction(utc_s), sun_direction(np.array([utc_s]), *site)[0], atol=1e-5)
 
 
-def test_of_no_instants_there_are_no_positions():
+def test_an_empty_array_of_instants_gives_empty_arrays_of_positions_and_directions():
     assert all(angles.shape == (0,) for angles in sun_position(np.empty(0), 48.7, 2.2, 156.0))
     assert sun_direction(np.empty(0), 48.7, 2.2, 156.0).shape == (0, 3)

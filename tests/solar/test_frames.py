@@ -22,7 +22,7 @@ inside_a = st.floats(-50, 50)
 inside_b = st.floats(15, 90)
 
 
-def test_the_normals_of_the_papers_figure_9():
+def test_normals_from_angles_agree_with_the_papers_figure_9():
     assert normal_from_angles(0, 90) == pytest.approx([0, 0, 1])
     assert normal_from_angles(0, 15) == pytest.approx([math.cos(math.radians(15)), 0, math.sin(math.radians(15))])
     east = normal_from_angles(-50, 90)
@@ -30,14 +30,14 @@ def test_the_normals_of_the_papers_figure_9():
 
 
 @given(inside_a, inside_b)
-def test_angles_survive_the_way_through_the_normal(a_deg, b_deg):
+def test_angles_are_recovered_from_their_normal(a_deg, b_deg):
     a_back, b_back = angles_from_direction(normal_from_angles(a_deg, b_deg))
     assert a_back == pytest.approx(a_deg, abs=1e-6)
     assert b_back == pytest.approx(b_deg, abs=1e-6)
 
 
 @given(inside_a, inside_b, st.floats(1e-3, 1e4))
-def test_the_length_of_a_direction_does_not_matter(a_deg, b_deg, length):
+def test_the_angles_of_a_direction_do_not_depend_on_its_length(a_deg, b_deg, length):
     a_back, b_back = angles_from_direction(normal_from_angles(a_deg, b_deg) * length)
     assert (a_back, b_back) == (pytest.approx(a_deg, abs=1e-6), pytest.approx(b_deg, abs=1e-6))
 
@@ -48,7 +48,7 @@ def test_clipped_angles_are_inside_the_limits(a_deg, b_deg):
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_what_is_not_a_number_is_outside_the_limits_and_cannot_be_clipped(bad):
+def test_nan_and_infinite_angles_are_outside_the_limits_and_clipping_them_is_refused(bad):
     assert not LIMITS.contain(bad, 45)
     assert not LIMITS.contain(0, bad)
     with pytest.raises(ValueError, match="finite"):
@@ -58,12 +58,12 @@ def test_what_is_not_a_number_is_outside_the_limits_and_cannot_be_clipped(bad):
 
 
 @pytest.mark.parametrize("direction", [(0, 0, 0), (math.nan, 0, 1), (0, math.inf, 1), (0, 0, math.nan)])
-def test_a_direction_that_is_none_gives_no_angles(direction):
+def test_a_zero_nan_or_infinite_direction_gives_nan_angles(direction):
     assert np.isnan(angles_from_direction(direction)).all()
 
 
 @pytest.mark.parametrize(("latitude_deg", "azimuth_deg"), [(0.0, 180.0), (0.1, 180.0), (-0.1, 0.0)])
-def test_on_the_equator_the_frame_is_the_northern_one(latitude_deg, azimuth_deg):
+def test_the_frame_on_the_equator_is_that_of_the_northern_hemisphere(latitude_deg, azimuth_deg):
     assert equator_azimuth_deg(latitude_deg) == azimuth_deg
 
 
@@ -81,18 +81,18 @@ def test_a_morning_sun_is_east_in_both_hemispheres():
 
 
 @given(st.floats(0, 359.9), st.floats(-89, 89), st.sampled_from([-40.0, 0.0, 55.0]))
-def test_azimuth_and_elevation_survive_the_way_through_the_frame(azimuth, elevation, latitude):
+def test_azimuth_and_elevation_are_recovered_from_their_direction(azimuth, elevation, latitude):
     back, up = azimuth_from_direction(direction_from_azimuth(azimuth, elevation, latitude), latitude)
     assert (back - azimuth + 180) % 360 - 180 == pytest.approx(0, abs=1e-6)
     assert up == pytest.approx(elevation, abs=1e-9)
 
 
-def test_separation_of_known_directions():
+def test_the_separation_of_known_directions_is_right():
     assert separation_deg([1, 0, 0], [0, 2, 0]) == pytest.approx(90)
     assert separation_deg(normal_from_angles(0, 45), normal_from_angles(0, 45.001)) == pytest.approx(0.001, rel=1e-6)
 
 
-def test_nothing_is_at_an_angle_to_no_direction():
+def test_the_separation_from_a_zero_nan_or_infinite_direction_is_nan():
     ways = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [math.nan, 0.0, 1.0], [math.inf, 0.0, 1.0]])
     for found in (separation_deg(ways, [0.0, 0.0, 1.0]), separation_deg([0.0, 0.0, 1.0], ways)):
         assert found.tolist() == pytest.approx([math.nan, 0.0, math.nan, math.nan], nan_ok=True)

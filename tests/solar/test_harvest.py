@@ -61,7 +61,7 @@ def test_the_best_pose_is_found_to_an_eighth_of_a_degree_and_within_the_limits(p
     np.testing.assert_allclose(1000.0 - best, short, atol=0.032 if short < 1 else 0.05)
 
 
-def test_a_move_goes_a_first_then_b_at_its_speed_and_counts_where_it_is():
+def test_a_move_turns_a_first_then_b_at_the_drives_speed_and_harvests_at_the_poses_on_its_way():
     weather = morning()
     steps = weather.shape[0]
     drive = Drive(speed_deg_per_s=0.05, deadband_deg=0.6, samples=3)
@@ -80,7 +80,7 @@ def test_a_move_goes_a_first_then_b_at_its_speed_and_counts_where_it_is():
 
 @pytest.mark.parametrize(("apart_deg", "moves"), [(0.59, 0), (0.61, 1)])
 @pytest.mark.parametrize("share", [1.0, -1.0, 0.5])
-def test_what_is_nearer_than_the_deadband_is_not_driven_to_but_where_moves_are_ideal(apart_deg, moves, share):
+def test_a_target_within_the_deadband_is_not_driven_to_except_by_an_ideal_drive(apart_deg, moves, share):
     weather = morning()
     light = Shows(0)
 
@@ -95,7 +95,7 @@ def test_what_is_nearer_than_the_deadband_is_not_driven_to_but_where_moves_are_i
     assert ideal.energy_kwh_m2[0] == pytest.approx(share * apart_deg * weather.shape[0] / 60e3)
 
 
-def test_what_is_taken_from_the_plane_is_not_harvested():
+def test_light_that_is_taken_from_the_plane_is_subtracted_from_the_harvest():
     weather = morning()
     light = Shows(1)
     free, taken = (
@@ -120,7 +120,7 @@ def test_weather_is_laid_out_in_solar_days_of_the_site():
     np.testing.assert_allclose(weather.by_day(weather.dhi_w_m2), 0.1 * np.bincount(weather.day) / 60.0)
 
 
-def test_missing_weather_is_left_out_and_less_than_nothing_is_nothing():
+def test_missing_weather_is_left_out_negative_values_are_zero_and_no_weather_by_day_is_refused():
     utc_s = 1465128000.0 + 60.0 * np.arange(4)
     weather = lay_out(utc_s, np.array([-5.0, np.nan, 500.0, 1.0]), np.array([-1.0, 100.0, np.nan, 2.0]), LYNGBY)
     assert weather.utc_s.tolist() == [utc_s[0], utc_s[3]]
@@ -131,7 +131,7 @@ def test_missing_weather_is_left_out_and_less_than_nothing_is_nothing():
         lay_out(utc_s + 43200.0, np.ones(4), np.ones(4), LYNGBY)
 
 
-def test_a_day_without_light_among_others_has_no_type_and_days_without_any_are_refused():
+def test_a_day_without_light_among_others_has_no_type_and_weather_without_any_light_is_refused():
     dhi = np.repeat([0.0, 20.0], 1440)
     assert weather_of(0.0, dhi, days=2).day_types().tolist() == [-1, 3]
     with pytest.raises(ValueError, match="no record has any light while the sun is above the horizon"):
@@ -143,7 +143,7 @@ def test_a_day_has_its_type_however_weak_its_light_is(dni, dhi, kind):
     assert weather_of(dni, dhi).day_types().tolist() == [kind]
 
 
-def test_the_tracker_of_a_study_is_the_one_that_the_service_drives_where_nothing_is_set():
+def test_the_default_deadband_and_limits_of_a_study_are_those_of_the_service():
     assert Drive().deadband_deg == MotionSettings().deadband_deg
     limits = LimitSettings()
     assert Limits() == Limits(limits.a_min_deg, limits.a_max_deg, limits.b_min_deg, limits.b_max_deg)

@@ -33,14 +33,14 @@ def test_a_clean_curve_gives_its_maximum_within_two_thousandths(irradiance, temp
 
 
 @given(st.floats(200.0, 1300.0), temperatures, seeds)
-def test_noise_moves_the_maximum_less_than_it_moves_a_point(irradiance, temperature, seed):
+def test_noise_of_0_3_percent_changes_the_maximum_power_by_less_than_1_percent(irradiance, temperature, seed):
     truth, voltage, current = swept(irradiance, temperature)
     noise = np.random.default_rng(seed).normal(0.0, 0.003, current.size) * truth.isc_a
     found = measured_maximum(voltage, current + noise)
     assert found.pmpp_w == pytest.approx(truth.pmpp_w, rel=0.01)
 
 
-def test_the_uncertainty_is_of_the_size_of_the_error():
+def test_the_stated_uncertainty_of_the_maximum_power_is_of_the_size_of_its_error():
     truth, voltage, current = swept(800.0, 40.0)
     random = np.random.default_rng(7)
     pulls = []
@@ -50,14 +50,14 @@ def test_the_uncertainty_is_of_the_size_of_the_error():
     assert 0.7 < np.std(pulls) < 1.6
 
 
-def test_the_short_circuit_current_of_a_leaky_module_is_that_at_no_voltage():
+def test_the_short_circuit_current_of_a_leaky_module_is_that_at_zero_voltage():
     truth, voltage, current = swept(800.0, 25.0, 40)
     leaky = measured_maximum(voltage, current - 0.03 * voltage)
     assert leaky.isc_a == pytest.approx(truth.isc_a, rel=5e-4)
 
 
 @given(irradiances, temperatures, st.integers(0, 30), st.floats(-3.0, 3.0))
-def test_one_wild_point_does_no_harm(irradiance, temperature, place, wildness):
+def test_one_outlier_changes_the_maximum_power_by_less_than_2_percent(irradiance, temperature, place, wildness):
     truth, voltage, current = swept(irradiance, temperature)
     current[place] += wildness * truth.isc_a
     assert measured_maximum(voltage, current).pmpp_w == pytest.approx(truth.pmpp_w, rel=0.02)
@@ -77,7 +77,7 @@ def test_a_sparse_curve_is_fitted_through_seven_points_or_more(points):
     assert measured_maximum(voltage, current).points >= 7
 
 
-def test_of_very_few_points_two_on_either_side_are_taken_however_low_they_are_and_no_third():
+def test_a_fit_of_very_few_points_uses_exactly_two_on_either_side_of_the_highest_however_low():
     voltage = np.array([3.0, 8.0, 20.0, 30.0, 33.0, 38.5, 39.3, 39.7])
     power = voltage * curve(MODULE, 1000.0, 25.0, voltage)
     assert np.argmax(power) == 4
@@ -86,7 +86,7 @@ def test_of_very_few_points_two_on_either_side_are_taken_however_low_they_are_an
 
 
 @given(irradiances, temperatures, seeds)
-def test_the_order_of_the_points_means_nothing(irradiance, temperature, seed):
+def test_the_maximum_does_not_depend_on_the_order_of_the_points(irradiance, temperature, seed):
     _, voltage, current = swept(irradiance, temperature)
     shuffled = np.random.default_rng(seed).permutation(voltage.size)
     assert measured_maximum(voltage[shuffled], current[shuffled]) == measured_maximum(voltage, current)
@@ -101,7 +101,7 @@ def test_a_curve_without_its_knee_has_no_maximum(lowest, highest):
 
 
 @pytest.mark.parametrize(("lowest", "highest", "end"), [(3.0, 25.0, 25.0), (37.0, 40.0, 37.0)])
-def test_nor_has_one_whose_end_was_measured_twice(lowest, highest, end):
+def test_a_curve_without_its_knee_has_no_maximum_even_if_its_end_was_measured_twice(lowest, highest, end):
     voltage = np.append([end], np.linspace(lowest, highest, 30))
     current = curve(MODULE, 1000.0, 25.0, voltage)
     # Whichever measurement of that end comes first, the one with more power has nothing beyond it.
@@ -129,7 +129,9 @@ def noisy(irradiance, temperature, points, seed, noise_a, wild=()):
     ((900, 25, 12, 6, 0.0), (275.51676, 32.674142, 0.17498667, 39.889423, 8.8561032), 7),
 ])  # fmt: skip
 @pytest.mark.parametrize("scale", [1.0, 1e-3])
-def test_curves_with_scatter_have_these_maxima_however_small_the_cell_is(how, numbers, points, scale):
+def test_the_maxima_of_curves_with_scatter_have_the_pinned_values_however_small_the_cell_is(
+    how, numbers, points, scale
+):
     voltage, current = noisy(*how)
     found = measured_maximum(
         np.append(scale * voltage, [-1e9, 1.0, np.inf, 1e9]), np.append(current, [1.0, -1e9, 1.0, 1.0])
@@ -140,7 +142,7 @@ def test_curves_with_scatter_have_these_maxima_however_small_the_cell_is(how, nu
     assert found.impp_a == pytest.approx(found.pmpp_w / found.vmpp_v)
 
 
-def test_too_few_points_say_how_many_are_needed():
+def test_with_too_few_points_the_reason_says_how_many_are_needed():
     found = measured_maximum([10.0, 20.0, 30.0, np.nan, 35.0], [9.0, 9.0, 8.0, 7.0, np.inf])
     assert np.isnan(found.pmpp_w)
     assert found.why_not == "3 usable points, 5 are needed"
@@ -152,7 +154,7 @@ def test_a_module_in_the_dark_has_no_maximum():
     assert found.why_not == "no power"
 
 
-def test_noise_alone_is_no_maximum():
+def test_noise_alone_gives_no_maximum():
     random = np.random.default_rng(3)
     found = measured_maximum(np.linspace(0.1, 0.2, 30), random.normal(0.0, 1.0, 30))
     assert np.isnan(found.pmpp_w)
@@ -166,7 +168,7 @@ numbers = st.floats(allow_nan=True, allow_infinity=True)
         lambda n: st.tuples(arrays(float, n, elements=numbers), arrays(float, n, elements=numbers))
     )
 )
-def test_no_points_whatever_raise_and_a_maximum_is_always_a_number(points):
+def test_any_points_give_a_finite_maximum_or_a_reason_and_never_raise(points):
     with np.errstate(all="ignore"):
         found = measured_maximum(*points)
     assert np.isfinite([found.pmpp_w, found.vmpp_v, found.impp_a]).all() == (not found.why_not)
@@ -184,6 +186,6 @@ def test_a_sweep_goes_down_from_near_open_circuit_to_its_least_voltage(voc_v, sh
 @pytest.mark.parametrize(
     ("voc_v", "least_v", "points"), [(40.0, 3.0, 7), (4.0, 3.0, 30), (np.nan, 3.0, 30), (40.0, -1.0, 30)]
 )
-def test_a_sweep_that_cannot_be_is_refused(voc_v, least_v, points):
+def test_a_sweep_with_impossible_voltages_or_too_few_points_is_refused(voc_v, least_v, points):
     with pytest.raises(ValueError, match="sweep"):
         sweep_voltages(voc_v, least_v, points)

@@ -19,7 +19,7 @@ def test_the_example_module_gives_what_its_data_sheet_says_at_standard_condition
     assert given == pytest.approx((305.0, 32.62, 9.35, 40.05, 9.84), rel=1e-3)
 
 
-def test_the_example_module_is_the_one_of_the_commissions_database():
+def test_the_parameters_of_the_example_module_are_those_of_the_cec_module_database():
     entry = pvsystem.retrieve_sam("CECMod")["Hanwha_Q_Cells_Q_PEAK_G4_1_305"]
     module = Q_PEAK_G4_1_305
     ours = (module.photocurrent_a, module.saturation_current_a, module.series_resistance_ohm, module.ideality_v)
@@ -35,7 +35,7 @@ def test_a_warm_module_loses_about_as_much_as_its_data_sheet_says():
 
 
 @given(irradiances, temperatures)
-def test_the_curve_passes_through_its_points_and_never_rises(irradiance, temperature):
+def test_the_iv_curve_passes_through_its_characteristic_points_and_never_rises(irradiance, temperature):
     points = maximum_power(Q_PEAK_G4_1_305, irradiance, temperature)
     steps = np.linspace(0.0, float(points.voc_v), 200)
     current = curve(Q_PEAK_G4_1_305, irradiance, temperature, steps)
@@ -46,7 +46,7 @@ def test_the_curve_passes_through_its_points_and_never_rises(irradiance, tempera
 
 
 @given(irradiances, temperatures, st.floats(0.0, 0.95))
-def test_the_voltage_at_a_current_is_where_the_curve_has_it(irradiance, temperature, share):
+def test_the_voltage_found_for_a_current_lies_on_the_iv_curve(irradiance, temperature, share):
     points = maximum_power(Q_PEAK_G4_1_305, irradiance, temperature)
     wanted = share * points.isc_a
     one = single_diode(Q_PEAK_G4_1_305, irradiance, temperature)
@@ -63,7 +63,7 @@ def test_arguments_of_any_shape_broadcast():
     assert curve(Q_PEAK_G4_1_305, irradiance[..., None], temperature[:, None], np.zeros(7)).shape == (3, 2, 7)
 
 
-def test_no_light_gives_zeros_and_no_number_gives_none():
+def test_no_light_gives_zeros_and_nan_gives_nan():
     points = maximum_power(Q_PEAK_G4_1_305, [0.0, -3.0, np.nan, 800.0], [20.0, 20.0, 20.0, np.nan])
     for each in (points.pmpp_w, points.vmpp_v, points.impp_a, points.voc_v, points.isc_a):
         assert each[:2].tolist() == [0.0, 0.0]
@@ -73,7 +73,7 @@ def test_no_light_gives_zeros_and_no_number_gives_none():
     assert np.isnan(dark[2:]).all()
 
 
-def test_the_modules_temperature_is_faimans_by_hand():
+def test_the_cell_temperature_matches_faimans_model_by_hand():
     # 20 + 800 / (25 + 6.84 * 2)
     assert cell_temperature(800.0, 20.0, 2.0) == pytest.approx(20.0 + 800.0 / 38.68)
     assert cell_temperature([0.0, 800.0], [5.0, 20.0]).shape == (2,)
@@ -82,7 +82,7 @@ def test_the_modules_temperature_is_faimans_by_hand():
 @pytest.mark.parametrize("module", [Q_PEAK_G4_1_305, replace(Q_PEAK_G4_1_305, series_resistance_ohm=1.5)])
 @pytest.mark.parametrize("irradiance", [0.01, 5.0, 200.0, 1000.0, 1400.0])
 @pytest.mark.parametrize("cell_c", [-20.0, 25.0, 80.0])
-def test_one_number_at_a_time_is_the_same_model(module, irradiance, cell_c):
+def test_the_scalar_single_diode_model_agrees_with_the_array_model(module, irradiance, cell_c):
     one = single_diode(module, irradiance, cell_c)
     volts = np.array([-20.0, 0.0, 1.0, 20.0, 32.0, 36.0, 40.0, 60.0, 240.0])
     assert [one.current(each) for each in volts] == pytest.approx(curve(module, irradiance, cell_c, volts), abs=1e-8)
@@ -96,7 +96,7 @@ def test_one_number_at_a_time_is_the_same_model(module, irradiance, cell_c):
     assert ours[0] == pytest.approx(theirs[0], rel=1e-9)
 
 
-def test_one_module_in_the_dark_gives_nothing_and_no_number_gives_none():
+def test_the_scalar_model_gives_zeros_in_the_dark_and_nan_for_nan():
     for irradiance in (0.0, -3.0):
         one = single_diode(Q_PEAK_G4_1_305, irradiance, 10.0)
         assert (one.current(20.0), one.voltage(0.0)) == (0.0, 0.0)

@@ -33,7 +33,7 @@ def test_under_a_uniform_sky_every_plane_receives_what_the_sky_gives_it(dni, dhi
     np.testing.assert_allclose(found.best_w_m2, bound, atol=1.5)
 
 
-def test_where_no_pose_sees_the_sun_the_best_is_that_for_the_rest_of_the_light():
+def test_where_no_pose_sees_the_sun_the_best_irradiance_is_that_of_the_light_without_the_beam():
     site, limits = Site(68.0, 2.21, 0.0), Limits(-50.0, 50.0, 15.0, 60.0)
     day = INSTANTS[:144]
     weather = lay_out(day, np.full(day.size, 600.0), np.full(day.size, 100.0), site, 600.0)
@@ -47,7 +47,7 @@ def test_where_no_pose_sees_the_sun_the_best_is_that_for_the_rest_of_the_light()
     np.testing.assert_allclose(found.best_w_m2[unseen], bound[unseen], atol=1.5)
 
 
-def test_hand_worked_planes():
+def test_the_irradiance_on_planes_matches_a_calculation_by_hand():
     light = Light(np.array(500.0), np.array(100.0), np.array(30.0))
     sun, up, level, away = [0.6, 0.0, 0.8], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]
     # The zenith face, and two vertical ones: 300 of beam or none, 50 of sky, 30 of the horizon, 50 of the ground.
@@ -56,7 +56,7 @@ def test_hand_worked_planes():
 
 
 @pytest.mark.parametrize("model", ["perez1990", "perez1993"])
-def test_under_a_real_sky_the_gains_of_a_day_are_those_of_the_sky(model):
+def test_under_a_perez_sky_the_estimated_gains_of_a_day_are_close_to_the_true_ones(model):
     weather, light, faces = skies(model, 350.0, 180.0)
     flat = np.zeros(len(weather.utc_s)), np.full(len(weather.utc_s), 90.0)
     found = received(faces, weather.sun, *flat, LIMITS, ALBEDO)
@@ -68,7 +68,7 @@ def test_under_a_real_sky_the_gains_of_a_day_are_those_of_the_sky(model):
     assert found.best_w_m2.sum() == pytest.approx(bound.sum(), rel=0.03)
 
 
-def test_no_law_is_better_than_the_bound_and_a_dead_face_does_not_change_that():
+def test_no_pose_receives_more_than_the_bound_even_with_a_face_missing():
     weather, _, faces = skies("perez1990", 500.0, 150.0)
     faces[::3, 1] = np.nan
     a_deg, b_deg = np.linspace(-50, 50, len(weather.utc_s)), np.linspace(15, 90, len(weather.utc_s))
@@ -78,7 +78,7 @@ def test_no_law_is_better_than_the_bound_and_a_dead_face_does_not_change_that():
     assert (found.best_w_m2 >= found.chronometric_w_m2).all()
 
 
-def test_a_pose_that_beats_the_closed_form_at_the_limits_is_the_bound():
+def test_a_pose_at_the_limits_that_receives_more_than_the_closed_form_raises_the_bound():
     draw = np.random.default_rng(1)
     limits = Limits(-20.0, 20.0, 15.0, 90.0)
     suns = draw.normal(size=(300, 3)) * [1.0, 1.0, 0.3]
@@ -92,7 +92,7 @@ def test_a_pose_that_beats_the_closed_form_at_the_limits_is_the_bound():
     assert (found.best_w_m2.max(axis=-1) > found.best_w_m2.min(axis=-1) + 0.1).any(), "the closed form alone is less"
 
 
-def test_what_is_not_known_is_nan_in_all_three():
+def test_two_missing_faces_a_sun_below_the_horizon_or_an_unknown_pose_give_nan_for_all_planes():
     day = np.array([0.6, 0.0, 0.8])
     faces = [[100.0] * 4, [np.nan, np.nan, 100.0, 100.0], [100.0] * 4, [100.0] * 4]
     suns = [day, day, [0.6, 0.0, -0.8], day]
@@ -100,12 +100,12 @@ def test_what_is_not_known_is_nan_in_all_three():
     assert np.isnan(np.array(found)).tolist() == [[False, True, True, True]] * 3
 
 
-def test_one_instant_alone_will_do():
+def test_the_planes_of_a_single_instant_can_be_computed():
     found = received((100.0, 100.0, 100.0, 150.0), [0.6, 0.0, 0.8], 0.0, 90.0, LIMITS)
     assert float(found.actual_w_m2) == pytest.approx(150.0, abs=1.0)
 
 
-def test_insolation_is_the_sum_over_time_that_is_known_and_bridges_no_gap():
+def test_insolation_is_summed_over_the_known_readings_and_does_not_bridge_gaps():
     utc_s = np.array([0.0, 5.0, 10.0, 15.0, 3600.0, 3605.0])
     power = np.array([720.0, 720.0, np.nan, 720.0, 720.0, 720.0])
     # 5 s for each known reading, and 60 s for the gap.
@@ -116,5 +116,5 @@ def test_insolation_is_the_sum_over_time_that_is_known_and_bridges_no_gap():
 @pytest.mark.parametrize(
     ("utc_s", "seconds"), [([], 0.0), ([5.0], 0.0), ([0.0, 10.0], 20.0), ([0.0, 60.0], 120.0), ([0.0, 61.0], 120.0)]
 )
-def test_insolation_of_few_readings(utc_s, seconds):
+def test_in_the_insolation_of_two_readings_each_counts_for_at_most_60_s_and_fewer_give_zero(utc_s, seconds):
     assert insolation(utc_s, [720.0] * len(utc_s)) == pytest.approx((0.0002 * seconds, seconds))

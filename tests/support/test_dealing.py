@@ -13,7 +13,7 @@ def pieces_of(order, workers):
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 5])
-def test_each_worker_begins_with_its_longest_and_none_has_all_of_them(workers):
+def test_each_worker_begins_with_its_longest_tests_and_the_long_ones_are_spread_over_the_workers(workers):
     lengths = [SHORT_S] * 31 + [LONG_S] * 7 + [DEAR_S] * 17
     order = dealt(range(len(lengths)), workers, lengths.__getitem__, int)
     assert sorted(order) == list(range(len(lengths)))
@@ -22,25 +22,25 @@ def test_each_worker_begins_with_its_longest_and_none_has_all_of_them(workers):
     assert max(piece.count(LONG_S) for piece in pieces) <= 7 // max(1, workers - workers // 3) + 1
 
 
-def test_one_worker_of_three_has_short_ones_alone_as_long_as_there_are_enough():
+def test_one_worker_of_three_gets_only_short_tests_while_there_are_enough():
     lengths = [SHORT_S] * 20 + [DEAR_S] * 10
     order = dealt(range(30), 3, lengths.__getitem__, int)
     assert {lengths[number] for number in order[20:]} == {SHORT_S}
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 5])
-def test_those_of_a_group_begin_one_piece_and_stay_together(workers):
+def test_the_tests_of_a_group_stay_together_at_the_beginning_of_one_workers_share(workers):
     group = range(0, 12, 2)
     order = dealt(range(40), workers, lambda _: DEAR_S, lambda number: "group" if number in group else number)
     assert sorted(order) == list(range(40))
     assert list(group) in [piece[:6] for piece in pieces_of(order, workers)]
 
 
-def test_a_group_that_is_larger_than_a_piece_loses_none():
+def test_a_group_of_tests_that_is_larger_than_a_workers_share_loses_none():
     assert sorted(dealt(range(10), 5, lambda _: SHORT_S, lambda _: "all")) == list(range(10))
 
 
-def test_of_those_that_compute_the_long_ones_begin_and_the_others_keep_their_order():
+def test_tests_marked_long_come_first_and_the_others_keep_their_order():
     class Item:
         def __init__(self, name, *marks):
             self.name, self.marks = name, marks
@@ -52,7 +52,7 @@ def test_of_those_that_compute_the_long_ones_begin_and_the_others_keep_their_ord
     assert "".join(item.name for item in long_first(items)) == "bdac"
 
 
-def test_a_word_is_found_in_a_file_where_it_stands_by_itself(tmp_path):
+def test_a_name_is_found_in_a_file_only_as_a_whole_word(tmp_path):
     file = tmp_path / "test_it.py"
     file.write_text("def test_it(scaled_figure, unit):\n    pass\n")
     assert names_any(file, ["unit", "scaled"])

@@ -16,7 +16,7 @@ WORDS = (["--version"], ["config", "check", "nowhere.toml"], ["config", "--help"
 
 
 @pytest.mark.parametrize("words", WORDS, ids=" ".join)
-def test_a_copy_answers_as_a_process_from_nothing_does(words, tmp_path):
+def test_a_forked_copy_gives_the_output_and_exit_code_of_a_fresh_process(words, tmp_path):
     surroundings = os.environ | {"COLUMNS": "70"}
     copied = forks.run(*words, env=surroundings, cwd=tmp_path)
     fresh = subprocess.run(
@@ -30,7 +30,7 @@ def test_a_copy_answers_as_a_process_from_nothing_does(words, tmp_path):
     assert (copied.returncode, copied.stdout, copied.stderr) == (fresh.returncode, fresh.stdout, fresh.stderr)
 
 
-def test_a_copy_is_ended_by_signals_and_waited_for(tmp_path):
+def test_a_forked_copy_can_be_waited_for_and_killed_by_a_signal(tmp_path):
     with (tmp_path / "said").open("wb") as said:
         running = forks.start(["run"], said, said)
     with pytest.raises(subprocess.TimeoutExpired):
@@ -39,7 +39,7 @@ def test_a_copy_is_ended_by_signals_and_waited_for(tmp_path):
     assert running.wait(PATIENCE_S) == -signal.SIGKILL
 
 
-def test_what_is_read_at_the_start_of_an_interpreter_is_read_by_one(tmp_path):
+def test_with_a_pythonpath_of_its_own_a_fresh_interpreter_is_started_that_reads_sitecustomize(tmp_path):
     (tmp_path / "sitecustomize.py").write_text("print('begun')")
     with (tmp_path / "said").open("wb") as said:
         begun = forks.start(["--version"], said, env=os.environ | {"PYTHONPATH": str(tmp_path)})
@@ -51,7 +51,7 @@ def parent(pid):
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
-def test_another_process_of_tests_has_copies_of_the_same_one_which_end_with_it(tmp_path):
+def test_copies_for_two_test_processes_have_one_parent_and_end_with_their_own_test_process(tmp_path):
     with (tmp_path / "said").open("wb") as said:
         own = forks.start(["run"], said, said)
         other = forks._Origin(forks.begin().told())

@@ -104,5 +104,5 @@ def test_a_leak_fails_its_test_and_is_named(outcomes, leak):
     assert error.startswith(f"ERROR - AssertionError: the test left {leak}")
 
 
-def test_a_test_that_ends_what_it_began_passes(outcomes):
+def test_a_test_without_leaks_passes(outcomes):
     assert outcomes["nothing"] == ["PASSED"]

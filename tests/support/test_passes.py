@@ -23,12 +23,12 @@ def python(code):
         ((0, 4), 4),
     ],
 )
-def test_a_failure_of_either_is_one_of_both(codes, together):
+def test_the_exit_code_of_two_test_passes_reports_a_failure_of_either(codes, together):
     assert exit_code(codes) == together
 
 
 @pytest.mark.parametrize("at_once", [True, False])
-def test_each_line_bears_its_pass_and_results_come_in_one_piece(at_once):
+def test_each_output_line_bears_the_name_of_its_test_pass_and_results_are_printed_in_one_piece(at_once):
     told = []
     waiting = python("print('== test session starts ==\\n....', '\\n== FAILURES ==\\nit failed\\n=== 1 failed ==')")
     computing = python("print('....\\n== 3 passed ==\\n'); raise SystemExit(1)")
@@ -52,7 +52,7 @@ def test_each_line_bears_its_pass_and_results_come_in_one_piece(at_once):
         ("unknown", False),
     ],
 )
-def test_only_the_kernels_that_misplace_sessions_are_given_way(tmp_path, release, wrong):
+def test_the_session_gets_a_smaller_share_only_on_kernels_that_misplace_sessions(tmp_path, release, wrong):
     share = tmp_path / "autogroup"
     share.write_text("/autogroup-17 nice 2\n")
     assert misplaces_sessions(release) is wrong
@@ -61,6 +61,6 @@ def test_only_the_kernels_that_misplace_sessions_are_given_way(tmp_path, release
     assert share.read_text().strip() == ("2" if wrong else "/autogroup-17 nice 2")
 
 
-def test_a_kernel_without_shares_for_sessions_is_left_alone(tmp_path):
+def test_on_a_kernel_without_session_shares_no_share_is_written(tmp_path):
     with behind_the_kernel(tmp_path / "nothing", "6.18.44"):
         assert not (tmp_path / "nothing").exists()

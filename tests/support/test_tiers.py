@@ -10,7 +10,7 @@ from tests.support import PATIENCE_S, ROOT
 
 
 @pytest.mark.slow
-def test_a_tier_is_chosen_by_its_mark():
+def test_a_tier_of_tests_is_selected_by_its_mark():
     asked = ["--collect-only", "-q", "-p", "no:cacheprovider", "tests/daemon/mqtt/test_link_status.py"]
     found = [
         subprocess.run(

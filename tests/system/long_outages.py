@@ -13,7 +13,7 @@ pytestmark = pytest.mark.system
 
 
 @pytest.mark.parametrize("device", ROLES)
-def test_a_plug_that_is_out_for_long_is_survived_at_rest(start_rig, device):
+def test_the_service_survives_a_plug_out_for_70_s_in_each_phase_with_little_processor_load(start_rig, device):
     rig = start_rig()
     rig.settle()
     for phase in PHASES:
@@ -26,7 +26,7 @@ def test_a_plug_that_is_out_for_long_is_survived_at_rest(start_rig, device):
 
 
 @pytest.mark.parametrize("device", ROLES)
-def test_a_plug_that_is_out_for_long_before_the_start_is_waited_for_at_rest(
+def test_the_service_waits_with_little_processor_load_for_a_plug_out_for_70_s_before_the_start(
     tmp_path, start_bench, start_service, device
 ):
     bench = start_bench("--config", brisk(tmp_path), *HIGH_SUN)
@@ -37,7 +37,7 @@ def test_a_plug_that_is_out_for_long_before_the_start_is_waited_for_at_rest(
 
 
 @pytest.mark.parametrize("device", ROLES)
-def test_a_plug_that_is_pulled_for_long_at_the_start_is_waited_for_at_rest(start_rig, device):
+def test_the_service_waits_with_little_processor_load_for_a_plug_pulled_for_70_s_at_the_start(start_rig, device):
     rig = start_rig()
     wait_until(lambda: "real instruments" in rig.service.log(), rig.service.log)
     rig.bench.ask("unplug", device)

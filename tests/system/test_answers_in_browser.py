@@ -34,7 +34,7 @@ def page(browser, site):
     site.until_mode("tracking")
 
 
-def test_the_late_answer_to_an_order_hides_no_answer_to_a_later_one(page):
+def test_the_late_answer_to_an_order_does_not_hide_the_answer_to_a_later_one(page):
     held = []
     page.page.route("**/command", lambda route: held.append(route), times=1)
     page.page.locator(".order.hold").click()
@@ -52,7 +52,7 @@ def test_the_late_answer_to_an_order_hides_no_answer_to_a_later_one(page):
     assert page.page.locator(".outcome").get_attribute("data-kind") == "ok"
 
 
-def test_a_new_page_of_the_dashboard_takes_no_question_away_that_is_being_answered(browser, tmp_path):
+def test_the_page_is_not_reloaded_for_a_new_version_while_a_dialog_is_being_answered(browser, tmp_path):
     with browser.new_context(viewport=browsers.PHONE) as context:
         page = MadeSite(tmp_path).open(context, 1663761600.0)
         page.sees("#stop", "Stop")

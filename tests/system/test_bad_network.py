@@ -36,7 +36,7 @@ def seen(network, *counted, **how):
 
 
 @pytest.mark.usefixtures("_possible")
-def test_loss_duplicates_reordering_jitter_and_cuts_between_cube_and_tracker(tmp_path):
+def test_the_tracker_survives_loss_duplicates_reordering_jitter_and_cuts_of_its_network(tmp_path):
     with BadNetwork(tmp_path, seed=5) as network:
         network.start("tracker")
         network.start("cube")

@@ -30,7 +30,7 @@ def heliocube(*arguments):
     return forks.run(*arguments)
 
 
-def test_a_bench_makes_everything_that_a_service_needs_and_leaves_no_port_behind(start_bench):
+def test_a_bench_writes_all_that_a_service_needs_and_removes_its_ports_when_it_ends(start_bench):
     bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z", "--site", "55.79,12.52", "--seed", "5")
     settings = check_file(bench.config)
     assert settings.instruments.kind == "real"
@@ -44,7 +44,7 @@ def test_a_bench_makes_everything_that_a_service_needs_and_leaves_no_port_behind
     assert sorted(path.name for path in bench.directory.iterdir()) == ["bench.log", "heliocube.toml"]
 
 
-def test_a_second_bench_in_the_same_folder_and_a_file_of_somebody_else_are_refused(start_bench, tmp_path):
+def test_a_bench_is_refused_in_a_folder_with_another_bench_or_a_foreign_configuration(start_bench, tmp_path):
     bench = start_bench()
     before = bench.config.read_bytes()
     second = heliocube("bench", "--dir", bench.directory)
@@ -59,7 +59,7 @@ def test_a_second_bench_in_the_same_folder_and_a_file_of_somebody_else_are_refus
 @pytest.mark.parametrize(
     ("name", "options"), [("load", ()), ("positioner", ()), ("cube", ("--cube", "scanning-meter"))]
 )
-def test_what_has_the_name_of_a_port_stays_and_is_named(tmp_path, name, options):
+def test_a_bench_refuses_to_replace_a_file_that_has_the_name_of_one_of_its_ports(tmp_path, name, options):
     (tmp_path / name).write_text("somebody's own\n")
     done = heliocube("bench", "--dir", tmp_path, *options)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
@@ -67,7 +67,7 @@ def test_what_has_the_name_of_a_port_stays_and_is_named(tmp_path, name, options)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: "somebody's own\n"}
 
 
-def test_a_bench_whose_file_finds_no_room_says_so_and_leaves_no_half_of_it(tmp_path):
+def test_a_bench_on_a_full_disk_reports_it_and_leaves_no_partial_configuration(tmp_path):
     made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", tmp_path], capture_output=True)
     if made.returncode:
         pytest.skip("mounting a small file system needs root")
@@ -84,7 +84,7 @@ def test_a_bench_whose_file_finds_no_room_says_so_and_leaves_no_half_of_it(tmp_p
         subprocess.run(["umount", "--lazy", tmp_path], check=True)
 
 
-def test_a_mistaken_command_is_one_sentence(start_bench, tmp_path):
+def test_a_mistaken_command_to_a_bench_is_refused_with_a_sentence(start_bench, tmp_path):
     bench = start_bench()
     mistakes = {
         ("explode",): "no command 'explode'",
@@ -109,7 +109,7 @@ def test_a_mistaken_command_is_one_sentence(start_bench, tmp_path):
     assert (nobody.returncode, "no bench answers" in nobody.stderr) == (2, True)
 
 
-def test_a_plug_that_is_pulled_again_stays_out_whatever_time_was_said_before(start_bench):
+def test_a_plug_pulled_again_without_a_time_stays_out_in_spite_of_an_earlier_time(start_bench):
     bench = start_bench()
     for device in ("voltmeter", "load", "positioner"):
         bench.ask("unplug", device, "2")
@@ -126,7 +126,7 @@ def test_a_plug_that_is_pulled_again_stays_out_whatever_time_was_said_before(sta
     wait_until(lambda: bench.state()["positioner"]["plugged"], "the positioner's port")
 
 
-def test_the_positioner_streams_all_its_screens_and_comes_back_under_the_same_name(start_bench):
+def test_the_benchs_positioner_streams_all_screens_and_comes_back_under_the_same_port_name(start_bench):
     bench = start_bench()
     link = bench.directory / "positioner"
     with serial.Serial(str(link), timeout=30, exclusive=True) as port:
@@ -141,7 +141,7 @@ def test_the_positioner_streams_all_its_screens_and_comes_back_under_the_same_na
         assert TokenStream().feed(port.read(500))
 
 
-def test_a_port_left_in_its_default_mode_harms_the_positioner_and_raw_mode_does_not(start_bench):
+def test_the_echo_of_a_port_in_its_default_mode_harms_the_positioner_and_raw_mode_does_not(start_bench):
     bench = start_bench()
     link = bench.directory / "positioner"
     before = bench.state()["positioner"]
@@ -261,7 +261,7 @@ def run_python(program, fails=False):
     return done.stderr if fails else done.stdout
 
 
-def test_a_bench_of_pyranometers_is_driven_by_the_file_that_it_writes(start_bench):
+def test_a_bench_of_pyranometers_can_be_probed_with_the_configuration_that_it_writes(start_bench):
     bench = start_bench("--cube", "modbus-pyranometers", "--weather", "clear", "--start", "2022-06-21T12:00Z")
     assert check_file(bench.config).instruments.cube.line == str(bench.directory / "cube")
     for wrong in (("address", "300"), ("status", "70000"), ("corrupt", ""), ("silent", "3")):
@@ -279,7 +279,7 @@ def test_a_bench_of_pyranometers_is_driven_by_the_file_that_it_writes(start_benc
     assert "address 4: SMP3 no. 24104" in network.stdout
 
 
-def test_sensors_of_several_lines_are_on_the_one_of_the_bench_with_addresses_of_their_own(start_bench, tmp_path):
+def test_pyranometers_configured_on_several_lines_get_addresses_of_their_own_on_the_benchs_line(start_bench, tmp_path):
     config = tmp_path / "lines.toml"
     lines = {"east": "one", "south": "two", "west": "three", "zenith": "four"}
     config.write_text(
@@ -297,7 +297,7 @@ def test_sensors_of_several_lines_are_on_the_one_of_the_bench_with_addresses_of_
     }
 
 
-def test_a_bench_with_a_scanning_meter_is_read_by_the_driver_through_a_pulled_plug(start_bench):
+def test_the_driver_reads_a_benchs_scanning_meter_before_and_after_a_pulled_plug(start_bench):
     bench = start_bench("--cube", "scanning-meter", "--weather", "clear", "--start", "2022-06-21T12:00Z")
     settings = check_file(bench.config)
 

@@ -10,7 +10,7 @@ pytestmark = pytest.mark.system
 
 
 @pytest.mark.parametrize("option", [None, "--prepare", "--prepared"])
-def test_a_machine_that_cannot_boot_a_container_says_so_and_is_no_failure(tmp_path, option):
+def test_on_a_machine_that_cannot_boot_a_container_the_boot_test_says_so_and_exits_with_0(tmp_path, option):
     options = ["--cache", tmp_path / "cache", *([option, tmp_path / "boot"] if option else [])]
     done = run(sys.executable, DEPLOY / "test-boot", *options, env={"PATH": str(tmp_path)})
     assert done.returncode == 0, done.stderr
@@ -19,7 +19,7 @@ def test_a_machine_that_cannot_boot_a_container_says_so_and_is_no_failure(tmp_pa
     assert not list(tmp_path.iterdir()), "nothing is made before it is known what there is"
 
 
-def test_a_boot_is_prepared_in_a_new_folder_only(tmp_path):
+def test_the_boot_test_refuses_to_prepare_a_boot_in_an_existing_folder(tmp_path):
     done = run(sys.executable, DEPLOY / "test-boot", "--prepare", tmp_path)
     assert done.returncode == 2
     assert "--prepare makes a new folder" in done.stderr

@@ -109,7 +109,7 @@ def test_stow_is_the_biggest_button_of_a_phone_and_two_touches_away_and_moves_th
     page.sees(".hero h1", "Tracking")
 
 
-def test_goto_is_held_to_the_limits_and_says_who_holds(site, open_page):
+def test_goto_accepts_only_angles_within_the_limits_and_shows_who_holds_the_tracker(site, open_page):
     page = open_page("control")
     page.page.get_by_label("A, east negative").fill("-6")
     page.page.get_by_label("B, flat is 90").fill("95")
@@ -125,7 +125,7 @@ def test_goto_is_held_to_the_limits_and_says_who_holds(site, open_page):
     page.sees(".control .card .hint", "A −6.")
 
 
-def test_on_the_bench_stow_moves_the_axes_and_what_fails_is_said_and_comes_back_by_itself(browser, tmp_path):
+def test_on_the_bench_stow_moves_the_axes_and_the_page_shows_outages_and_their_end(browser, tmp_path):
     with browsers.site_on_bench(tmp_path) as (site, bench), browser.new_context() as context:
         page = browsers.Page(context, site.url)
         page.sees(".hero h1", "Tracking")
@@ -171,7 +171,7 @@ def test_a_day_is_drawn_from_the_store_with_modes_moves_and_events(site, open_pa
     page.sees(".day .hint", "Shown: the whole solar day, 02:00:00")
 
 
-def test_the_day_that_is_asked_for_last_is_shown_and_what_is_missing_of_it_is_said(open_page):
+def test_the_day_view_shows_the_day_requested_last_and_says_which_records_end_early(open_page):
     page = open_page("now")
     days = [f"2022-09-{number}" for number in (17, 18, 19, 20, 21)]
 
@@ -191,7 +191,7 @@ def test_the_day_that_is_asked_for_last_is_shown_and_what_is_missing_of_it_is_sa
     page.sees(".day .summary", "more records than fit here: modes end early.")
 
 
-def test_what_a_day_has_already_is_not_asked_for_again(open_page):
+def test_the_day_view_does_not_request_records_again_that_it_has(open_page):
     page = open_page("now")
     # In 32 bits this would be 70000.0 s after the beginning.
     last_s = 70000.0035
@@ -251,7 +251,7 @@ def any_page(browser, the_site):
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("viewport", [browsers.PHONE, browsers.DESKTOP], ids=["phone", "desktop"])
-def test_the_rules_of_accessibility_hold(site, any_page, viewport, scheme):
+def test_every_view_of_the_dashboard_passes_the_accessibility_checks(site, any_page, viewport, scheme):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
     page = any_page
     page.page.set_viewport_size(viewport)
@@ -273,7 +273,7 @@ def test_the_rules_of_accessibility_hold(site, any_page, viewport, scheme):
     assert page.complaints == []
 
 
-def test_all_is_reached_with_the_keyboard_alone(site, open_page):
+def test_views_orders_and_login_can_be_reached_with_the_keyboard_alone(site, open_page):
     page = open_page()
     page.sees(".hero h1", "Tracking")
     reached = []
@@ -290,7 +290,7 @@ def test_all_is_reached_with_the_keyboard_alone(site, open_page):
     playwright.expect(dialog).to_have_count(0)
 
 
-def test_a_screen_reader_tells_another_mode_and_an_alarm_and_not_the_seconds(site, open_page):
+def test_a_screen_reader_announces_a_change_of_mode_and_alarms_but_not_the_passing_seconds(site, open_page):
     page = open_page("control")
     page.sees(".hero h1", "Tracking")
     # What a screen reader says of its own accord, as it changes.
@@ -312,7 +312,7 @@ def test_a_screen_reader_tells_another_mode_and_an_alarm_and_not_the_seconds(sit
     assert page.page.locator(".alarms").get_attribute("aria-live") == "polite"
 
 
-def test_the_way_past_the_head_stays_with_the_view_that_is_shown(open_page):
+def test_the_skip_link_moves_the_focus_to_the_content_and_keeps_the_view_that_is_shown(open_page):
     page = open_page("constructor")
     page.sees(".hero h1", "Tracking")
     page.show("control")
@@ -323,7 +323,7 @@ def test_the_way_past_the_head_stays_with_the_view_that_is_shown(open_page):
     assert page.page.locator(".goto").count() == 1
 
 
-def test_what_the_page_shows_is_what_the_interface_says(site, open_page):
+def test_the_figures_on_the_page_agree_with_those_of_the_api(site, open_page):
     page = open_page()
     page.sees(".hero h1", "Tracking")
 
@@ -378,7 +378,7 @@ def close(said, shown):
     return faces and all(rest)
 
 
-def test_without_a_service_every_view_says_so(browser, tmp_path):
+def test_every_view_shows_that_the_service_does_not_answer(browser, tmp_path):
     dashboard, url = browsers.run_dashboard(tmp_path, f"127.0.0.1:{free_port()}")
     try:
         with browser.new_context(viewport=browsers.PHONE) as context:

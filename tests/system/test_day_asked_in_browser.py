@@ -20,7 +20,7 @@ NOON = 1663761600.0
 """2022-09-21T12:00Z."""
 
 
-def test_what_is_read_for_a_day_is_given_up_when_its_view_is_left(browser, tmp_path):
+def test_requests_for_a_day_are_aborted_when_the_day_view_is_left(browser, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(Event(NOON - 60.0, 0.0, "made", "an event of the day", TRACKER))
     with browser.new_context(viewport=browsers.DESKTOP) as context:
@@ -39,7 +39,7 @@ def test_what_is_read_for_a_day_is_given_up_when_its_view_is_left(browser, tmp_p
         assert page.complaints == []
 
 
-def test_the_whole_of_a_day_s_name_is_seen_on_a_phone(browser, tmp_path):
+def test_the_whole_name_of_a_day_fits_its_selector_on_a_phone(browser, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(Event(NOON - 60.0, 0.0, "made", "an event of the day", TRACKER))
     with browser.new_context(viewport=browsers.PHONE, timezone_id="UTC") as context:
@@ -52,7 +52,7 @@ def test_the_whole_of_a_day_s_name_is_seen_on_a_phone(browser, tmp_path):
         assert picker.evaluate(width) <= shown
 
 
-def test_one_of_a_kind_is_told_as_one(browser, tmp_path):
+def test_a_count_of_one_is_written_in_the_singular(browser, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(scan(NOON - 60.0))
     with browser.new_context(viewport=browsers.DESKTOP) as context:
@@ -69,7 +69,7 @@ def test_one_of_a_kind_is_told_as_one(browser, tmp_path):
     assert "1 record written, 0 wait" in said
 
 
-def test_what_happened_has_the_same_words_and_time_in_the_view_of_now_and_of_its_day(browser, tmp_path):
+def test_an_event_has_the_same_words_and_time_in_the_now_view_and_in_the_day_view(browser, tmp_path):
     ends = {"target_a_deg": -0.8, "target_b_deg": 81.1, "from_a_deg": 0.0, "from_b_deg": 90.0, "end_b_deg": 81.06}
     moves = [
         Move(NOON - 60.0, 0.0, 6.4, end_a_deg=-0.8, outcome=MoveOutcome.ARRIVED, why="south", tracker=TRACKER, **ends),

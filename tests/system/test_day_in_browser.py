@@ -94,7 +94,7 @@ def shows(page, text):
 @pytest.mark.parametrize(
     ("longitude_deg", "hour", "today", "begin"), [(150.0, 20.0, "2022-09-22", "14"), (-120.0, 5.0, "2022-09-20", "08")]
 )
-def test_today_is_the_day_of_the_sun_at_the_site(context, tmp_path, longitude_deg, hour, today, begin):
+def test_today_is_the_present_solar_day_at_the_site(context, tmp_path, longitude_deg, hour, today, begin):
     site = MadeSite(tmp_path, Site(-33.0, longitude_deg, 0.0))
     now = MIDNIGHT + hour * HOUR
     site.keep(*records(now - 0.5 * HOUR, now))
@@ -105,7 +105,7 @@ def test_today_is_the_day_of_the_sun_at_the_site(context, tmp_path, longitude_de
     assert page.complaints == []
 
 
-def test_nothing_is_drawn_or_counted_of_a_time_without_records(context, tmp_path):
+def test_the_day_view_draws_and_counts_nothing_for_a_time_without_records(context, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(*records(MIDNIGHT, OUTAGE[0]))
     site.keep(
@@ -125,7 +125,7 @@ def test_nothing_is_drawn_or_counted_of_a_time_without_records(context, tmp_path
     assert page.complaints == []
 
 
-def test_the_end_of_the_day_is_seen_on_the_narrowest_of_phones(context, tmp_path):
+def test_the_plots_of_a_day_fit_a_screen_of_320_pixels(context, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(*records(MIDNIGHT + 22 * HOUR, MIDNIGHT + 23 * HOUR))
     page = site.open(context, MIDNIGHT + 23 * HOUR)
@@ -142,7 +142,7 @@ def test_the_end_of_the_day_is_seen_on_the_narrowest_of_phones(context, tmp_path
     assert page.complaints == []
 
 
-def test_the_page_takes_the_size_of_letters_that_is_set_in_the_browser(browser, tmp_path):
+def test_the_page_uses_the_font_size_that_is_set_in_the_browser(browser, tmp_path):
     large = browsers.launch(browser.browser_type, "--blink-settings=defaultFontSize=32")
     try:
         page = MadeSite(tmp_path).open(large.new_context(viewport=browsers.DESKTOP), MIDNIGHT)
@@ -156,7 +156,7 @@ def test_the_page_takes_the_size_of_letters_that_is_set_in_the_browser(browser, 
         large.close()
 
 
-def test_the_faces_are_told_apart_in_grey_too(context, tmp_path):
+def test_the_lines_of_the_four_faces_differ_in_width_or_style_so_that_they_differ_in_grey_too(context, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(*records(MIDNIGHT, MIDNIGHT + HOUR))
     page = site.open(context, MIDNIGHT + HOUR)
@@ -167,14 +167,14 @@ def test_the_faces_are_told_apart_in_grey_too(context, tmp_path):
     assert len(lines) == len(set(lines)) == 4
 
 
-def test_a_mode_that_lasts_is_known_without_a_change_that_day(context, tmp_path):
+def test_a_mode_that_began_before_the_day_is_counted_without_a_change_of_mode_that_day(context, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(*records(MIDNIGHT, MIDNIGHT + 2 * HOUR))
     page = site.open(context, MIDNIGHT + 2 * HOUR, "maintenance", MIDNIGHT - HOUR)
     page.sees(".day .summary", "0 moves over 0.0°. Maintenance 2 h 0 min.")
 
 
-def test_a_day_without_a_mode_says_nothing_of_modes(context, tmp_path):
+def test_the_summary_of_a_day_without_known_modes_does_not_mention_modes(context, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(*records(MIDNIGHT, MIDNIGHT + HOUR))
     page = site.open(context, MIDNIGHT + 2 * HOUR)
@@ -183,7 +183,7 @@ def test_a_day_without_a_mode_says_nothing_of_modes(context, tmp_path):
 
 
 @pytest.mark.parametrize("failures", [1, 2], ids=["the days", "the days, then the records"])
-def test_what_has_failed_is_tried_again(context, tmp_path, failures):
+def test_a_failed_request_for_the_days_or_the_records_is_repeated(context, tmp_path, failures):
     site = MadeSite(tmp_path)
     site.keep(*records(MIDNIGHT, MIDNIGHT + HOUR))
     site.failures = failures
@@ -213,7 +213,7 @@ def test_at_midnight_the_new_day_is_opened_unless_another_one_was_chosen(context
     assert page.complaints == []
 
 
-def test_a_view_that_is_left_while_its_day_comes_leaves_nothing_behind(context, tmp_path):
+def test_a_day_view_that_is_left_while_it_loads_leaves_no_plots_behind(context, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(*records(MIDNIGHT, MIDNIGHT + HOUR))
     page = site.open(context, MIDNIGHT + HOUR)
@@ -233,7 +233,7 @@ def test_a_view_that_is_left_while_its_day_comes_leaves_nothing_behind(context, 
     assert page.complaints == []
 
 
-def test_the_list_of_a_day_with_much_in_it_says_what_it_leaves_out_and_shows_it(context, tmp_path):
+def test_a_list_of_more_than_200_events_of_a_day_is_shortened_and_shown_in_full_on_request(context, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(*(Event(MIDNIGHT + 10.0 * number, 0.0, "made", f"number {number}", TRACKER) for number in range(250)))
     page = site.open(context, MIDNIGHT + HOUR)
@@ -245,7 +245,7 @@ def test_the_list_of_a_day_with_much_in_it_says_what_it_leaves_out_and_shows_it(
     assert page.complaints == []
 
 
-def test_while_a_day_is_on_its_way_the_page_says_so(context, tmp_path):
+def test_the_page_says_that_a_day_is_loading_until_it_is_shown(context, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(*records(MIDNIGHT - HOUR, MIDNIGHT), *records(MIDNIGHT, MIDNIGHT + HOUR))
     site.holds = "/read/days"
@@ -263,7 +263,7 @@ def test_while_a_day_is_on_its_way_the_page_says_so(context, tmp_path):
     assert page.complaints == []
 
 
-def test_a_change_of_colours_draws_the_plots_anew(context, tmp_path):
+def test_the_plots_are_redrawn_when_the_colour_scheme_changes(context, tmp_path):
     site = MadeSite(tmp_path)
     site.keep(*records(MIDNIGHT, MIDNIGHT + 2 * HOUR))
     page = site.open(context, MIDNIGHT + 2 * HOUR)
@@ -276,7 +276,7 @@ def test_a_change_of_colours_draws_the_plots_anew(context, tmp_path):
         page.page.wait_for_function(f"() => ({INKED})() > 20")
 
 
-def test_a_tracker_of_several_has_its_own_news_and_those_of_the_cube(context, tmp_path):
+def test_one_of_several_trackers_shows_only_its_own_news_and_those_of_the_cube(context, tmp_path):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     said = page.page.evaluate("""async () => {
       const { log } = await import("/static/js/views/cards.js");
@@ -290,7 +290,7 @@ def test_a_tracker_of_several_has_its_own_news_and_those_of_the_cube(context, tm
     assert said == ["east: night -> tracking: x", "Alarm: raised cube-face: the south face"]
 
 
-def test_a_process_of_the_cube_alone_shows_no_tracker(context, tmp_path):
+def test_the_mount_card_is_hidden_for_a_process_of_the_cube_alone(context, tmp_path):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     hidden = page.page.evaluate("""async () => {
       const { mount } = await import("/static/js/views/mount.js");
@@ -315,7 +315,7 @@ def test_a_process_of_the_cube_alone_shows_no_tracker(context, tmp_path):
         (None, None, "2 trackers: none needs attention"),
     ],
 )
-def test_an_alarm_that_nobody_has_seen_and_a_cube_that_is_down_need_attention(
+def test_an_unacknowledged_alarm_above_a_notice_and_a_cube_that_is_down_need_attention(
     context, tmp_path, alarm, cube_down_why, headline
 ):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
@@ -354,7 +354,7 @@ def test_an_alarm_that_nobody_has_seen_and_a_cube_that_is_down_need_attention(
         ({"bridge": {}, "scan": None}, "2 trackers: none needs attention|hold|tracking"),
     ],
 )
-def test_of_trackers_without_a_cube_the_fleet_says_so_whatever_they_do(context, tmp_path, own, told):
+def test_the_fleet_view_marks_trackers_whose_cube_is_down_or_silent_in_every_mode(context, tmp_path, own, told):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     said = page.page.evaluate(
         """async (own) => {
@@ -377,7 +377,7 @@ def test_of_trackers_without_a_cube_the_fleet_says_so_whatever_they_do(context, 
     assert said == told
 
 
-def test_a_gain_that_is_not_known_is_a_dash(context, tmp_path):
+def test_an_unknown_gain_is_shown_as_a_dash(context, tmp_path):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     said = page.page.evaluate("""async () => {
       const { next } = await import("/static/js/views/cards.js");

@@ -69,14 +69,14 @@ def stand_in(tmp_path, role, change=lambda text: text):
 
 @needs_analyze
 @pytest.mark.parametrize("role", UNITS)
-def test_systemd_understands_every_line_of_the_units(tmp_path, role):
+def test_systemd_accepts_every_line_of_the_units(tmp_path, role):
     done = run("systemd-analyze", "verify", stand_in(tmp_path, role))
     assert (done.returncode, done.stderr) == (0, "")
 
 
 @needs_analyze
 @pytest.mark.parametrize("name", TIMERS)
-def test_systemd_understands_the_timers_and_when_they_run(tmp_path, name):
+def test_systemd_accepts_the_timers_and_their_calendar_times(tmp_path, name):
     timer = tmp_path / f"heliocube-{name}.timer"
     shutil.copy(DEPLOY / timer.name, timer)
     stand_in(tmp_path, name)
@@ -87,14 +87,14 @@ def test_systemd_understands_the_timers_and_when_they_run(tmp_path, name):
 
 
 @needs_analyze
-def test_a_misspelt_line_of_a_unit_would_be_told(tmp_path):
+def test_systemd_analyze_reports_a_misspelt_line_of_a_unit(tmp_path):
     unit = stand_in(tmp_path, "cube", lambda text: text.replace("WatchdogSec=", "WatchdogSecs="))
     assert "WatchdogSecs" in run("systemd-analyze", "verify", unit).stderr
 
 
 @needs_analyze
 @pytest.mark.parametrize("role", UNITS)
-def test_the_units_may_do_little(tmp_path, role):
+def test_the_exposure_of_each_unit_by_systemd_analyze_is_at_most_1_5(tmp_path, role):
     done = run("systemd-analyze", "security", "--offline=true", "--threshold=15", stand_in(tmp_path, role))
     assert done.returncode == 0, done.stdout
     exposure = float(re.search(r"exposure level.*: ([\d.]+)", done.stdout)[1])
@@ -112,7 +112,7 @@ def test_a_unit_reaches_private_networks_and_nothing_beyond_them(role):
 
 
 @pytest.mark.parametrize("role", ROLES)
-def test_no_start_waits_for_a_network_that_may_not_come(role):
+def test_the_units_do_not_wait_for_a_network_at_start_and_restart_without_limit(role):
     unit = (DEPLOY / f"heliocube-{role}.service").read_text().splitlines()
     waited = [line for line in unit if line.startswith(("Wants=", "After=", "Requires=")) and "network-online" in line]
     assert not waited
@@ -120,7 +120,7 @@ def test_no_start_waits_for_a_network_that_may_not_come(role):
 
 
 @pytest.mark.parametrize("role", ROLES)
-def test_a_class_of_devices_is_allowed_only_with_its_module_loaded(role):
+def test_a_unit_allows_a_device_class_only_if_its_kernel_module_is_loaded(role):
     unit = (DEPLOY / f"heliocube-{role}.service").read_text()
     modules = (DEPLOY / "heliocube.modules-load.conf").read_text().split("\n")
     module_of = {"char-ttyACM": "cdc_acm", "char-ttyUSB": "usbserial", "char-usb_device": None}
@@ -137,7 +137,7 @@ def rules():
     return [line for line in text.splitlines() if line and not line.startswith("#")]
 
 
-def test_every_device_rule_is_well_formed_and_its_jumps_land():
+def test_every_udev_rule_is_well_formed_and_every_goto_has_its_label():
     term = re.compile(r'\s*[A-Z]+(\{[\w/]+\})?\s*(==|!=|=|\+=|-=|:=)\s*"[^"]*"\s*')
     for line in rules():
         assert all(term.fullmatch(part) for part in re.split(r",(?=\s*[A-Z])", line)), line
@@ -146,7 +146,7 @@ def test_every_device_rule_is_well_formed_and_its_jumps_land():
     assert gotos == labels
 
 
-def test_the_positioner_has_one_name_one_group_and_no_echo():
+def test_the_udev_rules_give_the_positioner_a_name_a_group_and_a_port_without_echo():
     text = "\n".join(rules())
     for part in ('SYMLINK+="heliocube-positioner"', 'GROUP="heliocube"', 'MODE="0660"', 'ENV{ID_MM_DEVICE_IGNORE}="1"'):
         assert part in text
@@ -155,7 +155,7 @@ def test_the_positioner_has_one_name_one_group_and_no_echo():
     assert " raw -echo " in raw
 
 
-def test_the_line_settings_of_the_rules_end_the_echo():
+def test_the_stty_settings_in_the_udev_rules_turn_off_the_echo():
     stty = re.search(r'RUN\+="/usr/bin/(stty) -F \$devnode ([^"]*)"', "\n".join(rules()))
     controller, terminal = os.openpty()
     try:
@@ -174,7 +174,7 @@ def test_the_line_settings_of_the_rules_end_the_echo():
 
 
 @pytest.mark.parametrize("name", ["both", *CONFIGURED])
-def test_the_examples_are_good_configurations(tmp_path, name):
+def test_the_example_configurations_pass_the_check_and_are_up_to_date(tmp_path, name):
     shutil.copy(EXAMPLES / f"{name}.toml", tmp_path)
     write_key(tmp_path / "bridge.key", generate_key())
     (tmp_path / "api.token").write_text("t" * 40)
@@ -226,7 +226,7 @@ def test_a_frozen_process_does_not_answer_the_watchdog(start_unit, role):
 
 
 @pytest.mark.parametrize(("part", "words"), [("control", "control has not run"), ("acquisition", "no scan has")])
-def test_a_stalled_part_leaves_the_watchdog_unanswered_though_the_loop_runs(tmp_path, part, words):
+def test_a_stalled_control_or_acquisition_leaves_the_watchdog_unanswered_though_the_loop_runs(tmp_path, part, words):
     messages = []
 
     async def scenario(receiver):
@@ -359,7 +359,7 @@ def test_installing_twice_and_removing_leaves_only_data_and_configuration(tmp_pa
     assert run(*install, "--remove").returncode == 0, "removing twice is no error"
 
 
-def test_nothing_is_fetched_that_the_locks_do_not_name_by_hash():
+def test_the_installation_fetches_nothing_that_the_lock_files_do_not_pin_by_hash():
     """pip reaches an index only where it asks for hashes, and builds only with what is there."""
     text = (DEPLOY / "install.sh").read_text().replace("\\\n", " ")
     calls = [line for line in text.splitlines() if re.search(r"\bpip install | -m pip .* wheel ", line)]
@@ -388,7 +388,7 @@ def test_nothing_is_fetched_that_the_locks_do_not_name_by_hash():
     ],
 )
 @pytest.mark.skipif(os.geteuid() != 0, reason="installing needs root")
-def test_a_mistake_at_installing_is_one_sentence_and_changes_nothing(tmp_path, arguments, sentence):
+def test_a_mistaken_option_of_install_sh_is_refused_in_one_sentence_and_changes_nothing(tmp_path, arguments, sentence):
     root = [] if "--root" in arguments else ["--root", tmp_path]
     done = run("sh", DEPLOY / "install.sh", *root, *arguments)
     assert done.returncode == 2

@@ -24,7 +24,7 @@ LINES = """cell => {
 
 
 @pytest.mark.parametrize("width", [360, 390, 430])
-def test_on_a_phone_no_mode_is_broken_within_its_word(browser, tmp_path, width):
+def test_on_a_phone_the_mode_of_a_tracker_is_not_broken_across_lines(browser, tmp_path, width):
     with browser.new_context(viewport={"width": width, "height": 800}) as context:
         page = MadeSite(tmp_path).open(context, NOON, "maintenance")
         page.show("fleet")
@@ -49,7 +49,9 @@ def stopped_by(site):
 
 
 @pytest.mark.parametrize("viewport", [browsers.PHONE, browsers.DESKTOP], ids=["phone", "desktop"])
-def test_what_stop_all_has_stopped_is_released_one_by_one_and_never_what_was_not_shown(browser, site, viewport):
+def test_after_stop_all_auto_releases_one_tracker_at_a_time_and_never_a_stop_that_was_not_shown(
+    browser, site, viewport
+):
     with browser.new_context(viewport=viewport) as context:
         page = browsers.Page(context, site.url, "fleet")
         page.sees(".hero h1", "10 trackers")
@@ -85,7 +87,7 @@ def test_what_stop_all_has_stopped_is_released_one_by_one_and_never_what_was_not
         site.order("auto", tracker=name)
 
 
-def test_what_came_of_an_order_to_all_is_found_again_after_another_view(browser, site):
+def test_the_result_of_an_order_to_all_is_still_shown_after_a_visit_to_another_view(browser, site):
     with browser.new_context(viewport=browsers.DESKTOP) as context:
         page = browsers.Page(context, site.url, "fleet")
         page.sees(".hero h1", "10 trackers")

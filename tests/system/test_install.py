@@ -27,7 +27,7 @@ for name in python heliocube; do cp "$0" "$3/bin/$name"; done
 """
 
 
-def test_installing_a_release_again_leaves_the_one_before_it(tmp_path):
+def test_installing_a_release_again_keeps_the_release_before_it(tmp_path):
     releases = tmp_path / "opt" / "heliocube" / "releases"
 
     def use(name):
@@ -42,7 +42,7 @@ def test_installing_a_release_again_leaves_the_one_before_it(tmp_path):
     assert use("3") == ("3", {"2", "3"})
 
 
-def test_a_release_that_something_still_runs_from_stays_and_is_no_way_back(tmp_path):
+def test_an_old_release_that_a_process_runs_from_is_kept_but_no_longer_marked_complete(tmp_path):
     releases = tmp_path / "opt" / "heliocube" / "releases"
     program = releases / "1" / "bin" / "heliocube"
     program.parent.mkdir(parents=True)
@@ -64,7 +64,7 @@ def test_a_release_that_something_still_runs_from_stays_and_is_no_way_back(tmp_p
     assert {path.name for path in releases.iterdir()} == {"3", "4"}
 
 
-def test_a_package_of_the_same_version_takes_nothing_away_before_it_is_whole(tmp_path):
+def test_a_package_of_the_same_version_replaces_the_release_only_once_it_is_copied_completely(tmp_path):
     opt = tmp_path / "opt" / "heliocube"
     program, release = opt / "package" / "bin" / "heliocube", opt / "releases" / "1"
     program.parent.mkdir(parents=True)
@@ -113,7 +113,9 @@ def install(tmp_path, tree):
 
 
 @needs_root
-def test_what_is_marked_complete_is_on_the_disk_before_and_all_of_it_at_the_end(tmp_path, tree, install):
+def test_the_installation_syncs_to_disk_before_it_marks_a_release_complete_and_again_at_the_end(
+    tmp_path, tree, install
+):
     sync, told = tmp_path / "path" / "sync", tmp_path / "told"
     there = "find . -name .complete -o -name current -o -name tracker.toml -o -name heliocube.conf | wc -l"
     sync.write_text(f"#!/bin/sh\ncd {tree}\n{there} >>{told}\n")
@@ -124,7 +126,7 @@ def test_what_is_marked_complete_is_on_the_disk_before_and_all_of_it_at_the_end(
 
 
 @needs_root
-def test_what_a_unit_keeps_for_everybody_is_of_a_user_that_the_installation_makes(tree, install):
+def test_a_unit_with_world_readable_state_runs_as_a_user_that_the_installation_creates(tree, install):
     assert install("--role", "archive").returncode == 0
     made = {line.partition(":")[0] for line in (tree / "etc/passwd").read_text().splitlines()}
     texts = [unit.read_text() for unit in (tree / "etc/systemd/system").glob("*.service")]
@@ -136,7 +138,7 @@ def test_what_a_unit_keeps_for_everybody_is_of_a_user_that_the_installation_make
 
 
 @needs_root
-def test_installing_again_repairs_what_a_cut_of_the_power_has_left_empty(tree, install):
+def test_installing_again_repairs_files_that_a_power_cut_has_left_empty(tree, install):
     assert install("--role", "tracker").returncode == 0
     assert "building" not in install().stdout
     (release,) = (tree / "opt/heliocube/releases").iterdir()
@@ -152,7 +154,7 @@ def test_installing_again_repairs_what_a_cut_of_the_power_has_left_empty(tree, i
 
 
 @needs_root
-def test_a_tree_may_have_a_blank_in_its_name(tmp_path, install):
+def test_an_installation_into_a_folder_with_a_blank_in_its_name_works(tmp_path, install):
     folder = tmp_path / "image of a rig"
     folder.mkdir()
     done = install("--role", "tracker", "--root", folder)
@@ -160,7 +162,7 @@ def test_a_tree_may_have_a_blank_in_its_name(tmp_path, install):
     assert (folder / "opt/heliocube/current/bin/heliocube").exists()
 
 
-def test_a_token_or_a_key_that_a_cut_of_the_power_has_left_empty_is_made_anew(tmp_path):
+def test_a_token_and_a_key_that_a_power_cut_has_left_empty_are_created_anew(tmp_path):
     programs, etc = tmp_path / "opt/heliocube/current/bin", tmp_path / "etc/heliocube"
     programs.mkdir(parents=True)
     for name, does in {"python": f'exec {sys.executable} "$@"', "heliocube": "exit 0"}.items():
@@ -192,7 +194,7 @@ def test_an_installation_that_fails_or_is_interrupted_leaves_nothing_of_the_rele
 
 @needs_root
 @pytest.mark.parametrize(("at_pip", "code"), [("exit 1", 2), ("kill -TERM 0", 143), ("kill -KILL 0", -9)])
-def test_a_release_that_does_not_answer_is_there_until_it_is_built_anew(tree, install, at_pip, code):
+def test_a_release_that_does_not_answer_is_kept_until_its_replacement_is_built(tree, install, at_pip, code):
     assert install("--role", "tracker").returncode == 0
     releases = tree / "opt/heliocube/releases"
     (release,) = releases.iterdir()
@@ -222,7 +224,7 @@ def test_a_release_that_does_not_answer_is_there_until_it_is_built_anew(tree, in
         (["both"], {"cube", "tracker"}),
     ],
 )
-def test_an_upgrade_leaves_a_machine_the_roles_that_it_has(tmp_path, tree, install, before, units):
+def test_an_upgrade_keeps_the_roles_that_a_machine_has(tmp_path, tree, install, before, units):
     for role in before:
         assert install("--role", role).returncode == 0
     (tmp_path / "heliocube-0.2.0-py3-none-any.whl").write_text("newer")

@@ -48,7 +48,7 @@ def sweeps(rig):
 
 
 @pytest.mark.parametrize("make", MAKES)
-def test_stored_curves_say_what_the_module_truly_gives(tmp_path, start_bench, start_service, make):
+def test_stored_iv_curves_agree_with_the_true_values_of_the_module(tmp_path, start_bench, start_service, make):
     rig = start(tmp_path, start_bench, start_service, make)
     rig.settle()
     truth = wait_until(lambda: steady(rig), rig.service.log)
@@ -74,7 +74,7 @@ def test_stored_curves_say_what_the_module_truly_gives(tmp_path, start_bench, st
     assert median("zenith_start_w_m2") == pytest.approx(rig.bench.state()["sky"]["ghi_w_m2"], rel=0.1)
 
 
-def test_an_unplugged_load_is_told_once_and_leaves_tracking_alone(tmp_path, start_bench, start_service):
+def test_an_unplugged_load_is_reported_once_and_does_not_disturb_tracking(tmp_path, start_bench, start_service):
     rig = start(tmp_path, start_bench, start_service, "chroma63600")
     rig.settle()
     rig.bench.ask("unplug", "load")
@@ -90,7 +90,9 @@ def test_an_unplugged_load_is_told_once_and_leaves_tracking_alone(tmp_path, star
 
 
 @pytest.mark.long
-def test_a_hanging_load_a_tripped_one_and_another_instrument_are_survived(tmp_path, start_bench, start_service):
+def test_the_service_survives_a_hanging_load_a_tripped_load_and_another_instrument_in_its_place(
+    tmp_path, start_bench, start_service
+):
     rig = start(tmp_path, start_bench, start_service, "agilent6063b")
     wait_until(lambda: sweeps(rig) >= 1, rig.service.log)
     for make_trouble, end_it in (
@@ -118,7 +120,7 @@ def test_a_hanging_load_a_tripped_one_and_another_instrument_are_survived(tmp_pa
     assert rig.service.exit_code is None
 
 
-def test_a_service_that_is_killed_in_the_middle_of_a_curve_is_followed_by_one_that_switches_off(
+def test_after_a_kill_in_the_middle_of_an_iv_curve_the_next_service_switches_the_load_off(
     tmp_path, start_bench, start_service
 ):
     bench = start_bench("--config", brisk(tmp_path), *HIGH_SUN)

@@ -31,7 +31,7 @@ THREADS, OF_THE_PROCESS = 5, 16
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the threads of a process are seen in /proc")
-def test_the_unit_lets_a_process_of_the_most_trackers_have_all_of_its_threads(tmp_path):
+def test_the_units_limit_of_tasks_allows_all_threads_of_a_process_with_the_most_trackers(tmp_path):
     ends = [pty.openpty() for _ in range(_MOST_TRACKERS)]
     config, tables = tmp_path / "tracker.toml", []
     for number, (_, silent) in enumerate(ends):

@@ -147,7 +147,7 @@ def no_store(tmp_path):
     return tmp_path / "records"
 
 
-def test_a_service_that_finds_no_store_in_its_place_starts_and_shows_what_it_moved(no_store, service):
+def test_a_service_that_finds_a_foreign_file_as_its_store_starts_and_shows_that_it_moved_it_aside(no_store, service):
     _, _, address = service
     # The store's thread moves the file while the service starts.
     out = wait_until(lambda: "moved aside" in (out := heliocube("status", "--api", address)[1]) and out, "alarm")
@@ -161,7 +161,7 @@ def test_a_service_that_finds_no_store_in_its_place_starts_and_shows_what_it_mov
     wait_until(lambda: json.loads(heliocube("status", "--json", "--api", address)[1])["store"]["written"], "rows")
 
 
-def test_a_file_with_a_mistake_elsewhere_still_stops_the_tracker(service, tmp_path):
+def test_the_stop_command_works_with_a_mistake_elsewhere_in_the_configuration(service, tmp_path):
     config, _, address = service
     token = tmp_path / "api.token"
     config.write_text(f"[site]\nlatitude_deg = 'north'\n[api]\nlisten = '{address}'\ntoken_file = '{token}'\n")
@@ -181,7 +181,7 @@ def test_a_file_with_a_mistake_elsewhere_still_stops_the_tracker(service, tmp_pa
         ("[api]\ntoken_file = 'short'", "the token file {folder}/short is not one line of 32 to 512 letters"),
     ],
 )
-def test_a_configuration_that_leads_nowhere_is_one_sentence(tmp_path, text, sentence):
+def test_the_stop_command_refuses_a_configuration_with_wrong_api_settings_in_one_sentence(tmp_path, text, sentence):
     config = tmp_path / "heliocube.toml"
     config.write_text(text)
     write_token(tmp_path / "open", generate_token())
@@ -209,7 +209,7 @@ def test_an_urgent_command_loads_no_large_library(tmp_path, words):
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True)
 
 
-def test_a_start_of_another_release_moves_nothing_and_says_so(tmp_path):
+def test_after_a_change_of_release_the_service_holds_the_tracker_and_states_the_reason(tmp_path):
     config = tmp_path / "heliocube.toml"
     config.write_text(
         "[bridge]\nlisten = '127.0.0.1:0'\n[store]\ndirectory = 'records'\n[api]\nenabled = false\n"

@@ -49,7 +49,7 @@ def chosen(page):
     return page.page.locator("#tracker").evaluate("picker => picker.selectedOptions[0]?.text")
 
 
-def test_what_is_meant_for_a_tracker_that_is_not_to_be_had_goes_to_no_other(context, site, tmp_path):
+def test_an_unreachable_tracker_stays_selected_and_the_orders_name_no_other_tracker(context, site, tmp_path):
     gone = f"127.0.0.1:{free_port()}"
     dashboard, url = browsers.run_dashboard(tmp_path, site.api, gone)
     try:
@@ -98,7 +98,7 @@ def logged_in(context, site, view="control"):
     return page
 
 
-def test_neither_a_double_click_nor_a_held_key_answers_the_question_that_it_opens(context, site):
+def test_neither_a_double_click_nor_a_held_key_confirms_the_dialog_that_it_opens(context, site):
     page = logged_in(context, site)
     asked = []
     page.page.on("request", lambda request: asked.append(request.url) if request.method == "POST" else None)
@@ -129,7 +129,7 @@ def test_neither_a_double_click_nor_a_held_key_answers_the_question_that_it_open
     assert page.complaints == []
 
 
-def test_alarms_push_no_order_off_the_screen_of_a_phone(context, site):
+def test_a_long_list_of_alarms_does_not_push_an_order_off_the_screen_of_a_phone(context, site):
     page = browsers.Page(context, site.url, "control")
     page.page.set_viewport_size(browsers.PHONE)
     page.sees(".hero h1", "Tracking")
@@ -139,7 +139,7 @@ def test_alarms_push_no_order_off_the_screen_of_a_phone(context, site):
     assert auto["y"] + auto["height"] < page.page.locator(".first").bounding_box()["y"]
 
 
-def test_a_reference_run_is_told_by_the_name_of_its_order(context, site, back_to_tracking):
+def test_a_reference_run_is_shown_under_that_name_while_it_lasts(context, site, back_to_tracking):
     page = browsers.Page(context, site.url, "control")
     page.sees(".hero h1", "Tracking")
     assert site.order("home")["accepted"]
@@ -148,7 +148,7 @@ def test_a_reference_run_is_told_by_the_name_of_its_order(context, site, back_to
     page.sees(".hero h1", "Tracking")
 
 
-def test_nobody_is_told_that_the_axes_stand_while_the_service_is_gone(context, tmp_path):
+def test_while_the_service_is_gone_the_page_does_not_say_that_the_axes_stand_still(context, tmp_path):
     with browsers.simulated_site(tmp_path) as site:
         page = browsers.Page(context, site.url, "control")
         page.sees(".hero h1", "Tracking")
@@ -160,7 +160,7 @@ def test_nobody_is_told_that_the_axes_stand_while_the_service_is_gone(context, t
         assert page.text(".card .moving") == "Not known whether the axes move"
 
 
-def test_with_letters_twice_as_large_nothing_leaves_the_screen_of_a_phone(browser, site):
+def test_with_letters_twice_as_large_no_view_is_wider_than_the_screen_of_a_phone(browser, site):
     large = browsers.launch(browser.browser_type, "--blink-settings=defaultFontSize=32")
     try:
         page = browsers.Page(large.new_context(viewport={"width": 320, "height": 640}), site.url)
@@ -180,7 +180,7 @@ def test_with_letters_twice_as_large_nothing_leaves_the_screen_of_a_phone(browse
         large.close()
 
 
-def test_a_long_reason_pushes_nothing_off_the_screen_of_a_phone(context, site):
+def test_a_long_reason_does_not_make_the_page_wider_than_the_screen_of_a_phone(context, site):
     page = browsers.Page(context, site.url, "control")
     page.page.set_viewport_size({"width": 320, "height": 640})
     page.sees(".hero h1", "Tracking")
@@ -206,7 +206,7 @@ def test_stow_for_all_asks_for_the_token_again_when_the_session_is_gone(context,
     assert page.complaints == []
 
 
-def test_stow_for_all_asks_for_the_token_of_a_service_that_has_another_now(context, site, back_to_tracking):
+def test_stow_for_all_asks_for_the_token_again_if_that_of_a_service_has_changed(context, site, back_to_tracking):
     page = logged_in(context, site, "fleet")
     refusal = {"service": site.api, "accepted": False, "status": 401, "text": "the token is not the service's"}
     page.page.route("**/stow-all", lambda route: route.fulfill(json={"results": [refusal]}), times=1)
@@ -220,7 +220,7 @@ def test_stow_for_all_asks_for_the_token_of_a_service_that_has_another_now(conte
     assert page.complaints == []
 
 
-def test_what_the_page_asked_before_somebody_logged_in_logs_nobody_out(context, site):
+def test_a_late_session_answer_from_before_the_login_does_not_log_the_user_out(context, site):
     held = []
     context.route("**/session", lambda route: held.append(route), times=1)
     page = logged_in(context, site)
@@ -250,7 +250,7 @@ def test_stow_for_all_counts_a_service_that_does_not_answer(context, site, tmp_p
         dashboard.stop()
 
 
-def test_while_the_dashboard_does_not_answer_nobody_is_told_that_they_are_logged_out(context, site):
+def test_a_logout_or_an_order_without_an_answer_of_the_dashboard_is_not_shown_as_done(context, site):
     page = logged_in(context, site)
     page.page.route("**/logout", lambda route: route.abort())
     page.page.locator("#who").click()
@@ -265,7 +265,7 @@ def test_while_the_dashboard_does_not_answer_nobody_is_told_that_they_are_logged
     assert page.complaints == []
 
 
-def test_an_order_without_an_answer_is_said_to_have_none_and_given_up_in_the_end(context, site):
+def test_an_order_without_an_answer_is_shown_as_unanswered_and_given_up_in_the_end(context, site):
     context.clock.install()
     page = logged_in(context, site)
     page.page.route("**/command", lambda _: None)
@@ -281,7 +281,7 @@ def test_an_order_without_an_answer_is_said_to_have_none_and_given_up_in_the_end
     assert page.complaints == []
 
 
-def test_an_order_says_when_it_was_given_by_the_clock_of_the_dashboard(context, site, back_to_tracking):
+def test_an_order_carries_the_time_when_it_was_given_by_the_clock_of_the_dashboard(context, site, back_to_tracking):
     page = logged_in(context, site)
     given_s = []
 
@@ -309,7 +309,7 @@ def press_late(context, page, button):
         late.send("Input.dispatchMouseEvent", {"type": kind, "timestamp": time.time() - 60.0, **place})
 
 
-def test_what_was_pressed_while_the_page_stood_still_is_not_done_when_it_goes_on(context, site):
+def test_an_order_pressed_while_the_page_was_frozen_is_not_sent_when_it_goes_on(context, site):
     page = logged_in(context, site)
     asked = []
     page.page.on("request", lambda request: asked.append(request.url) if request.method == "POST" else None)
@@ -320,9 +320,7 @@ def test_what_was_pressed_while_the_page_stood_still_is_not_done_when_it_goes_on
 
 
 @pytest.mark.parametrize("button", ["#stop", ".order.stop"])
-def test_a_stop_that_was_pressed_while_the_page_stood_still_is_done_when_it_goes_on(
-    context, site, back_to_tracking, button
-):
+def test_a_stop_pressed_while_the_page_was_frozen_is_sent_when_it_goes_on(context, site, back_to_tracking, button):
     page = logged_in(context, site)
     press_late(context, page, page.page.locator(button))
     page.sees(".outcome", "mode hold: stopped by ana")
@@ -346,7 +344,9 @@ async (address) => {
 READ_DAYS = 'async (address) => (await import("/static/js/history.js")).storedDays(address)'
 
 
-def test_an_order_does_not_wait_behind_what_is_read_of_a_service_that_hangs(context, site, back_to_tracking, tmp_path):
+def test_an_order_does_not_wait_for_readings_requested_from_another_service_that_hangs(
+    context, site, back_to_tracking, tmp_path
+):
     with hung_service() as hung:
         dashboard, url = browsers.run_dashboard(tmp_path, site.api, hung)
         try:
@@ -366,7 +366,7 @@ def test_an_order_does_not_wait_behind_what_is_read_of_a_service_that_hangs(cont
             dashboard.stop()
 
 
-def test_a_stow_that_fails_does_not_stand_stowed_between_two_tries(browser, tmp_path):
+def test_a_tracker_whose_stow_fails_is_not_counted_as_stowed_between_two_attempts(browser, tmp_path):
     with browsers.site_on_bench(tmp_path) as (site, bench), browser.new_context() as context:
         page = browsers.Page(context, site.url, "fleet")
         # At the start the tracker stands stowed, which would pass for this stow.

@@ -38,14 +38,14 @@ def test_every_command_has_a_manual_page_with_its_options(manual):
 
 
 @pytest.mark.skipif(shutil.which("man") is None, reason="man is not installed")
-def test_man_finds_nothing_wrong_with_the_pages(manual):
+def test_man_gives_no_warning_about_the_manual_pages(manual):
     done = run("man", "--warnings", "-E", "UTF-8", "-l", *sorted(manual.iterdir()), env={"PATH": "/usr/bin:/bin"})
     assert (done.returncode, done.stderr) == (0, "")
     assert "HELIOCUBE-STOP(1)" in done.stdout
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
-def test_the_scripts_are_a_shell_s(name):
+def test_the_scripts_of_the_debian_package_have_valid_shell_syntax(name):
     assert run("sh", "-n", DEB / name).stderr == ""
 
 
@@ -59,7 +59,7 @@ def test_the_scripts_are_a_shell_s(name):
     ],
 )
 @pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="dpkg-deb is not installed")
-def test_a_mistake_at_building_is_one_sentence(arguments, sentence):
+def test_a_mistaken_option_of_the_package_build_is_refused_with_a_sentence(arguments, sentence):
     done = run("sh", DEB / "build", *arguments)
     assert done.returncode == 2
     assert sentence in done.stderr
@@ -67,7 +67,7 @@ def test_a_mistake_at_building_is_one_sentence(arguments, sentence):
 
 
 @pytest.mark.parametrize("action", ["remove", "purge"])
-def test_a_purge_after_the_removal_leaves_what_install_sh_has_laid_down_since(action):
+def test_a_purge_after_the_removal_keeps_what_install_sh_has_installed_since(action):
     # dpkg remembers a removed package until somebody purges it, by hand or when clearing up what packages left.
     told = "rm() { echo rm $*; }; rmdir() { echo rmdir $*; }; systemctl() { :; }"
     done = run("sh", "-euc", f'{told}; set -- "$0"; . "{DEB}/postrm"', action)

@@ -32,7 +32,7 @@ def shown(context, site, view):
     return page
 
 
-def test_with_letters_twice_as_large_no_button_is_cut_and_no_answer_lies_over_the_stop(browser, site):
+def test_with_letters_twice_as_large_no_button_is_cut_off_and_no_answer_covers_stop_or_the_tabs(browser, site):
     large = browsers.launch(browser.browser_type, "--blink-settings=defaultFontSize=32")
     try:
         page = shown(large.new_context(viewport={"width": 320, "height": 568}), site, "now")
@@ -64,7 +64,7 @@ IS_COVERED = """() => {
 
 
 @pytest.mark.parametrize("viewport", [(320, 568), (640, 360)], ids=["upright", "as a desktop at 200 %"])
-def test_whoever_goes_through_a_view_by_the_keyboard_finds_no_bar_over_the_place(browser, site, viewport):
+def test_while_the_keyboard_moves_through_a_view_no_bar_covers_the_focused_element(browser, site, viewport):
     with browser.new_context(viewport=dict(zip(("width", "height"), viewport, strict=True))) as context:
         page = shown(context, site, "control")
         covered = []
@@ -75,7 +75,7 @@ def test_whoever_goes_through_a_view_by_the_keyboard_finds_no_bar_over_the_place
         assert page.complaints == []
 
 
-def test_on_a_phone_control_has_each_order_once(browser, site):
+def test_on_a_phone_the_control_view_shows_each_order_once(browser, site):
     with browser.new_context(viewport=browsers.PHONE) as context:
         page = shown(context, site, "control")
         words = [text.split("\n")[0] for text in page.page.locator("button:visible").all_inner_texts()]
@@ -83,7 +83,7 @@ def test_on_a_phone_control_has_each_order_once(browser, site):
         assert len(set(words)) == len(words), words
 
 
-def test_where_the_system_sets_the_colours_buttons_and_the_chosen_view_are_seen_by_their_lines(browser, site):
+def test_with_forced_colours_buttons_and_the_tab_of_the_chosen_view_are_marked_by_borders(browser, site):
     with browser.new_context(viewport=browsers.PHONE, forced_colors="active") as context:
         page = shown(context, site, "control")
         for button in page.page.locator("button:visible").all():

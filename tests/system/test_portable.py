@@ -174,7 +174,7 @@ def test_the_cubes_role_runs_on_the_simulated_rig_without_instrument_libraries(t
     works(without(NOT_NEEDED, f"from daemon.entry import main\nsys.argv = {words}\nmain()"), tmp_path)
 
 
-def test_the_service_of_windows_runs_the_cube_where_nothing_of_posix_is(on_windows, tmp_path):
+def test_the_windows_service_runs_the_cube_without_posix_and_with_file_names_valid_on_windows(on_windows, tmp_path):
     folder = tmp_path / "heliocube"
     made = on_windows("config", "init", folder, "--role", "cube")
     assert made.returncode == 0, made.stderr
@@ -185,7 +185,7 @@ def test_the_service_of_windows_runs_the_cube_where_nothing_of_posix_is(on_windo
     assert [name for name in map(str, names) if re.search(NOT_OF_WINDOWS, name)] == []
 
 
-def test_the_service_of_windows_is_described_in_words_of_its_wrapper():
+def test_the_windows_service_file_has_only_elements_of_its_wrapper_winsw_and_absolute_paths():
     service = ET.parse(SERVICE).getroot()
     assert service.tag == "service"
     assert {each.tag for each in service} <= WINSW
@@ -203,7 +203,7 @@ def test_the_service_of_windows_is_described_in_words_of_its_wrapper():
 
 
 @pytest.mark.parametrize("surroundings", [WINDOWS, LINUX], ids=["windows", "linux"])
-def test_what_is_locked_is_all_that_a_system_needs(surroundings):
+def test_the_lock_file_has_every_requirement_of_the_system(surroundings):
     locked = {}
     for line in (ROOT / "deploy" / "lock" / "runtime.txt").read_text(encoding="utf-8").splitlines():
         if line[:1].isalnum():
@@ -222,7 +222,7 @@ def test_what_is_locked_is_all_that_a_system_needs(surroundings):
     assert sorted(needed - locked.keys()) == []
 
 
-def test_a_bench_is_refused_in_a_sentence_where_there_are_no_terminals(on_windows, tmp_path):
+def test_a_bench_is_refused_in_one_sentence_where_there_are_no_pseudo_terminals(on_windows, tmp_path):
     done = on_windows("bench", "--dir", tmp_path / "bench")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
     assert "pseudo-terminals" in done.stderr
@@ -243,7 +243,7 @@ def test_the_cubes_role_with_real_instruments_waits_for_them_without_posix(on_wi
     assert "Traceback" not in done.stderr
 
 
-def test_every_module_of_the_service_can_be_imported_without_them():
+def test_every_module_of_the_service_can_be_imported_without_posix_and_instrument_libraries():
     done = without(
         (*POSIX_ONLY, *NOT_NEEDED),
         """

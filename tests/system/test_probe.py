@@ -90,7 +90,7 @@ def test_probing_reports_records_and_changes_nothing_unless_asked(start_bench, t
     assert (again.returncode, "is there already" in again.stderr) == (2, True)
 
 
-def test_a_small_move_is_timed_and_the_axes_come_back(start_bench):
+def test_probe_times_a_small_move_of_each_axis_and_moves_it_back(start_bench):
     bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
     moved = probe("positioner", "-c", bench.config, "--seconds", "1", "--move-deg", "2", "--json")
     assert moved.returncode == 0, moved.stderr
@@ -102,7 +102,7 @@ def test_a_small_move_is_timed_and_the_axes_come_back(start_bench):
     assert bench.state()["pose"] == pytest.approx({"a_deg": 0.0, "b_deg": 90.0}, abs=0.5)
 
 
-def test_what_its_service_has_noted_in_doubt_is_not_moved(start_bench, tmp_path):
+def test_probe_does_not_move_a_positioner_for_which_its_service_has_noted_an_unfinished_homing(start_bench, tmp_path):
     bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
     named = tmp_path / "named.toml"
     named.write_text(f'{bench.config.read_text()}\n[[tracker]]\nname = "east"\n')
@@ -115,7 +115,7 @@ def test_what_its_service_has_noted_in_doubt_is_not_moved(start_bench, tmp_path)
     assert bench.state()["positioner"]["received"] == {}
 
 
-def test_the_order_to_end_stops_the_move(start_bench, tmp_path):
+def test_sigterm_to_a_probe_stops_its_move(start_bench, tmp_path):
     bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
     begin_deg = bench.state()["pose"]["a_deg"]
     with (tmp_path / "told").open("w+") as told:
@@ -132,7 +132,7 @@ def test_the_order_to_end_stops_the_move(start_bench, tmp_path):
     assert bench.state()["pose"] == pose, "it has gone on"
 
 
-def test_what_was_recorded_from_a_meter_runs_against_the_simulated_one(start_bench, tmp_path):
+def test_a_recording_of_the_voltmeter_gives_the_same_replies_from_the_simulated_voltmeter(start_bench, tmp_path):
     bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
     done = probe("voltmeter", "-c", bench.config, "--write", "--record", tmp_path / "voltmeter")
     assert done.returncode == 0, done.stderr
@@ -154,7 +154,7 @@ def test_what_was_recorded_from_a_meter_runs_against_the_simulated_one(start_ben
     assert readings >= 10
 
 
-def test_what_was_recorded_from_a_positioner_runs_against_the_simulated_one(start_bench, tmp_path):
+def test_a_recording_of_the_positioner_gives_the_same_fields_from_the_simulated_positioner(start_bench, tmp_path):
     bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
     record = tmp_path / "positioner"
     done = probe("positioner", "-c", bench.config, "--seconds", "4", "--move-deg", "2", "--record", record)
@@ -180,7 +180,7 @@ def test_what_was_recorded_from_a_positioner_runs_against_the_simulated_one(star
         assert abs(axis[0] - axis[-1]) <= 1
 
 
-def test_a_disk_that_is_full_ends_the_recording_and_neither_a_move_nor_the_answer(start_bench, small_disk):
+def test_a_full_disk_ends_the_recording_of_a_probe_but_neither_its_moves_nor_its_answer(start_bench, small_disk):
     bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
     fill(small_disk / "full")
     record = small_disk / "positioner"
@@ -212,7 +212,7 @@ class Shown:
                 self.targets.append(both)
 
 
-def test_what_is_absent_wrong_or_hangs_is_one_sentence_and_2(start_bench, tmp_path):
+def test_a_probe_of_an_absent_wrong_or_hanging_instrument_gives_a_short_reason_and_exit_code_2(start_bench, tmp_path):
     bench = start_bench()
     voltmeter, positioner = bench.directory / "voltmeter", bench.directory / "positioner"
     cases = {

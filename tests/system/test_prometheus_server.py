@@ -71,7 +71,7 @@ def prometheus(tmp_path, start_service):
     process.wait()
 
 
-def test_it_scrapes_the_service_evaluates_each_rule_and_finds_what_each_panel_shows(prometheus):
+def test_prometheus_scrapes_the_service_evaluates_each_rule_and_has_data_for_each_panel(prometheus):
     def targets():
         known = prometheus("targets") or {}
         return [(target["health"], target["lastError"]) for target in known.get("activeTargets", [])]

@@ -17,7 +17,7 @@ pytestmark = [
 ]
 
 
-def test_the_page_needs_nothing_but_itself_and_anybody_can_read_it(tmp_path):
+def test_the_report_page_loads_no_other_file_runs_no_script_and_passes_the_accessibility_checks(tmp_path):
     from daemon.studies.report.write import write_reports  # noqa: PLC0415 - every process that waits would load plots
 
     store = stored_days(tmp_path / "store", days=2)

@@ -13,7 +13,9 @@ pytestmark = pytest.mark.system
 LOWER_SUN = ("--weather", "clear", "--site", "30,0", "--start", "2022-09-21T11:50Z")
 
 
-def test_the_bench_serves_a_rotator_that_the_service_drives_loses_and_finds_again(tmp_path, start_bench, start_service):
+def test_the_service_drives_the_rotator_of_a_bench_and_uses_it_again_after_a_pulled_plug(
+    tmp_path, start_bench, start_service
+):
     bench = start_bench("--config", brisk(tmp_path), *LOWER_SUN, "--positioner", "rotctld")
     settings = check_file(bench.config).instruments.positioner
     assert settings.server == f"127.0.0.1:{bench.state()['positioner']['tcp_port']}"
@@ -34,7 +36,7 @@ def test_the_bench_serves_a_rotator_that_the_service_drives_loses_and_finds_agai
     assert bench.state()["positioner"]["received"]["stop"] > stops
 
 
-def test_a_real_rotctld_follows_the_simulated_sky_and_is_taken_up_again_after_it_was_killed(
+def test_a_real_rotctld_follows_the_simulated_sky_and_is_used_again_after_it_was_killed(
     tmp_path, start_bench, start_service, start_rotctld
 ):
     # Offsets set where the dummy begins. They make the limits that it reports wrong, so the file gives the limits.
@@ -69,7 +71,7 @@ def heliocube(*arguments):
     return forks.run(*arguments)
 
 
-def test_a_file_is_written_for_the_instruments_that_are_named(tmp_path):
+def test_config_init_writes_a_file_for_the_named_instruments_and_refuses_an_unknown_one(tmp_path):
     written = heliocube("config", "init", tmp_path / "lab", "--positioner", "rotctld", "--cube", "scanning-meter")
     assert written.returncode == 0, written.stderr
     file = tmp_path / "lab" / "heliocube.toml"
@@ -85,7 +87,7 @@ def test_a_file_is_written_for_the_instruments_that_are_named(tmp_path):
     assert not (tmp_path / "other").exists()
 
 
-def test_the_simulated_rig_runs_with_it_by_one_option():
+def test_the_simulated_rig_runs_with_a_rotator_by_one_option_and_an_unknown_positioner_is_refused():
     run = heliocube("run", "--positioner", "rotctld", "--for", "3")
     assert run.returncode == 0, run.stderr
     assert "motion is stopped" in run.stdout

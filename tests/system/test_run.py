@@ -46,7 +46,7 @@ def test_the_embedded_default_runs_ends_by_itself_and_shows_that_it_is_simulated
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_stops_motion_and_ends_with_0(number):
+def test_sigint_sigterm_and_sighup_stop_motion_and_end_the_service_with_exit_code_0(number):
     process = subprocess.Popen(
         [sys.executable, "-m", "daemon.commands.main", "run", "--speed", "30"],
         stdout=subprocess.PIPE,
@@ -67,7 +67,7 @@ def test_a_signal_stops_motion_and_ends_with_0(number):
     assert "ended at" in out
 
 
-def test_ctrl_c_again_and_again_takes_nothing_from_the_end_that_the_first_one_began(tmp_path):
+def test_repeated_ctrl_c_does_not_disturb_the_shutdown_that_the_first_one_began(tmp_path):
     (tmp_path / "heliocube.toml").write_text(f"[store]\ndirectory = '{tmp_path}/records'\n[api]\nenabled = false\n")
     process = subprocess.Popen(
         [sys.executable, "-m", "daemon.commands.main", "run", "--config", tmp_path / "heliocube.toml", "--speed", "30"],
@@ -86,7 +86,7 @@ def test_ctrl_c_again_and_again_takes_nothing_from_the_end_that_the_first_one_be
     assert "interrupted" not in err
 
 
-def test_a_signal_while_the_service_ends_by_itself_takes_nothing_from_its_end():
+def test_signals_while_the_service_ends_by_itself_do_not_disturb_its_shutdown():
     process = subprocess.Popen(
         [sys.executable, "-m", "daemon.commands.main", "run", "--for", "1"],
         stdout=subprocess.PIPE,
@@ -144,7 +144,7 @@ def test_under_nohup_the_service_outlives_its_terminal():
     assert "motion stopped" in err
 
 
-def test_where_nothing_can_be_printed_the_service_works_all_the_same(tmp_path):
+def test_the_service_works_although_nothing_can_be_printed_and_then_exits_with_code_7(tmp_path):
     told = tmp_path / "told"
     with Path("/dev/full").open("w") as full, told.open("w") as err:
         code = forks.start(["run", "--speed", "30", "--for", "5"], full, err, cwd=tmp_path).wait(PATIENCE_S)
@@ -154,7 +154,7 @@ def test_where_nothing_can_be_printed_the_service_works_all_the_same(tmp_path):
     assert told.read_text().endswith("cannot be written to standard output: No space left on device\n")
 
 
-def test_a_port_in_use_is_one_sentence(tmp_path):
+def test_a_port_in_use_is_refused_with_its_address(tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder:
         holder.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{holder.getsockname()[1]}"
@@ -167,7 +167,7 @@ def test_a_port_in_use_is_one_sentence(tmp_path):
 
 
 @pytest.mark.parametrize(("bench", "year"), [("false", datetime.now(UTC).year), ("true", 2001)])
-def test_real_instruments_have_the_time_of_the_machine_but_on_a_bench(bench, year, tmp_path):
+def test_a_service_with_real_instruments_has_the_time_of_the_machine_except_on_a_bench(bench, year, tmp_path):
     config = tmp_path / "heliocube.toml"
     config.write_text(
         f'[instruments]\nkind = "real"\nbench = {bench}\n[instruments.positioner]\nport = "/dev/no-such-port"\n'
@@ -188,13 +188,13 @@ def test_a_key_that_others_can_read_is_refused_with_the_remedy(tmp_path):
     assert len(result.stderr.strip().splitlines()) == 1
 
 
-def test_a_role_of_its_own_needs_a_key():
+def test_the_cube_role_alone_without_a_key_is_refused():
     result = forks.run("run", "--role", "cube", "--for", "1")
     assert result.returncode == 2
     assert "heliocube config init" in result.stderr
 
 
-def test_the_service_manager_hears_of_start_work_and_end(tmp_path):
+def test_the_service_manager_is_notified_of_start_watchdog_and_end_of_the_service(tmp_path):
     address = str(tmp_path / "notify")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(address)
@@ -229,7 +229,7 @@ def test_the_service_manager_hears_of_start_work_and_end(tmp_path):
 
 
 @pytest.mark.parametrize("needed", ["daemon.commands.main", "daemon.config.file, daemon.config.stuck_lines"])
-def test_help_and_a_refused_configuration_do_not_wait_for_the_science(needed):
+def test_the_help_and_the_check_of_a_configuration_do_not_import_pvlib_or_pandas(needed):
     program = f"import sys, {needed}; print('pvlib' in sys.modules, 'pandas' in sys.modules)"
     imported = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=PATIENCE_S)
     assert imported.stdout.split() == ["False", "False"]

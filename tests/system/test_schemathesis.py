@@ -45,7 +45,7 @@ def url(tmp_path):
 
 
 @pytest.mark.long
-def test_the_interface_keeps_to_its_description(url, tmp_path):
+def test_every_route_of_the_api_answers_as_its_description_says(url, tmp_path):
     done = subprocess.run(
         [
             *(sys.executable, "-m", "schemathesis.cli"),

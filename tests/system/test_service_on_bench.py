@@ -19,7 +19,7 @@ ALLOWED = {44, 46, 48, 50, 56, 57, 136}
 pytestmark = pytest.mark.system
 
 
-def test_under_a_measured_sky_each_cycle_ends_where_the_law_says(tmp_path, start_bench, start_service, measured):
+def test_under_a_measured_sky_the_tracker_settles_where_the_law_says(tmp_path, start_bench, start_service, measured):
     file = measured / "dtu_lyngby_2016" / "2016-06.csv.gz"
     options = ("--weather", file, "--start", "2016-06-05T11:10Z", "--site", "55.79,12.52,50")
     bench = start_bench("--config", brisk(tmp_path), *options)
@@ -45,7 +45,9 @@ a_axis = { low_deg = -60.0 }
     ],
     ids=["other arms", "slew drives"],
 )
-def test_a_configured_geometry_is_that_of_the_bench_and_of_the_service(tmp_path, start_bench, start_service, geometry):
+def test_the_bench_and_the_service_use_the_configured_geometry_of_the_positioner(
+    tmp_path, start_bench, start_service, geometry
+):
     config = brisk(tmp_path, positioner=geometry)
     rig = Rig(bench := start_bench("--config", config, *HIGH_SUN), start_service(bench.config))
     rig.settle()
@@ -55,7 +57,7 @@ def test_a_configured_geometry_is_that_of_the_bench_and_of_the_service(tmp_path,
 
 @pytest.mark.parametrize("devices", [("positioner",), ("voltmeter", "multiplexer")], ids="-".join)
 @pytest.mark.long
-def test_a_pulled_plug_is_survived_while_the_service_runs(start_rig, devices):
+def test_the_running_service_survives_a_pulled_plug_in_each_phase_and_reports_each_outage_once(start_rig, devices):
     rig = start_rig()
     stored = rig.bench.state()["positioner"]["stored"]
     rig.settle()
@@ -72,7 +74,9 @@ def test_a_pulled_plug_is_survived_while_the_service_runs(start_rig, devices):
     assert positioner["stored"] == stored
 
 
-def test_plugs_that_are_out_before_the_start_are_waited_for_at_rest(tmp_path, start_bench, start_service):
+def test_the_service_waits_with_little_processor_load_for_plugs_that_are_out_before_its_start(
+    tmp_path, start_bench, start_service
+):
     bench = start_bench("--config", brisk(tmp_path), *HIGH_SUN)
     for device in ROLES:
         bench.ask("unplug", device)
@@ -96,7 +100,9 @@ def test_plugs_that_are_out_before_the_start_are_waited_for_at_rest(tmp_path, st
 
 
 @pytest.mark.long
-def test_a_board_that_restarts_at_open_or_in_mid_run_is_waited_for_homed_and_used(tmp_path, start_bench, start_service):
+def test_a_positioner_board_that_restarts_at_open_or_in_mid_run_is_waited_for_homed_and_used(
+    tmp_path, start_bench, start_service
+):
     config = brisk(
         tmp_path,
         positioner='dtr = false\nboot_s = 5.0\nboot_banner = "POZSOL36A1 ready"\n'
@@ -119,7 +125,7 @@ def test_a_board_that_restarts_at_open_or_in_mid_run_is_waited_for_homed_and_use
     assert rig.outages("it prints its banner") == 1
 
 
-def test_plugs_that_are_pulled_at_the_start_are_survived(start_rig):
+def test_the_service_survives_plugs_that_are_pulled_while_it_starts(start_rig):
     rig = start_rig()
     wait_until(lambda: "real instruments" in rig.service.log(), rig.service.log)
     for device in ROLES:
@@ -167,7 +173,7 @@ def test_a_late_reply_is_never_credited_to_another_face(tmp_path, start_bench, s
             assert face.irradiance_w_m2 == pytest.approx(100 * (index + 1), abs=1.0)
 
 
-def test_wrong_and_silent_instruments_are_told_in_one_sentence_and_waited_for(tmp_path, start_bench, start_service):
+def test_wrong_and_silent_instruments_are_reported_once_and_waited_for(tmp_path, start_bench, start_service):
     bench = start_bench("--config", brisk(tmp_path), *HIGH_SUN)
     bench.ask("identity", "voltmeter", "KEITHLEY INSTRUMENTS INC.,MODEL 2700,1,B01")
     bench.ask("freeze", "positioner")
@@ -201,7 +207,7 @@ Task.__init__ = hanging(Task.__init__)
 
 
 @pytest.mark.long
-def test_a_library_whose_calls_do_not_return_is_told_waited_for_and_does_not_keep_the_service_from_ending(
+def test_a_library_that_hangs_is_reported_and_waited_for_and_does_not_keep_the_service_from_ending(
     tmp_path, start_bench, start_service, monkeypatch
 ):
     mark = tmp_path / "hang"
@@ -226,7 +232,7 @@ def test_a_library_whose_calls_do_not_return_is_told_waited_for_and_does_not_kee
     assert rig.service.wait() == 0
 
 
-def test_a_port_held_by_another_program_and_a_missing_ni_driver_are_told_and_waited_for(
+def test_a_port_held_by_another_program_and_a_missing_ni_driver_are_reported_and_waited_for(
     tmp_path, start_bench, start_service
 ):
     bench = start_bench("--config", brisk(tmp_path), *HIGH_SUN)

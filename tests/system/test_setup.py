@@ -65,7 +65,7 @@ class Terminal:
         return self._process.wait(PATIENCE_S)
 
 
-def test_a_rig_is_set_up_left_taken_up_again_moved_stopped_and_written(start_bench, tmp_path):
+def test_setup_can_be_left_and_resumed_moves_and_stops_an_axis_and_writes_the_configuration(start_bench, tmp_path):
     bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
     file = tmp_path / "rig" / "heliocube.toml"
     first = Terminal(file)

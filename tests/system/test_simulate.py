@@ -66,7 +66,7 @@ def plain_means(scans, decisions):
 
 # A clear sky, and a closed one that opens.
 @pytest.mark.parametrize("start", ["2016-06-05T09:00", "2016-03-15T12:00"])
-def test_on_measured_days_mu_prime_lands_where_the_equations_put_it(measured, tmp_path, start):
+def test_on_measured_days_the_tracker_stands_where_the_equations_of_mu_prime_say(measured, tmp_path, start):
     weather = measured / "dtu_lyngby_2016" / f"{start[:7]}.csv.gz"
     day(tmp_path, start, weather, "mu-prime", LYNGBY, days=0.08)
     decisions = [row for row in rows(tmp_path / "decisions.csv") if row["mode"] == "tracking"]
@@ -101,7 +101,7 @@ def test_on_measured_days_mu_prime_lands_where_the_equations_put_it(measured, tm
     assert settled > 0.95 * len(decisions)
 
 
-def test_on_the_measured_clear_day_the_sun_vector_is_the_sun(measured, tmp_path):
+def test_on_the_measured_clear_day_the_sun_vector_points_within_3_degrees_of_the_sun(measured, tmp_path):
     weather = measured / "dtu_lyngby_2016" / "2016-06.csv.gz"
     day(tmp_path, "2016-06-05T10:30", weather, "sun-vector", LYNGBY, days=0.1, scan_every_s=30)
     high = [row for row in rows(tmp_path / "decisions.csv") if float(row["sun_elevation_deg"]) > 15]
@@ -138,7 +138,7 @@ def test_on_the_built_in_overcast_day_the_tracker_lies_nearly_flat(tmp_path):
     assert sum(tilts) / len(tilts) < 10
 
 
-def test_on_the_built_in_clear_day_it_follows_the_sun_within_the_over_tilt_of_mu_prime(tmp_path):
+def test_on_the_built_in_clear_day_mu_prime_follows_the_sun_within_its_over_tilt(tmp_path):
     summary = day(tmp_path, "2022-06-21T10:30", "clear", "mu-prime", days=0.12, scan_every_s=30)
     for row in rows(tmp_path / "decisions.csv"):
         sun_elevation = float(row["sun_elevation_deg"])
@@ -178,7 +178,7 @@ def test_parquet_tables_open_in_pandas(tmp_path):
         (["--start", "2022-10-14", "--site", "here"], "LAT,LON"),
     ],
 )
-def test_bad_input_is_one_sentence_and_writes_nothing(tmp_path, arguments, sentence):
+def test_a_wrong_argument_of_simulate_is_refused_with_a_sentence_and_nothing_is_written(tmp_path, arguments, sentence):
     result = CliRunner().invoke(app, ["simulate", "--out", str(tmp_path / "out"), *arguments])
     assert isinstance(result.exception, UserError)
     assert sentence in str(result.exception)
@@ -194,7 +194,9 @@ def test_bad_input_is_one_sentence_and_writes_nothing(tmp_path, arguments, sente
         ("", "empty"),
     ],
 )
-def test_a_bad_weather_file_is_one_sentence_with_its_place_and_writes_nothing(tmp_path, content, sentence):
+def test_a_bad_weather_file_is_refused_in_one_sentence_with_the_place_and_nothing_is_written(
+    tmp_path, content, sentence
+):
     weather = tmp_path / "weather.csv"
     weather.write_text(content)
     with pytest.raises(UserError, match=sentence) as caught:
@@ -213,7 +215,7 @@ def test_a_weather_file_that_ends_before_the_simulation_is_refused_at_the_start(
     assert not (tmp_path / "out").exists()
 
 
-def test_ctrl_c_leaves_whole_tables_of_what_was_done(tmp_path):
+def test_ctrl_c_leaves_complete_tables_of_what_was_simulated_until_then(tmp_path):
     def interrupt(share):
         if share > 0.3:
             signal.raise_signal(signal.SIGINT)

@@ -73,7 +73,7 @@ ENDS_ABOVE_ORDERS = """() => {
 
 
 @pytest.mark.parametrize("viewport", [SMALL, browsers.TABLET, browsers.DESKTOP], ids=["phone", "tablet", "desktop"])
-def test_every_view_has_a_stop_that_is_covered_by_nothing_and_acts_at_once(context, site, auto, viewport):
+def test_every_view_has_a_stop_button_that_nothing_covers_and_that_acts_at_once(context, site, auto, viewport):
     page = logged_in(context, site)
     page.page.set_viewport_size(viewport)
     for view, shown in VIEWS.items():
@@ -92,7 +92,7 @@ def test_every_view_has_a_stop_that_is_covered_by_nothing_and_acts_at_once(conte
     assert page.complaints == []
 
 
-def test_on_a_phone_the_orders_hide_neither_the_end_of_a_view_nor_its_tabs(context, site):
+def test_on_a_phone_the_bar_of_orders_hides_neither_the_end_of_a_view_nor_the_tabs(context, site):
     page = browsers.Page(context, site.url)
     for view, shown in VIEWS.items():
         page.show(view)
@@ -102,7 +102,7 @@ def test_on_a_phone_the_orders_hide_neither_the_end_of_a_view_nor_its_tabs(conte
         assert page.page.locator(".tabs a").evaluate_all(f"tabs => tabs.every({IN_REACH})")
 
 
-def test_of_several_trackers_the_orders_name_theirs_in_every_view(browser, tmp_path):
+def test_with_several_trackers_stop_names_and_stops_the_selected_one_and_stop_all_stops_every_one(browser, tmp_path):
     with browsers.fleet_site(tmp_path) as site, browser.new_context(viewport=SMALL) as context:
         page = browsers.Page(context, site.url)
         page.sees("#tracker", "t7")
@@ -133,7 +133,7 @@ def test_of_several_trackers_the_orders_name_theirs_in_every_view(browser, tmp_p
 ENDED = "Your login has ended: after 30 days without use, by a restart of the dashboard, or by a logout in another tab."
 
 
-def test_a_stop_after_the_login_has_ended_is_said_not_to_be_given_until_somebody_logs_in(context, site, auto):
+def test_a_stop_after_the_login_has_ended_is_shown_as_not_given_until_the_user_logs_in(context, site, auto):
     page = logged_in(context, site)
     context.clear_cookies()
     pressed(page, "Stop tracker, SIRTA")
@@ -156,7 +156,7 @@ def test_a_stop_after_the_login_has_ended_is_said_not_to_be_given_until_somebody
     assert page.complaints == []
 
 
-def test_a_stow_after_the_login_has_ended_is_given_to_whoever_logs_in(context, site, auto):
+def test_a_stow_after_the_login_has_ended_is_given_once_the_user_has_logged_in(context, site, auto):
     page = logged_in(context, site)
     context.clear_cookies()
     pressed(page, "Stow tracker, SIRTA")

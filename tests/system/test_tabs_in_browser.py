@@ -75,7 +75,7 @@ def test_seven_tabs_of_one_browser_are_all_live_over_one_stream(context, site):
     wait_until(lambda: listeners(site) in (1, 2), "one stream for seven tabs")
 
 
-def test_who_has_logged_in_or_out_in_one_tab_has_in_the_others(context, site):
+def test_a_login_or_logout_in_one_tab_takes_effect_in_the_others(context, site):
     first, other = browsers.Page(context, site.url, "control"), browsers.Page(context, site.url)
     first.sees(".hero h1", "Tracking")
     other.page.locator("#who").click()
@@ -88,7 +88,7 @@ def test_who_has_logged_in_or_out_in_one_tab_has_in_the_others(context, site):
     assert first.complaints == other.complaints == []
 
 
-def test_what_was_shown_before_a_machine_slept_is_old_when_it_wakes(context, site):
+def test_values_from_before_the_computer_slept_are_shown_as_old_when_it_wakes(context, site):
     page = browsers.Page(context, site.url)
     page.sees(".hero h1", "Tracking")
     # A browser has two clocks. The one that counts from its start stands still while the machine sleeps.
@@ -105,7 +105,7 @@ def test_what_was_shown_before_a_machine_slept_is_old_when_it_wakes(context, sit
     page.sees(".hero h1", "Tracking")
 
 
-def test_a_tab_shows_nothing_that_an_older_one_heard_before_it_was_hidden(context, site):
+def test_a_new_tab_does_not_show_the_old_state_that_a_hidden_tab_received(context, site):
     older = browsers.Page(context, site.url)
     older.sees(".hero h1", "Tracking")
     before = listeners(site)
@@ -135,7 +135,7 @@ def test_a_tab_behind_another_one_has_the_state_in_its_title(context, site):
     assert behind.text(".hero h1") == "Tracking"
 
 
-def test_the_loss_of_the_dashboard_is_told_by_the_clock_of_the_service(context, tmp_path):
+def test_the_loss_of_the_dashboard_is_shown_with_its_time_by_the_clock_of_the_service(context, tmp_path):
     # The reader's clock is two months late, and the simulated day is years ago.
     context.add_init_script("const now = Date.now.bind(Date); Date.now = () => now() - 5e9")
     with browsers.simulated_site(tmp_path) as site:
@@ -151,7 +151,7 @@ def test_the_loss_of_the_dashboard_is_told_by_the_clock_of_the_service(context, 
     assert 0 <= since - shown < 120
 
 
-def test_the_symbols_stay_when_the_dashboard_is_gone(context, tmp_path):
+def test_the_symbols_of_the_page_are_still_drawn_when_the_dashboard_is_gone(context, tmp_path):
     dashboard, url = browsers.run_dashboard(tmp_path, f"127.0.0.1:{free_port()}")
     page = browsers.Page(context, url)
     page.sees(".hero h1", "No connection")
@@ -176,7 +176,7 @@ def dashboard_of(files, site, listen):
         process.wait(PATIENCE_S)
 
 
-def test_after_an_upgrade_no_page_is_told_by_the_code_of_an_older_one(context, site, tmp_path):
+def test_after_an_upgrade_of_the_dashboard_open_pages_do_not_depend_on_the_older_code(context, site, tmp_path):
     older = tmp_path / "older"
     shutil.copytree(STATIC, older)
     for name, now, before in (

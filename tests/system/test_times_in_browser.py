@@ -44,7 +44,7 @@ def test_a_local_time_has_the_local_date(browser, tmp_path):
     ]
 
 
-def test_what_lasts_over_midnight_gets_its_date_then(context, tmp_path):
+def test_the_beginning_of_what_lasts_over_midnight_is_shown_with_its_date_from_then_on(context, tmp_path):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     said = page.page.evaluate("""async () => {
       const { hero } = await import("/static/js/views/hero.js");
@@ -63,7 +63,7 @@ def test_what_lasts_over_midnight_gets_its_date_then(context, tmp_path):
         assert f"since 2022-09-21 23:10{FIRM}local" in after
 
 
-def test_a_stop_from_the_day_before_is_told_since_then_after_a_restart_too(context, tmp_path):
+def test_a_stop_from_the_day_before_is_shown_with_its_own_beginning_after_a_restart_too(context, tmp_path):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     said = page.page.evaluate("""async () => {
       const { hero } = await import("/static/js/views/hero.js");
@@ -78,7 +78,7 @@ def test_a_stop_from_the_day_before_is_told_since_then_after_a_restart_too(conte
     assert said.endswith(f", for 12{FIRM}h 0{FIRM}min")
 
 
-def test_the_light_of_a_decision_is_told_only_while_the_law_decides(context, tmp_path):
+def test_the_light_of_a_decision_is_shown_only_while_the_law_decides(context, tmp_path):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     said = page.page.evaluate("""async () => {
       const { light } = await import("/static/js/views/cards.js");
@@ -92,7 +92,7 @@ def test_the_light_of_a_decision_is_told_only_while_the_law_decides(context, tmp
     assert said == [False, True, False]
 
 
-def test_a_stow_is_let_go_in_so_long_or_nobody_knows_when(context, tmp_path):
+def test_a_wind_stow_shows_the_time_until_its_release_or_the_reason_why_none_is_known(context, tmp_path):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     said = page.page.evaluate("""async () => {
       const { wind } = await import("/static/js/views/cards.js");
@@ -111,7 +111,7 @@ def test_a_stow_is_let_go_in_so_long_or_nobody_knows_when(context, tmp_path):
     ]
 
 
-def test_times_in_the_sentences_of_a_service_are_told_as_the_page_tells_its_own(browser, tmp_path):
+def test_times_in_the_sentences_of_a_service_are_shown_in_local_time_as_the_pages_own(browser, tmp_path):
     with browser.new_context(timezone_id="Europe/Paris") as context:
         page = MadeSite(tmp_path).open(context, MIDNIGHT)
         said = page.page.evaluate("""async () => {
@@ -145,7 +145,7 @@ def test_times_in_the_sentences_of_a_service_are_told_as_the_page_tells_its_own(
     ]
 
 
-def test_no_line_ends_between_a_number_and_its_unit(context, tmp_path):
+def test_no_line_breaks_between_a_number_and_its_unit(context, tmp_path):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     broken = page.page.evaluate("""async () => {
       const { hero } = await import("/static/js/views/hero.js");

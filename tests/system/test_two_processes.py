@@ -83,7 +83,7 @@ def start(tmp_path, free_udp_port):
             process.end(signal.SIGKILL)
 
 
-def test_the_tracker_tracks_falls_back_and_tracks_again_whoever_dies(start):
+def test_the_tracker_falls_back_without_the_cube_and_tracks_again_after_a_kill_of_either_process(start):
     tracker = start("tracker")
     seen = tracker.wait_for(r"starting -> fallback")
     cube = start("cube")
@@ -106,7 +106,7 @@ def test_the_tracker_tracks_falls_back_and_tracks_again_whoever_dies(start):
         assert "SIMULATED" in process.text()
 
 
-def test_a_cube_with_another_key_steers_nothing_and_is_told(start, tmp_path):
+def test_a_cube_with_another_key_is_reported_and_does_not_steer_the_tracker(start, tmp_path):
     tracker = start("tracker")
     tracker.wait_for(r"starting -> fallback")
     (tmp_path / "bridge.key").unlink()

@@ -64,7 +64,7 @@ TWO_ALARMS = """async () => {
 }"""
 
 
-def test_a_double_tap_acknowledges_no_alarm_that_takes_the_place_of_the_one_that_was_meant(browser, tmp_path):
+def test_a_double_tap_does_not_acknowledge_the_alarm_that_takes_the_place_of_the_first(browser, tmp_path):
     with browser.new_context() as context:
         twice, given = MadeSite(tmp_path).open(context, MIDNIGHT).page.evaluate(TWO_ALARMS)
     assert twice == ["move-failed"]
@@ -77,7 +77,7 @@ def shown(browser, folder, remedies, why="x"):
 
 
 @pytest.mark.parametrize("tracker", [None, "t7"])
-def test_what_to_do_names_the_buttons_of_the_page(browser, tmp_path, tracker):
+def test_the_remedy_of_an_alarm_names_the_buttons_of_the_page(browser, tmp_path, tracker):
     kinds = ("unexplained-motion", "positioner-fault", "release-changed")
     said = shown(browser, tmp_path, [as_typed(KINDS[kind].remedy, tracker) for kind in kinds])
     moved, *others = said["remedies"]
@@ -91,7 +91,7 @@ def test_what_to_do_names_the_buttons_of_the_page(browser, tmp_path, tracker):
     ]
 
 
-def test_a_sentence_of_the_service_names_the_buttons_of_the_page(browser, tmp_path):
+def test_a_sentence_of_the_service_is_shown_with_the_names_of_buttons_in_place_of_commands(browser, tmp_path):
     why = "a button is pressed: held until 'heliocube auto'; 'heliocube alarms ack x --tracker t7', 'heliocube status'"
     said = shown(browser, tmp_path, [], why)
     assert said["told"] == ["A button is pressed: held until Auto; Acknowledge, 'heliocube status'"] * 3

@@ -45,7 +45,7 @@ print(Client(parse_address("127.0.0.1:5000"), "t" * 43).command("stop").text)
 """
 
 
-def test_a_stop_gets_through_where_a_flood_from_this_machine_has_used_up_all_ports_of_its_address():
+def test_a_stop_gets_through_when_all_local_ports_of_its_address_are_used_up():
     why = without_namespaces()
     if why:
         pytest.skip(why)
@@ -55,9 +55,7 @@ def test_a_stop_gets_through_where_a_flood_from_this_machine_has_used_up_all_por
 
 
 @pytest.mark.parametrize(("name", "is_dropped"), [("auto", True), ("stop", False)])
-def test_an_order_that_was_given_up_is_not_sent_on_once_the_network_is_back_unless_it_is_a_stop(
-    monkeypatch, name, is_dropped
-):
+def test_a_command_that_timed_out_is_not_delivered_later_unless_it_is_a_stop(monkeypatch, name, is_dropped):
     monkeypatch.setattr(client, "_TIMEOUT_S", 0.3)
     with socket.create_server(("127.0.0.1", 0)) as service:
         address = parse_address("{}:{}".format(*service.getsockname()))
@@ -75,7 +73,7 @@ def test_an_order_that_was_given_up_is_not_sent_on_once_the_network_is_back_unle
         assert (ended == "dropped") is is_dropped
 
 
-def test_a_copied_file_looks_at_and_orders_no_other_tracker_and_a_stop_says_which_one_stands(serve, tmp_path):
+def test_a_copied_configuration_reaches_no_other_tracker_and_its_stop_names_the_stopped_one(serve, tmp_path):
     roof, copy, link = (tmp_path / name for name in ("roof.toml", "copy.toml", "link.toml"))
 
     async def scenario(rig, call):
@@ -106,7 +104,7 @@ def test_a_copied_file_looks_at_and_orders_no_other_tracker_and_a_stop_says_whic
 
 
 @pytest.mark.parametrize(("name", "undone"), [("hold", "nothing is done"), ("stop", "nothing was stopped")])
-def test_another_token_in_a_copied_file_does_not_hide_whose_service_answers(serve, tmp_path, name, undone):
+def test_a_wrong_token_in_a_copied_configuration_does_not_hide_whose_service_answers(serve, tmp_path, name, undone):
     roof, copy = tmp_path / "roof.toml", tmp_path / "copy.toml"
 
     async def scenario(rig, call):
@@ -123,13 +121,13 @@ def test_another_token_in_a_copied_file_does_not_hide_whose_service_answers(serv
     serve(scenario, file=roof)
 
 
-def test_a_file_with_an_address_and_a_token_alone_leads_to_any_service(tmp_path):
+def test_a_file_with_only_an_api_address_may_lead_to_any_service(tmp_path):
     file = tmp_path / "way.toml"
     file.write_text('[api]\nlisten = "127.0.0.1:20572"\n', encoding="utf-8")
     assert find_unarmed(file, None).configuration == ()
 
 
-def test_whoever_named_a_file_without_a_token_is_not_told_to_name_it(tmp_path):
+def test_refusal_for_a_given_file_without_a_token_file_does_not_advise_the_config_option(tmp_path):
     file = tmp_path / "heliocube.toml"
     file.write_text('[api]\nlisten = "127.0.0.1:1"\n[bridge]\n')
     with pytest.raises(UserError) as refused:
@@ -139,7 +137,7 @@ def test_whoever_named_a_file_without_a_token_is_not_told_to_name_it(tmp_path):
     assert "--config" not in told
 
 
-def test_a_token_in_the_home_of_nobody_is_one_sentence(tmp_path):
+def test_a_token_file_in_an_unknown_users_home_is_refused_in_one_sentence(tmp_path):
     file = tmp_path / "heliocube.toml"
     file.write_text('[api]\ntoken_file = "~nobody-of-that-name/api.token"\n')
     with pytest.raises(UserError, match=f"^api.token_file in {file}: .*home"):

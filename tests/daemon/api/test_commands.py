@@ -15,7 +15,7 @@ from tests.support.phases import at_rest, tracking, under_way
 OTHER_TOKEN = "the token is not the service's: restart the service after a change of api.token_file"
 
 
-def test_a_stop_over_the_interface_reaches_the_unit_before_anything_else(serve, monkeypatch):
+def test_a_stop_over_http_reaches_the_positioner_before_anything_else(serve, monkeypatch):
     async def scenario(rig, call):
         await under_way(rig)
         sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
@@ -30,7 +30,7 @@ def test_a_stop_over_the_interface_reaches_the_unit_before_anything_else(serve, 
     serve(scenario)
 
 
-def test_goto_goes_and_outside_the_limits_is_refused_with_the_limits(serve):
+def test_goto_moves_the_tracker_and_outside_the_limits_is_refused_naming_the_limits(serve):
     async def scenario(rig, call):
         await tracking(rig)
         await at_rest(rig)
@@ -56,7 +56,7 @@ def test_goto_needs_two_numbers(serve, body):
     serve(scenario)
 
 
-def test_the_tracker_of_a_command_stands_in_the_body_or_in_the_query(serve):
+def test_a_command_takes_its_tracker_from_the_body_or_the_query(serve):
     async def scenario(rig, call):
         east, west = rig.service.trackers
         await rig.until(lambda: west.control.mode is east.control.mode is Mode.TRACKING, 120, "tracking of both")
@@ -88,7 +88,7 @@ def test_the_tracker_of_a_command_stands_in_the_body_or_in_the_query(serve):
     ("query", "body"),
     [("?tracker=east&tracker=west", b""), ("?tracker=", b""), ("?tracker=east", b'{"tracker": "west"}')],
 )
-def test_a_stop_whose_tracker_is_not_clear_is_for_all_and_nothing_else_is_done_for_one(serve, query, body):
+def test_with_an_ambiguous_tracker_a_stop_stops_all_trackers_and_a_hold_is_refused(serve, query, body):
     async def scenario(rig, call):
         east, west = rig.service.trackers
         await rig.until(lambda: west.control.mode is east.control.mode is Mode.TRACKING, 120, "tracking of both")
@@ -125,7 +125,7 @@ def test_a_stop_of_one_tracker_lets_the_others_go_on(serve, query, body):
         ({"Authorization": "Bearer \xe9"}, OTHER_TOKEN),
     ],
 )
-def test_without_the_right_token_nothing_is_commanded(serve, headers, sentence):
+def test_every_command_without_the_right_token_is_refused_and_has_no_effect(serve, headers, sentence):
     async def scenario(rig, call):
         await tracking(rig)
         for command in ("stow", "hold", "auto", "stop", "goto", "home", "clear"):
@@ -151,7 +151,7 @@ def test_without_the_right_token_nothing_is_commanded(serve, headers, sentence):
     ],
     ids=lambda value: repr(value)[:30],
 )
-def test_a_body_that_cannot_be_meant_is_one_sentence_and_commands_nothing(serve, body, status, sentence):
+def test_a_malformed_or_too_long_body_is_refused_in_one_sentence_and_has_no_effect(serve, body, status, sentence):
     async def scenario(rig, call):
         await tracking(rig)
         reply = await call.post("stow", body)
@@ -166,7 +166,9 @@ def test_a_body_that_cannot_be_meant_is_one_sentence_and_commands_nothing(serve,
     ("hold", False, True),
     ("stop", True, True),
 ])  # fmt: skip
-def test_an_order_that_waited_for_a_service_that_stood_still_is_dropped_if_it_was_cut_off(serve, name, cut_off, obeyed):
+def test_after_a_stall_of_the_service_a_cut_off_hold_is_dropped_and_a_cut_off_stop_is_obeyed(
+    serve, name, cut_off, obeyed
+):
     async def scenario(rig, call):
         await tracking(rig)
         host, port = call.server.url.removeprefix("http://").split(":")
@@ -183,7 +185,7 @@ def test_an_order_that_waited_for_a_service_that_stood_still_is_dropped_if_it_wa
     serve(scenario)
 
 
-def test_a_body_without_end_is_not_read_to_its_end(serve):
+def test_an_endless_body_is_refused_without_being_read_to_the_end(serve):
     async def scenario(rig, call):
         reader, writer = await call.open("POST", "/api/stow", headers=BEARER, length=1 << 40)
         sent = 0
@@ -202,7 +204,7 @@ def test_a_body_without_end_is_not_read_to_its_end(serve):
     serve(scenario)
 
 
-def test_an_auto_ends_nothing_that_whoever_gave_it_was_not_shown(serve):
+def test_auto_is_refused_when_it_would_end_a_wish_that_its_sender_was_not_shown(serve):
     async def scenario(rig, call):
         await tracking(rig)
         await call.post("stow", b'{"by": "ana"}')

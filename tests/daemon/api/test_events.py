@@ -8,7 +8,7 @@ from daemon.base.records import Event
 from tests.support.phases import tracking
 
 
-def test_events_bring_the_state_and_every_record_and_end_with_the_service(serve):
+def test_event_stream_sends_the_state_scans_poses_and_events(serve):
     async def scenario(rig, call):
         await tracking(rig)
         reader, writer = await call.open("GET", "/api/events")
@@ -29,7 +29,7 @@ def test_events_bring_the_state_and_every_record_and_end_with_the_service(serve)
     serve(scenario)
 
 
-def test_the_seventeenth_listener_is_sent_away(serve):
+def test_the_seventeenth_event_listener_is_refused_with_503(serve):
     async def scenario(rig, call):
         connections = [await call.open("GET", "/api/events") for _ in range(16)]
         for reader, _ in connections:
@@ -45,7 +45,7 @@ def test_the_seventeenth_listener_is_sent_away(serve):
     serve(scenario)
 
 
-def test_no_more_than_sixteen_listen_where_many_come_at_once(serve):
+def test_only_sixteen_of_forty_simultaneous_event_listeners_are_admitted(serve):
     async def scenario(rig, call):
         connections = await asyncio.gather(*(call.open("GET", "/api/events") for _ in range(40)))
         statuses = [int((await reader.readline()).split()[1]) for reader, _ in connections]
@@ -56,7 +56,7 @@ def test_no_more_than_sixteen_listen_where_many_come_at_once(serve):
     serve(scenario)
 
 
-def test_whoever_asks_for_the_head_of_the_events_alone_takes_no_place(serve):
+def test_head_requests_for_the_event_stream_take_no_listener_place(serve):
     async def scenario(rig, call):
         asked = [await call.open("HEAD", "/api/events") for _ in range(16)]
         for reader, _ in asked:
@@ -73,7 +73,7 @@ def test_whoever_asks_for_the_head_of_the_events_alone_takes_no_place(serve):
     serve(scenario)
 
 
-def test_one_far_address_has_half_of_the_listeners_places(serve):
+def test_one_far_address_gets_at_most_half_of_the_event_listener_places(serve):
     async def scenario(rig, call):
         far = {"X-Forwarded-For": "192.0.2.7"}
         connections = [await call.open("GET", "/api/events", headers=far) for _ in range(8)]

@@ -15,7 +15,7 @@ from tests.support.api import Caller, server_of
 from tests.support.phases import tracking
 
 
-def test_health_names_a_positioner_that_is_down_once(serve):
+def test_health_names_a_disconnected_positioner_exactly_once(serve):
     async def scenario(rig, call):
         await tracking(rig)
         rig.cables.positioner.link_up = False
@@ -27,7 +27,7 @@ def test_health_names_a_positioner_that_is_down_once(serve):
     serve(scenario)
 
 
-def test_health_is_bad_when_control_no_longer_looks(serve):
+def test_health_is_bad_when_the_control_loop_has_not_run_for_half_a_minute(serve):
     async def scenario(rig, call):
         await tracking(rig)
         rig.control.last_tick_s -= 31
@@ -47,7 +47,7 @@ LINK = LinkStatus("broker:1883", True, 0.0, None, 1, 0, 0, 0, 0, None, troubles=
     ("seen", "down"),
     [({"store": DISK_FULL}, "store: the disk is full"), ({"links": {"tracker": LINK}}, f"mqtt: {BAD_WORD}")],
 )
-def test_health_names_what_does_not_work(run_rig, seen, down):
+def test_health_names_a_full_disk_and_an_unusable_mqtt_message(run_rig, seen, down):
     async def scenario(rig):
         settings = rig.service.settings.api.model_copy(update={"listen": "127.0.0.1:0"})
         server = server_of(rig, settings, **seen)
@@ -60,7 +60,7 @@ def test_health_names_what_does_not_work(run_rig, seen, down):
     run_rig(scenario)
 
 
-def test_health_of_a_tracker_names_scans_that_never_came(serve):
+def test_health_of_a_tracker_reports_that_no_scan_has_come_since_the_start(serve):
     async def scenario(rig, call):
         await asyncio.sleep(30)
         assert (await call.get("/healthz")).json["down"] == [], "it has only just started"
@@ -70,7 +70,7 @@ def test_health_of_a_tracker_names_scans_that_never_came(serve):
     serve(scenario, role=Role.TRACKER)
 
 
-def test_a_tracker_whose_address_is_not_there_follows_the_sun_and_says_so_at_every_door(serve):
+def test_a_tracker_without_its_bridge_address_follows_the_sun_and_all_pages_report_it(serve):
     # No machine has this address (RFC 5737).
     address = "198.51.100.1:20571"
 
@@ -94,7 +94,9 @@ def test_a_tracker_whose_address_is_not_there_follows_the_sun_and_says_so_at_eve
     ("accept_from", "mode"),
     [((), Mode.TRACKING), (("198.51.100.1",), Mode.TRACKING), (("198.51.100.2",), Mode.FALLBACK)],
 )
-def test_a_cube_of_the_same_process_is_heard_without_the_address_by_the_rules_for_it(run_rig, accept_from, mode):
+def test_a_cube_in_the_same_process_is_heard_without_the_bridge_address_if_accept_from_allows(
+    run_rig, accept_from, mode
+):
     async def scenario(rig):
         await rig.until_mode(mode, 120)
         service = rig.service
@@ -105,7 +107,7 @@ def test_a_cube_of_the_same_process_is_heard_without_the_address_by_the_rules_fo
     run_rig(scenario, bridge=bridge, safety={"fallback_after_s": 90})
 
 
-def test_a_cube_in_another_process_that_has_fallen_silent_is_in_trouble(run_rig):
+def test_a_silent_cube_in_another_process_is_reported_as_trouble(run_rig):
     async def scenario(rig):
         recent = Recent()
         rig.bus.subscribe(recent.note)

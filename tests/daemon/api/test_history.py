@@ -18,7 +18,7 @@ from tests.support.api import BEARER, Caller, server_of
 SPAN = "from=2022-10-14T05:00Z&to=2022-10-15T05:00Z"
 
 
-def test_stored_days_are_read_over_the_interface(run_rig, tmp_path):
+def test_stored_days_and_records_can_be_read_over_http(run_rig, tmp_path):
     store = Store(tmp_path, 60.0, 400, ORIGIN, SystemClock(), lambda event: None)
     # The event is on this evening by UTC, and on the next day by the sun 2 degrees east of Greenwich.
     for record in (*ALL, Event(T0 + 17.9 * 3600.0, 1.0, "x", "")):
@@ -59,7 +59,7 @@ def test_stored_days_are_read_over_the_interface(run_rig, tmp_path):
     run_rig(scenario)
 
 
-def test_where_no_records_are_kept_that_is_said_with_the_remedy(serve):
+def test_a_request_for_stored_days_without_a_store_is_refused_naming_store_directory(serve):
     async def scenario(rig, call):
         reply = await call.get("/api/days")
         assert (reply.status, reply.json) == (409, {"error": "no records are kept here: set store.directory"})
@@ -67,7 +67,7 @@ def test_where_no_records_are_kept_that_is_said_with_the_remedy(serve):
     serve(scenario)
 
 
-def test_the_suns_path_is_that_of_the_solar_day_by_pvlib(serve):
+def test_the_suns_path_over_http_covers_the_solar_day_and_matches_pvlib(serve):
     async def scenario(rig, call):
         found = (await call.get("/api/sun?at=2022-06-21T10:00:00Z")).json
         assert len(found["path"]) == 145

@@ -47,7 +47,7 @@ async def metric(call, name):
 
 
 @pytest.mark.parametrize("contents", [(b"", HALF_A_HEAD, HALF_A_BODY), (HALF_A_BODY,)], ids=["all kinds", "bodies"])
-def test_idle_and_half_sent_connections_keep_out_no_command_and_no_reader(serve, monkeypatch, caplog, contents):
+def test_idle_and_half_sent_connections_block_neither_a_stop_nor_a_reader(serve, monkeypatch, caplog, contents):
     async def scenario(rig, call):
         await under_way(rig)
         reader, writer = await connect(call, b"GET /api/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
@@ -84,7 +84,7 @@ def test_a_stop_is_obeyed_whatever_its_body_is(serve, body):
     serve(scenario)
 
 
-def test_a_stop_whose_body_never_comes_whole_is_obeyed_and_one_without_the_token_is_not(serve):
+def test_a_stop_with_an_incomplete_body_is_obeyed_only_with_the_token(serve):
     async def scenario(rig, call):
         await under_way(rig)
         for headers in ({}, BEARER):
@@ -99,7 +99,7 @@ def test_a_stop_whose_body_never_comes_whole_is_obeyed_and_one_without_the_token
 
 
 @pytest.mark.parametrize("content", [b"", HALF_A_HEAD, HALF_A_BODY], ids=["nothing", "half a head", "half a body"])
-def test_what_is_not_finished_within_seconds_is_closed(serve, content):
+def test_a_connection_without_a_whole_request_is_closed_after_5_to_8_seconds(serve, content):
     async def scenario(rig, call):
         reader, writer = await connect(call, content)
         begun_s = rig.clock.monotonic()
@@ -110,7 +110,7 @@ def test_what_is_not_finished_within_seconds_is_closed(serve, content):
     serve(scenario)
 
 
-def test_a_head_that_comes_byte_by_byte_gets_no_more_time_nor_does_the_second_one(serve):
+def test_a_request_head_sent_byte_by_byte_gets_no_more_time_nor_does_a_second_one(serve):
     async def scenario(rig, call):
         for first, within_s in ((b"", 8), (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n", 13)):
             reader, writer = await connect(call, first)
@@ -128,7 +128,7 @@ def test_a_head_that_comes_byte_by_byte_gets_no_more_time_nor_does_the_second_on
     serve(scenario)
 
 
-def test_a_listener_that_does_not_read_is_cut_off_and_one_that_does_is_not(serve):
+def test_an_event_listener_that_does_not_read_is_cut_off_and_one_that_reads_is_not(serve):
     async def scenario(rig, call):
         deaf = socket.socket()
         deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -152,7 +152,7 @@ def test_a_listener_that_does_not_read_is_cut_off_and_one_that_does_is_not(serve
     serve(scenario)
 
 
-def test_garbage_is_answered_in_a_sentence_and_fills_no_log(serve, caplog):
+def test_requests_that_are_not_http_get_a_clear_400_and_do_not_flood_the_log(serve, caplog):
     async def scenario(rig, call):
         for _ in range(60):
             reader, writer = await connect(call, b"\x16\x03\x01 nonsense\r\n\r\n")
@@ -167,7 +167,7 @@ def test_garbage_is_answered_in_a_sentence_and_fills_no_log(serve, caplog):
     assert "requests that are not HTTP: 1 more" in lines_of(caplog)[-1]
 
 
-def test_commands_without_the_token_fill_no_log(serve, caplog):
+def test_commands_with_a_wrong_token_do_not_flood_the_log(serve, caplog):
     async def scenario(rig, call):
         for _ in range(30):
             assert (await call.post("stop", headers={"Authorization": "Bearer guess"})).status == 401
@@ -198,7 +198,7 @@ def test_commands_without_the_token_fill_no_log(serve, caplog):
         ("", 421),
     ],
 )
-def test_only_hosts_of_this_machine_and_those_that_are_named_are_served(serve, host, status):
+def test_only_host_headers_of_this_machine_or_from_api_hosts_are_served(serve, host, status):
     async def scenario(rig, call):
         for method, path in (("GET", "/api/state"), ("POST", "/api/hold")):
             reply = await call(method, path, headers=BEARER | {"Host": host})
@@ -210,7 +210,7 @@ def test_only_hosts_of_this_machine_and_those_that_are_named_are_served(serve, h
     serve(scenario, hosts=("tracker.example.org:443",))
 
 
-def test_a_program_of_http_1_0_that_names_no_host_is_answered_and_commands_with_the_token_alone(serve):
+def test_an_http_1_0_request_without_a_host_is_answered_and_its_commands_need_the_token(serve):
     async def scenario(rig, call):
         authorised = f"Authorization: {BEARER['Authorization']}\r\n".encode()
         for asked, status in (
@@ -226,7 +226,7 @@ def test_a_program_of_http_1_0_that_names_no_host_is_answered_and_commands_with_
     serve(scenario)
 
 
-def test_readers_wait_for_their_turn_and_a_stop_does_not(serve, monkeypatch):
+def test_state_readers_wait_for_their_turn_and_a_stop_does_not(serve, monkeypatch):
     async def scenario(rig, call):
         await under_way(rig)
         readers = [asyncio.create_task(call.get("/api/state")) for _ in range(300)]
@@ -242,7 +242,7 @@ def test_readers_wait_for_their_turn_and_a_stop_does_not(serve, monkeypatch):
     serve(scenario)
 
 
-def test_reading_takes_a_quarter_of_the_time_whatever_a_page_costs():
+def test_read_requests_take_about_a_quarter_of_the_time_whatever_a_page_costs():
     async def scenario():
         loop = asyncio.get_running_loop()
         turns, spent_s = ReadTurns(loop.time, 1.0), 0.0
@@ -268,7 +268,7 @@ def test_reading_takes_a_quarter_of_the_time_whatever_a_page_costs():
         runner.run(scenario())
 
 
-def test_those_who_wait_for_a_turn_are_sent_away_when_the_service_ends():
+def test_readers_waiting_for_a_turn_are_sent_away_when_the_service_ends():
     async def scenario():
         turns = ReadTurns(asyncio.get_running_loop().time, 1.0)
         turns.charge(1.0)
@@ -298,7 +298,7 @@ class Held:
         self.aborted = True
 
 
-def test_one_address_has_thirty_two_connections_and_loopback_all_of_them():
+def test_a_far_address_keeps_at_most_32_connections_and_loopback_may_keep_more():
     refusals = ApiRefusals(lambda: 0.0)
     connections = Connections(Token("any"), refusals, 1.0)
     far = [Held("192.0.2.7") for _ in range(40)]
@@ -309,7 +309,7 @@ def test_one_address_has_thirty_two_connections_and_loopback_all_of_them():
     assert refusals.counts["crowded"] == 8
 
 
-def test_where_none_is_idle_the_oldest_without_the_token_gives_way_and_one_with_it_never():
+def test_with_no_idle_connection_the_oldest_without_the_token_is_dropped_never_one_with_it():
     connections = Connections(Token("any"), ApiRefusals(lambda: 0.0), 1.0)
     served = [
         Held("127.0.0.1", from_loopback=True, is_idle=False, bears_the_token=number not in (5, 6))
@@ -324,7 +324,7 @@ def test_where_none_is_idle_the_oldest_without_the_token_gives_way_and_one_with_
     assert connections.admit(Held("192.0.2.7"))
 
 
-def test_pipelined_requests_are_answered_in_order_and_an_upgrade_is_an_ordinary_request(serve, caplog):
+def test_pipelined_requests_are_all_answered_and_an_upgrade_is_treated_as_an_ordinary_request(serve, caplog):
     async def scenario(rig, call):
         upgrade = b"Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
         one = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
@@ -338,7 +338,7 @@ def test_pipelined_requests_are_answered_in_order_and_an_upgrade_is_an_ordinary_
     assert [record for record in caplog.records if record.levelno >= logging.WARNING and "api" in record.name] == []
 
 
-def test_whoever_comes_by_ipv4_to_a_socket_for_all_of_ipv6_is_treated_as_coming_by_ipv4(serve, monkeypatch):
+def test_callers_with_ipv4_mapped_ipv6_addresses_are_treated_as_ipv4_callers(serve, monkeypatch):
     own = "uvicorn.protocols.http.h11_impl"
     monkeypatch.setattr(f"{own}.get_local_addr", lambda transport: ("::ffff:192.0.2.2", 20572))
     monkeypatch.setattr(f"{own}.get_remote_addr", lambda transport: ("::ffff:127.0.0.1", 40000))
@@ -357,7 +357,7 @@ def test_whoever_comes_by_ipv4_to_a_socket_for_all_of_ipv6_is_treated_as_coming_
     "before", [b"", b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"], ids=["alone", "behind another"]
 )
 @pytest.mark.parametrize("end", [b"", b"\r\n\r\n"], ids=["half", "whole"])
-def test_a_long_head_is_refused_also_where_it_comes_in_one_piece(serve, caplog, before, end):
+def test_an_overlong_request_head_is_refused_even_when_sent_in_one_piece(serve, caplog, before, end):
     async def scenario(rig, call):
         reader, writer = await connect(call, before + HALF_A_HEAD + b"alhost" + b"\r\ny: 1" * 8_000 + end)
         reply = await closed(reader)
@@ -370,7 +370,7 @@ def test_a_long_head_is_refused_also_where_it_comes_in_one_piece(serve, caplog, 
     assert lines_of(caplog) == ["what 127.0.0.1 sends is a head that is too long"]
 
 
-def test_the_small_parts_of_a_body_without_the_token_are_taken_apart_a_few_at_a_time(serve, monkeypatch):
+def test_tiny_chunks_of_a_body_without_the_token_are_parsed_only_a_few_at_a_time(serve, monkeypatch):
     taken, take = [], h11.Connection.receive_data
     monkeypatch.setattr(h11.Connection, "receive_data", lambda conn, data: [taken.append(len(data)), take(conn, data)])
 

@@ -8,7 +8,7 @@ from tests.daemon.bridge.desk import Desk, scan
 from tests.support.phases import under_way
 
 
-def test_metrics_are_those_of_prometheus(serve):
+def test_metrics_page_has_prometheus_format_and_only_heliocube_names(serve):
     async def scenario(rig, call):
         await under_way(rig)
         reply = await call.get("/metrics")
@@ -27,7 +27,7 @@ def test_metrics_are_those_of_prometheus(serve):
     serve(scenario)
 
 
-def test_an_axis_at_zero_has_no_sign(run_rig):
+def test_an_angle_of_minus_zero_appears_in_the_metrics_without_a_sign(run_rig):
     async def scenario(rig):
         await rig.until(lambda: rig.motion.pose is not None, 60, "a pose")
         seen = rig.see()
@@ -39,7 +39,7 @@ def test_an_axis_at_zero_has_no_sign(run_rig):
     run_rig(scenario)
 
 
-def test_faults_of_a_positioner_that_does_not_answer_are_not_zero_but_not_there(serve):
+def test_the_fault_metric_is_absent_rather_than_zero_while_the_positioner_does_not_answer(serve):
     async def scenario(rig, call):
         await under_way(rig)
         assert b'heliocube_faults{tracker="tracker"} 0.0' in (await call.get("/metrics")).body

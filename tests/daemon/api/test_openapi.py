@@ -16,7 +16,7 @@ from tests.support.phases import tracking
 KEPT = ROOT / "docs" / "openapi.json"
 
 
-def test_the_file_in_docs_is_what_is_served(serve):
+def test_openapi_file_in_docs_equals_the_served_description(serve):
     kept = json.loads(KEPT.read_text(encoding="utf-8"))
     assert kept == json.loads(json.dumps(description())), "run: python -m daemon.api.openapi"
 
@@ -37,7 +37,7 @@ def test_every_route_is_described_with_its_method(run_rig):
     run_rig(scenario)
 
 
-def test_answers_are_as_the_models_say(serve):
+def test_http_answers_match_their_models(serve):
     async def scenario(rig, call):
         StatePage.model_validate((await call.get("/api/state")).json)
         await tracking(rig)
@@ -60,7 +60,7 @@ def test_answers_are_as_the_models_say(serve):
     serve(scenario)
 
 
-def test_the_state_of_several_trackers_is_as_the_model_says(serve):
+def test_the_state_of_several_trackers_matches_its_model(serve):
     async def scenario(rig, call):
         await asyncio.sleep(60)
         state = StatePage.model_validate((await call.get("/api/state")).json)
@@ -70,7 +70,7 @@ def test_the_state_of_several_trackers_is_as_the_model_says(serve):
     serve(scenario, tracker=[{"name": "east"}, {"name": "west"}])
 
 
-def test_what_checks_a_command_describes_it():
+def test_command_bodies_are_described_by_the_models_that_check_them():
     schemas = description()["components"]["schemas"]
     for name in NAMES:
         model = body_of(name)

@@ -29,7 +29,7 @@ def scan(sequence):
     )
 
 
-def test_a_page_is_made_once_in_a_tenth_of_a_second_and_anew_when_something_has_changed():
+def test_a_page_is_made_at_most_once_per_tenth_of_a_second_and_again_after_a_change():
     now_s, taken = [100.0], []
 
     def take():
@@ -53,7 +53,7 @@ def test_a_page_is_made_once_in_a_tenth_of_a_second_and_anew_when_something_has_
     asyncio.run(scenario())
 
 
-def test_a_page_that_takes_long_is_waited_for_and_not_begun_again_and_whoever_goes_takes_it_from_nobody():
+def test_a_slow_page_is_made_once_for_all_waiting_readers_even_if_one_of_them_leaves():
     now_s, made, may_end = [100.0], [], threading.Event()
 
     def make(number):
@@ -75,7 +75,7 @@ def test_a_page_that_takes_long_is_waited_for_and_not_begun_again_and_whoever_go
     asyncio.run(scenario())
 
 
-def test_scans_are_written_when_they_come_and_not_when_they_are_asked_for(monkeypatch):
+def test_scans_are_serialised_on_arrival_and_not_on_request(monkeypatch):
     log = ScanLog()
     for sequence in range(1200):
         log.note(scan(sequence))
@@ -93,7 +93,7 @@ def test_scans_are_written_when_they_come_and_not_when_they_are_asked_for(monkey
     assert json.loads(log.page(1e10)) == {"scans": [], "more": False}
 
 
-def test_whoever_asks_on_from_the_last_time_that_was_told_gets_no_scan_twice_and_none_is_left_out():
+def test_asking_since_the_last_scan_skips_and_repeats_none_even_after_the_clock_is_set_back():
     begun = time.time()
     # The clock is set back by an hour after the third, as a person does it on a PC.
     ends = [begun + 5.0 * number - (3600.0 if number > 2 else 0.0) + 1e-4 * number for number in range(6)]
@@ -108,7 +108,7 @@ def test_whoever_asks_on_from_the_last_time_that_was_told_gets_no_scan_twice_and
     assert [item["sequence"] for item in json.loads(log.page(begun + 7.0))["scans"]] == [2]
 
 
-def test_an_event_is_written_once_for_all_listeners_and_for_none_not_at_all(monkeypatch):
+def test_an_event_is_serialised_once_for_all_listeners_and_not_at_all_without_listeners(monkeypatch):
     written, write = [], pages.record_json
     monkeypatch.setattr(pages, "record_json", lambda record: written.append(record) or write(record))
 
@@ -123,7 +123,7 @@ def test_an_event_is_written_once_for_all_listeners_and_for_none_not_at_all(monk
     asyncio.run(scenario())
 
 
-def test_a_listener_that_does_not_read_costs_a_bounded_queue_and_nobody_else_anything():
+def test_a_listener_that_does_not_read_has_a_queue_of_at_most_500_events():
     async def scenario():
         feed = Feed()
         with feed.listening() as queue:

@@ -43,19 +43,19 @@ def expressions():
         ("test", "rules", RULES / "rules.test.yml"),
     ],
 )
-def test_promtool_finds_nothing_against_them(arguments):
+def test_promtool_accepts_the_prometheus_configuration_and_rules(arguments):
     done = promtool(*arguments)
     assert (done.returncode, done.stderr) == (0, ""), done.stdout
 
 
-def test_every_alert_is_tried():
+def test_every_alert_rule_occurs_in_the_rule_tests():
     alerts = re.findall(r"alert: (\w+)", (RULES / "alert.rules.yml").read_text())
     tried = (RULES / "rules.test.yml").read_text()
     assert len(alerts) > 10
     assert [name for name in alerts if not re.search(rf"\b{name}\b", tried)] == []
 
 
-def test_every_metric_in_them_is_one_that_the_service_has():
+def test_rules_and_grafana_dashboard_use_only_metrics_that_the_service_has():
     texts = [path.read_text() for path in RULES.glob("*.rules.yml")] + [text for _, text in expressions()]
     recorded = set(re.findall(r"record: (\S+)", texts[0] + texts[1]))
     assert len(recorded) > 3
@@ -66,7 +66,7 @@ def test_every_metric_in_them_is_one_that_the_service_has():
 
 
 @needs_promtool
-def test_the_dashboard_asks_what_prometheus_understands(tmp_path):
+def test_every_expression_of_the_grafana_dashboard_is_valid_for_prometheus(tmp_path):
     rules = [
         {"record": f"a:b{number}", "expr": text.replace("$instance", ".*").replace("$tracker", ".*")}
         for number, (_, text) in enumerate(expressions())
@@ -76,7 +76,7 @@ def test_the_dashboard_asks_what_prometheus_understands(tmp_path):
     assert done.returncode == 0, done.stderr + done.stdout
 
 
-def test_the_dashboard_has_a_place_for_each_panel_every_mode_and_no_data_source_of_its_own():
+def test_grafana_dashboard_has_a_place_per_panel_every_mode_and_no_fixed_data_source():
     dashboard = json.loads(DASHBOARD.read_text())
     panels = dashboard["panels"]
     assert len({panel["id"] for panel in panels}) == len(panels)
@@ -89,7 +89,7 @@ def test_the_dashboard_has_a_place_for_each_panel_every_mode_and_no_data_source_
 
 
 @needs_promtool
-def test_prometheus_reads_the_metrics_of_a_service_with_an_alarm(serve):
+def test_promtool_accepts_the_metrics_of_a_service_with_an_alarm(serve):
     async def scenario(rig, call_http):
         await tracking(rig)
         rig.tracker.alarms.set("move-failed", "stalled")

@@ -8,7 +8,7 @@ from tests.support.addresses import SocketWithoutIpv6
 from tests.support.api import server_of
 
 
-def test_a_port_that_is_taken_is_an_alarm_at_every_other_door_until_it_is_had(serve, run_rig):
+def test_an_api_port_in_use_by_another_program_raises_an_alarm_until_it_is_free(serve, run_rig):
     async def scenario(rig, call):
         port = call.server.url.rpartition(":")[2]
         settings = rig.service.settings.api.model_copy(update={"listen": f"127.0.0.1:{port}"})
@@ -36,7 +36,7 @@ def test_a_port_that_is_taken_is_an_alarm_at_every_other_door_until_it_is_had(se
     serve(scenario)
 
 
-def test_a_kind_of_address_that_the_system_does_not_have_is_an_alarm_and_not_the_end(serve, monkeypatch):
+def test_an_ipv6_address_on_a_system_without_ipv6_raises_an_alarm_and_no_error(serve, monkeypatch):
     async def scenario(rig, call):
         monkeypatch.setattr(socket, "socket", SocketWithoutIpv6)
         settings = rig.service.settings.api.model_copy(update={"listen": "[::1]:20572"})
@@ -47,7 +47,7 @@ def test_a_kind_of_address_that_the_system_does_not_have_is_an_alarm_and_not_the
     serve(scenario)
 
 
-def test_unknown_places_and_wrong_methods_are_one_sentence(serve):
+def test_unknown_paths_and_wrong_methods_are_refused_in_one_sentence(serve):
     async def scenario(rig, call):
         reply = await call.get("/api/nothing")
         assert (reply.status, reply.json) == (404, {"error": "there is no /api/nothing here; see docs/api.md"})

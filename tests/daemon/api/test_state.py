@@ -16,7 +16,7 @@ from tests.support.motion import A_PACKET, B_PACKET, lose
 from tests.support.phases import at_rest, tracking, under_way
 
 
-def test_the_state_tells_everything_with_age_and_quality(serve):
+def test_the_state_reports_mode_scan_pose_limits_and_bridge_with_age_and_quality(serve):
     async def scenario(rig, call):
         await tracking(rig)
         await at_rest(rig)
@@ -44,7 +44,7 @@ def test_the_state_tells_everything_with_age_and_quality(serve):
     serve(scenario)
 
 
-def test_the_page_about_the_interface_names_every_key_of_the_state(serve):
+def test_the_api_page_in_docs_names_every_key_of_the_state(serve):
     page = (DOCS / "api.md").read_text(encoding="utf-8")
     whole, _, own = page.partition("## What the state has")[2].partition("Of a tracker.")
     firsts = [" ".join(re.findall(r"^\| (.+?) \|", part, re.MULTILINE)) for part in (whole, own)]
@@ -59,7 +59,7 @@ def test_the_page_about_the_interface_names_every_key_of_the_state(serve):
     serve(scenario)
 
 
-def test_a_move_is_news_when_it_has_ended_after_the_stow_that_ended_it(serve):
+def test_an_interrupted_move_appears_in_the_news_after_the_stow_that_interrupted_it(serve):
     async def scenario(rig, call):
         await under_way(rig)
         rig.wind_m_s = 16.0
@@ -73,7 +73,7 @@ def test_a_move_is_news_when_it_has_ended_after_the_stow_that_ended_it(serve):
     serve(scenario)
 
 
-def test_before_the_first_scan_what_is_unknown_is_null(serve):
+def test_before_the_first_scan_the_scan_and_the_next_decision_are_null(serve):
     async def scenario(rig, call):
         found = (await call.get("/api/state")).json
         assert found["scan"] is None
@@ -82,7 +82,7 @@ def test_before_the_first_scan_what_is_unknown_is_null(serve):
     serve(scenario)
 
 
-def test_what_is_too_old_is_marked_stale_and_recovers(serve):
+def test_scan_and_pose_are_marked_stale_while_their_devices_are_lost_and_recover(serve):
     async def scenario(rig, call):
         await tracking(rig)
         rig.cables.voltmeter.link_up = rig.cables.positioner.link_up = False
@@ -110,7 +110,7 @@ def test_what_is_too_old_is_marked_stale_and_recovers(serve):
     serve(scenario)
 
 
-def test_a_pose_that_grows_old_on_a_link_that_is_up_is_stale(serve):
+def test_an_old_pose_is_marked_stale_even_while_the_link_is_up(serve):
     async def scenario(rig, call):
         await tracking(rig)
         await at_rest(rig)
@@ -124,7 +124,7 @@ def test_a_pose_that_grows_old_on_a_link_that_is_up_is_stale(serve):
     serve(scenario)
 
 
-def test_motor_currents_are_shown_while_there_is_telemetry_and_nothing_of_a_lost_tracker_is(serve):
+def test_motor_currents_are_shown_with_telemetry_and_no_values_of_a_lost_tracker_are(serve):
     async def scenario(rig, call):
         read = rig.positioner.read_telemetry
 
@@ -151,7 +151,7 @@ def test_motor_currents_are_shown_while_there_is_telemetry_and_nothing_of_a_lost
     serve(scenario)
 
 
-def test_what_a_make_tells_beyond_the_interface_is_shown_as_it_is_and_a_supply_it_does_not_tell_is_left_out(serve):
+def test_extra_details_of_a_positioner_are_shown_as_given_and_an_unknown_supply_is_left_out(serve):
     async def scenario(rig, call):
         read = rig.positioner.read_telemetry
         await tracking(rig)
@@ -194,7 +194,7 @@ def test_scans_since_an_instant_are_the_later_ones_in_order(serve):
     serve(scenario)
 
 
-def test_a_stow_that_fails_between_two_tries_has_not_reached_the_stow_position(serve, monkeypatch):
+def test_a_stow_that_failed_and_waits_for_a_retry_is_not_reported_as_at_the_stow_position(serve, monkeypatch):
     async def scenario(rig, call):
         async def seen():
             state = (await call.get("/api/state")).json
@@ -217,7 +217,7 @@ def test_a_stow_that_fails_between_two_tries_has_not_reached_the_stow_position(s
     serve(scenario)
 
 
-def test_a_reference_run_is_moving_too_and_has_no_target(serve):
+def test_a_reference_run_is_reported_as_moving_and_homing_without_a_target(serve):
     async def scenario(rig, call):
         await tracking(rig)
         await at_rest(rig)
@@ -233,7 +233,7 @@ def test_a_reference_run_is_moving_too_and_has_no_target(serve):
 
 
 @pytest.mark.parametrize("turn", [1, -1])
-def test_how_long_a_stow_lasts_is_not_known_where_one_of_its_sources_does_not_tell(run_rig, turn):
+def test_the_stow_release_time_is_null_while_one_of_the_stow_sources_gives_none(run_rig, turn):
     async def scenario(rig):
         told, untold = StowStatus("roof", "wind", 1.0, release_in_s=5.0), StowStatus("hail", "it has failed", 1.0)
         calm = StowStatus("field", None, 1.0)
@@ -250,7 +250,7 @@ def test_how_long_a_stow_lasts_is_not_known_where_one_of_its_sources_does_not_te
     run_rig(scenario)
 
 
-def test_the_page_says_what_the_count_of_refused_datagrams_is(serve):
+def test_the_api_page_in_docs_explains_the_count_of_refused_datagrams(serve):
     async def scenario(rig, call):
         await under_way(rig)
         assert (await call.get("/api/state")).json["bridge"]["refused"] == 0

@@ -16,7 +16,7 @@ from daemon.archive.address import (
 )
 
 
-def test_a_database_and_an_installation_behind_it():
+def test_an_archive_address_has_a_database_url_and_an_optional_installation():
     found = parse_archive("postgresql://me@db.plant:5433/plant?sslmode=require#site/roof")
     assert (found.url, found.installation) == ("postgresql://me@db.plant:5433/plant?sslmode=require", "site/roof")
     assert str(found) == "postgresql://me@db.plant:5433/plant?sslmode=require#site/roof"
@@ -39,7 +39,7 @@ def test_a_database_and_an_installation_behind_it():
         ("postgresql://db.plant/a?password=secret", "the address holds a password"),
     ],
 )
-def test_no_archive(text, part):
+def test_malformed_archive_addresses_are_refused_and_passwords_in_them_are_not_shown(text, part):
     with pytest.raises(ArchiveError) as error:
         parse_archive(text)
     assert part in str(error.value)
@@ -54,14 +54,14 @@ def test_no_archive(text, part):
         ("port=70000", "correct the address"),
     ],
 )
-def test_what_no_wait_can_mend_is_none_that_does_not_answer(query, part):
+def test_an_error_that_waiting_cannot_mend_is_not_reported_as_a_database_that_is_away(query, part):
     pytest.importorskip("psycopg")
     with pytest.raises(ArchiveError, match=part) as error:
         connected(parse_archive(f"postgresql:///plant?{query}"), "a test")
     assert not isinstance(error.value, ArchiveAwayError)
 
 
-def test_a_refusal_in_another_language_is_told_as_the_server_s_answer():
+def test_a_refusal_in_another_language_is_reported_in_the_database_servers_own_words():
     pytest.importorskip("psycopg")
     said = "Passwort-Authentifizierung für Benutzer »me« fehlgeschlagen"
     fields = b"".join(part.encode() + b"\0" for part in ("SFATAL", "VFATAL", "C28P01", f"M{said}", ""))
@@ -82,14 +82,14 @@ def test_a_refusal_in_another_language_is_told_as_the_server_s_answer():
     assert str(error.value) == f"the database {url} refuses: {said}"
 
 
-def test_a_host_of_the_environment_that_has_no_name_is_one_sentence(monkeypatch):
+def test_a_malformed_host_in_pghost_is_refused_in_one_sentence(monkeypatch):
     pytest.importorskip("psycopg")
     monkeypatch.setenv("PGHOST", "db..plant")
     with pytest.raises(ArchiveError, match="is not an address of a database"):
         connected(parse_archive("postgresql:///plant"), "a test")
 
 
-def test_a_password_is_one_line_that_no_other_user_reads(tmp_path):
+def test_a_password_file_must_have_one_line_and_be_readable_by_its_owner_only(tmp_path):
     file = tmp_path / "archive.password"
     with pytest.raises(ArchiveError, match="write the database's password into it, mode 0600"):
         load_password(file)

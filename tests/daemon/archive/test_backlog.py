@@ -21,7 +21,9 @@ def most_mb(pid):
     return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
 
 
-def test_pages_of_many_wait_as_they_came_and_are_read_a_few_at_a_time(postgres, database, broker, start_archive):
+def test_pages_of_forty_senders_at_once_cost_the_archive_less_than_50_mb_of_memory(
+    postgres, database, broker, start_archive
+):
     """Read, they are four times as large: a thousand of them would take more memory than the unit allows."""
 
     async def scenario():

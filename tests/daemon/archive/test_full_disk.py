@@ -31,7 +31,7 @@ def address(database):
     return parse_archive(database)
 
 
-def test_a_copy_that_a_full_disk_does_not_take_is_one_sentence(address, small_disk, monkeypatch):
+def test_copying_records_to_a_full_disk_fails_in_one_sentence_and_leaves_no_file(address, small_disk, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(small_disk))
     with (
         closing(ArchiveReader(address)) as reader,
@@ -44,13 +44,13 @@ def test_a_copy_that_a_full_disk_does_not_take_is_one_sentence(address, small_di
     assert list(small_disk.iterdir()) == []
 
 
-def test_a_day_that_a_full_disk_does_not_take_leaves_no_part_of_its_file(address, small_disk):
+def test_a_day_written_to_a_full_disk_leaves_no_partial_file(address, small_disk):
     with pytest.raises(UserError, match=r"records.parquet cannot be written"):
         list(write_days(address, small_disk / "days", date(2026, 1, 1)))
     assert [path for path in small_disk.rglob("*") if path.is_file()] == []
 
 
-def test_a_day_whose_file_may_not_be_renamed_is_not_dropped_and_that_is_one_sentence(database, small_disk, postgres):
+def test_a_day_whose_file_cannot_be_renamed_is_not_dropped_and_fails_in_one_sentence(database, small_disk, postgres):
     address, today = parse_archive(database), date(2026, 1, 1)
     with closing(ArchiveWriter(address)) as writer:
         writer.prepare()

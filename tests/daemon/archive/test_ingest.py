@@ -48,7 +48,9 @@ async def all_kept(postgres, database, *senders):
         assert found == wanted
 
 
-def test_every_record_is_there_once_whoever_is_killed_or_hangs(postgres, database, broker, tmp_path, start_archive):
+def test_every_record_arrives_once_though_broker_database_or_archive_is_killed_or_hangs(
+    postgres, database, broker, tmp_path, start_archive
+):
     async def scenario():
         first, second = start_archive(broker.port), start_archive(broker.port)
         senders = [Sender(tmp_path / name, broker.port, name, speed=SPEED) for name in ("roof", "field")]
@@ -91,7 +93,7 @@ def test_every_record_is_there_once_whoever_is_killed_or_hangs(postgres, databas
     running(scenario)
 
 
-def test_two_services_under_one_name_are_told_and_both_kept_and_what_is_no_page_is_refused(
+def test_two_services_under_one_name_are_logged_and_both_kept_and_an_invalid_page_is_refused(
     postgres, database, broker, tmp_path, start_archive
 ):
     async def scenario():
@@ -135,7 +137,7 @@ async def until_kept(lab, sender):
     )
 
 
-def test_what_comes_for_a_day_that_has_been_dropped_is_taken_by_who_wrote_that_day_before(postgres, database):
+def test_records_for_a_dropped_day_are_taken_by_the_writer_that_wrote_that_day_before(postgres, database):
     writer, run = ArchiveWriter(parse_archive(database)), origin()
     writer.prepare()
     try:
@@ -148,7 +150,7 @@ def test_what_comes_for_a_day_that_has_been_dropped_is_taken_by_who_wrote_that_d
         writer.close()
 
 
-def test_a_record_of_just_before_midnight_has_a_day_to_be_in(postgres, database):
+def test_a_record_just_before_midnight_whose_time_rounds_up_is_stored_in_the_next_day(postgres, database):
     writer, run = ArchiveWriter(parse_archive(database)), origin()
     writer.prepare()
     try:
@@ -160,7 +162,7 @@ def test_a_record_of_just_before_midnight_has_a_day_to_be_in(postgres, database)
         writer.close()
 
 
-def test_a_page_of_more_days_than_the_database_can_lock_is_refused_and_costs_no_other(postgres):
+def test_a_page_of_more_days_than_the_database_can_lock_is_refused_and_the_next_is_taken(postgres):
     server = Postgres(max_locks_per_transaction=10)
 
     def page(first_day, days):
@@ -197,7 +199,7 @@ def test_a_wait_for_a_database_that_hangs_can_be_ended(postgres, database):
         writer.close()
 
 
-def test_a_database_without_rights_is_one_sentence(postgres, database, heliocube):
+def test_a_database_without_rights_for_this_user_or_missing_is_refused_in_one_sentence(postgres, database, heliocube):
     postgres.sql("DROP ROLE IF EXISTS guest")
     postgres.sql("CREATE ROLE guest LOGIN")
     code, _, err = heliocube("archive", "--to", database.replace("archive@", "guest@"))
@@ -210,14 +212,14 @@ def test_a_database_without_rights_is_one_sentence(postgres, database, heliocube
     assert (code, "make it with createdb" in err, len(err.splitlines())) == (2, True, 1)
 
 
-def test_a_database_that_is_set_to_read_only_is_not_told_to_be_a_replica_for_certain(postgres, database):
+def test_a_database_set_to_read_only_is_not_reported_as_certainly_a_replica(postgres, database):
     postgres.sql(f"ALTER DATABASE {database.rpartition('/')[2]} SET default_transaction_read_only = on")
     part = "else set default_transaction_read_only off for it"
     with contextlib.closing(ArchiveWriter(parse_archive(database))) as writer, pytest.raises(ArchiveError, match=part):
         writer.prepare()
 
 
-def test_a_database_that_cannot_hold_every_text_is_refused_with_the_way_to_make_one(postgres):
+def test_a_database_with_sql_ascii_encoding_is_refused_with_advice_to_create_another(postgres):
     postgres.sql("CREATE DATABASE ascii ENCODING 'SQL_ASCII' TEMPLATE template0")
     with pytest.raises(ArchiveError, match="has the encoding SQL_ASCII: make one with 'createdb") as error:
         ArchiveWriter(parse_archive(postgres.url("ascii")))
@@ -225,7 +227,7 @@ def test_a_database_that_cannot_hold_every_text_is_refused_with_the_way_to_make_
     postgres.sql("DROP DATABASE ascii WITH (FORCE)")
 
 
-def test_a_text_that_is_none_costs_its_own_page_alone(postgres, database, monkeypatch):
+def test_a_page_with_an_invalid_text_is_refused_and_the_next_page_is_taken(postgres, database, monkeypatch):
     monkeypatch.setenv("PGCLIENTENCODING", "LATIN1")
     with contextlib.closing(ArchiveWriter(parse_archive(database))) as writer:
         writer.prepare()
@@ -235,7 +237,7 @@ def test_a_text_that_is_none_costs_its_own_page_alone(postgres, database, monkey
                 assert writer.take([page]).added == 1
 
 
-def test_who_may_only_read_the_archive_takes_no_page_from_who_may_write(postgres, database):
+def test_a_user_who_may_only_read_the_archive_is_refused_as_its_writer(postgres, database):
     with contextlib.closing(ArchiveWriter(parse_archive(database))) as writer:
         writer.prepare()
     name = database.rpartition("/")[2]
@@ -251,7 +253,7 @@ def test_who_may_only_read_the_archive_takes_no_page_from_who_may_write(postgres
     postgres.sql("DROP OWNED BY reader; DROP ROLE reader", name)
 
 
-def test_a_broker_that_holds_again_after_coming_and_going_is_told_as_steady(database, broker, caplog):
+def test_a_broker_that_stays_up_after_repeated_losses_is_logged_as_steady_again(database, broker, caplog):
     caplog.set_level(logging.INFO, "heliocube")
     clock = HandClock()
 
@@ -279,7 +281,7 @@ def test_a_broker_that_holds_again_after_coming_and_going_is_told_as_steady(data
     running(scenario)
 
 
-def test_a_database_that_is_away_at_the_start_keeps_no_manager_waiting():
+def test_the_archive_reports_ready_to_the_service_manager_while_the_database_is_away():
     class Manager(Notifier):
         ready_told = False
 
@@ -298,7 +300,7 @@ def test_a_database_that_is_away_at_the_start_keeps_no_manager_waiting():
     asyncio.run(scenario())
 
 
-def test_the_manager_hears_between_the_parts_of_a_long_backlog_that_the_archive_lives(database, broker):
+def test_the_service_manager_gets_watchdog_messages_between_the_parts_of_a_long_backlog(database, broker):
     class Manager(Notifier):
         def __init__(self):
             super().__init__({}, 0)

@@ -17,7 +17,7 @@ from tests.support.postgres import BINARIES, WITHOUT_POSTGRES, Postgres
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows syncs no folders")
-def test_a_day_is_dropped_when_its_file_and_its_names_are_on_the_disk(postgres, database, tmp_path, monkeypatch):
+def test_a_day_is_dropped_only_after_its_file_and_folders_are_synced_to_disk(postgres, database, tmp_path, monkeypatch):
     address, synced, fsync = parse_archive(database), [], os.fsync
     with closing(ArchiveWriter(address)) as writer:
         writer.prepare()
@@ -44,7 +44,7 @@ def test_a_day_is_dropped_when_its_file_and_its_names_are_on_the_disk(postgres, 
     assert with_final_name >= {folder.stat().st_ino for folder in dropped.path.parents[:3]}
 
 
-def test_the_file_of_a_day_that_was_dropped_by_hand_outlives_what_comes_late(postgres, database, tmp_path):
+def test_the_file_of_a_day_dropped_by_hand_survives_records_that_arrive_late(postgres, database, tmp_path):
     address, run = parse_archive(database), origin()
     with closing(ArchiveWriter(address)) as writer:
         writer.prepare()
@@ -56,7 +56,7 @@ def test_the_file_of_a_day_that_was_dropped_by_hand_outlives_what_comes_late(pos
     assert [(path.name.partition("-")[0], rows_in(path)) for path in files] == [("final", 2), ("records.parquet", 1)]
 
 
-def test_what_the_database_has_lost_since_stays_in_the_file_of_its_day(postgres, database, tmp_path):
+def test_records_that_the_database_has_lost_stay_in_the_file_of_their_day(postgres, database, tmp_path):
     """A database loses records if it is restored from a backup. If it gets them back, the file is written anew."""
     address, run = parse_archive(database), origin()
     page = SentPage("lab/roof", batch_of(run, {"poses": [pose_row(0), pose_row(1)]}))
@@ -72,7 +72,7 @@ def test_what_the_database_has_lost_since_stays_in_the_file_of_its_day(postgres,
 
 
 @pytest.mark.parametrize("drops", [False, True])
-def test_a_record_is_in_one_file_whether_its_day_was_dropped_or_not_before_a_dump_was_restored(
+def test_after_restoring_a_dump_a_record_is_in_one_file_whether_its_day_was_dropped_or_not(
     postgres, database, tmp_path, drops
 ):
     address, run, name = parse_archive(database), origin(), database.rpartition("/")[2]
@@ -100,7 +100,7 @@ def test_a_record_is_in_one_file_whether_its_day_was_dropped_or_not_before_a_dum
     assert list(map(rows_in, tmp_path.rglob("*.parquet"))) == [3]
 
 
-def test_a_file_of_before_that_cannot_be_read_is_one_sentence(database, tmp_path):
+def test_an_earlier_file_that_cannot_be_read_is_reported_in_one_sentence(database, tmp_path):
     address = parse_archive(database)
     with closing(ArchiveWriter(address)) as writer:
         writer.prepare()
@@ -112,7 +112,7 @@ def test_a_file_of_before_that_cannot_be_read_is_one_sentence(database, tmp_path
 
 
 @pytest.mark.skipif(BINARIES is None, reason=WITHOUT_POSTGRES)
-def test_the_file_of_a_day_that_was_dropped_outlives_its_server(tmp_path):
+def test_the_file_of_a_dropped_day_survives_a_database_server_that_is_set_up_anew(tmp_path):
     """A server that is set up anew by the same steps gives its parts the same numbers."""
     out, run = tmp_path / "days", origin()
     out.mkdir()
@@ -131,7 +131,7 @@ def test_the_file_of_a_day_that_was_dropped_outlives_its_server(tmp_path):
 
 
 @pytest.mark.skipif(BINARIES is None, reason=WITHOUT_POSTGRES)
-def test_what_came_late_outlives_a_server_that_goes_back_to_before_the_day_was_dropped(tmp_path):
+def test_late_records_survive_restoring_a_server_backup_from_before_the_day_was_dropped(tmp_path):
     """A backup of the server's own files holds the part of that day again, under the same number."""
     out, run, today = tmp_path / "days", origin(), date(2026, 1, 1)
     out.mkdir()
@@ -161,7 +161,7 @@ def test_what_came_late_outlives_a_server_that_goes_back_to_before_the_day_was_d
     assert sorted(map(rows_in, out.rglob("*.parquet"))) == [1, 2]
 
 
-def test_a_file_whose_end_is_damaged_is_written_again_and_keeps_no_other_day_from_it(database, tmp_path):
+def test_a_file_with_a_damaged_footer_is_written_again_and_blocks_no_other_day(database, tmp_path):
     """Damage inside its footer raises another kind of error than damage around it."""
     address = parse_archive(database)
     rows = [pose_row(0), pose_row(1, utc_s=T0 + 86400)]

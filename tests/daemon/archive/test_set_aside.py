@@ -50,7 +50,7 @@ def page_of(count=100, **rows):
         ),
     ],
 )
-def test_one_record_that_the_database_does_not_take_is_set_aside_and_written_when_it_does(
+def test_one_record_that_the_database_refuses_is_set_aside_and_written_once_it_is_accepted(
     database, ask, writer, made, why, undone
 ):
     ask(made)
@@ -84,14 +84,16 @@ def test_one_record_that_the_database_does_not_take_is_set_aside_and_written_whe
         ("moving", "date", 100),
     ],
 )
-def test_a_column_that_somebody_has_changed_holds_what_it_can(ask, writer, column, holds, aside):
+def test_records_go_into_a_changed_column_if_its_type_allows_and_are_set_aside_otherwise(
+    ask, writer, column, holds, aside
+):
     ask(f"ALTER TABLE heliocube.poses DROP COLUMN {column}")
     ask(f"ALTER TABLE heliocube.poses ADD COLUMN {column} {holds}")
     added, refused = take_what_can_be(writer, page_of())
     assert (added, len(refused)) == (100 - aside, aside)
 
 
-def test_a_text_that_is_too_long_for_an_index_of_somebody_s_is_set_aside(ask, writer):
+def test_a_record_with_a_text_too_long_for_a_user_made_index_is_set_aside(ask, writer):
     ask("CREATE INDEX ON heliocube.events (text)")
     noise = Random(1).randbytes(20_000).hex()
     page = page_of(
@@ -116,7 +118,7 @@ def test_a_page_of_more_days_than_the_database_can_lock_is_written_in_parts():
 
 
 @needs_mosquitto
-def test_what_comes_behind_a_record_that_is_refused_is_kept_and_the_service_is_told(
+def test_records_after_a_refused_one_are_kept_and_the_service_raises_an_alarm(
     postgres, database, broker, tmp_path, start_archive, ask, heliocube
 ):
     async def scenario():
@@ -144,7 +146,9 @@ def test_what_comes_behind_a_record_that_is_refused_is_kept_and_the_service_is_t
     running(scenario)
 
 
-def test_fill_goes_on_behind_a_record_that_is_refused(database, ask, writer, tmp_path, heliocube, broker):
+def test_archive_fill_continues_after_a_record_that_the_database_refuses(
+    database, ask, writer, tmp_path, heliocube, broker
+):
     ask(NO_SEVEN)
     sender = Sender(tmp_path / "roof", broker.port)
     sender.keep(*(pose(number) for number in range(30)))

@@ -7,7 +7,7 @@ import pytest
 from daemon.base.process import as_ctrl_c
 
 
-def test_a_signal_that_comes_twice_interrupts_once_and_not_what_is_put_in_order():
+def test_sigterm_sent_twice_raises_keyboard_interrupt_once_and_the_handler_is_restored():
     before = signal.getsignal(signal.SIGTERM)
     with as_ctrl_c():
         with pytest.raises(KeyboardInterrupt):

@@ -28,6 +28,6 @@ def test_pauses_grow_by_four_fifths_from_half_a_second_to_eight_and_are_shortene
     assert [backoff.next_s() for _ in longest] == pytest.approx([share * delay_s for delay_s in longest])
 
 
-def test_two_devices_lost_together_do_not_come_back_in_step():
+def test_two_devices_lost_together_do_not_retry_in_step():
     first, second = Backoff(Random(1)), Backoff(Random(2))
     assert [first.next_s() for _ in range(5)] != [second.next_s() for _ in range(5)]

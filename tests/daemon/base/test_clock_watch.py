@@ -23,7 +23,7 @@ class SetClock:
 
 
 @pytest.mark.parametrize("step", [3600.0, -3600.0, 86400.0, -86400.0])
-def test_a_step_is_told_once_and_the_sun_is_doubted_until_it_is_undone(step):
+def test_a_clock_step_is_reported_once_and_the_time_is_distrusted_until_it_is_undone(step):
     clock = SetClock()
     watch = ClockWatch(clock)
     assert watch.step_s() is None
@@ -47,7 +47,7 @@ def test_a_step_is_told_once_and_the_sun_is_doubted_until_it_is_undone(step):
     ("slept", "step", "told"),
     [(7200.0, 0.0, None), (7200.0, -7200.0, -7200.0), (7200.0, 3600.0, 3600.0)],
 )
-def test_a_sleep_is_no_step_and_hides_none_where_it_is_known_how_long_it_was(slept, step, told):
+def test_a_sleep_of_known_length_is_no_clock_step_and_does_not_hide_one(slept, step, told):
     clock = SetClock()
     clock.asleep = 500.0
     watch = ClockWatch(clock)
@@ -63,7 +63,7 @@ def test_a_sleep_is_no_step_and_hides_none_where_it_is_known_how_long_it_was(sle
     assert watch.trusted
 
 
-def test_a_known_sleep_does_not_make_a_start_before_the_last_one_right():
+def test_a_known_sleep_does_not_end_the_distrust_of_a_time_before_the_last_run():
     clock = SetClock()
     clock.asleep = 500.0
     watch = ClockWatch(clock, ran_utc_s=clock.utc() + 7200.0)
@@ -75,7 +75,7 @@ def test_a_known_sleep_does_not_make_a_start_before_the_last_one_right():
 
 
 @pytest.mark.parametrize(("known", "trusted"), [(None, False), (False, False), (True, True)])
-def test_a_time_before_the_one_of_the_last_run_is_doubted_until_something_synchronises_the_clock(known, trusted):
+def test_a_time_before_the_last_run_is_distrusted_until_the_clock_is_synchronised(known, trusted):
     clock, answers = SetClock(), [known]
     watch = ClockWatch(clock, synchronised=lambda: answers[-1], ran_utc_s=clock.utc() + 31.0)
     assert watch.trusted == watch.trusted_now == trusted
@@ -93,13 +93,13 @@ def test_a_time_before_the_one_of_the_last_run_is_doubted_until_something_synchr
     assert watch.believed_utc_s == clock.utc()
 
 
-def test_a_time_a_little_before_the_one_of_the_last_run_is_believed():
+def test_a_time_30_s_before_the_last_run_is_trusted():
     clock = SetClock()
     assert ClockWatch(clock, ran_utc_s=clock.utc() + 30.0).trusted
     assert ClockWatch(clock, ran_utc_s=float("nan")).trusted
 
 
-def test_slewing_and_small_corrections_are_no_steps():
+def test_slewing_is_no_clock_step_and_a_step_of_5_s_leaves_the_time_trusted():
     clock = SetClock()
     watch = ClockWatch(clock)
     for _ in range(1000):
@@ -118,7 +118,7 @@ def test_slewing_and_small_corrections_are_no_steps():
     (30.5, 30.5, False),
     (-30.5, -30.5, False),
 ])  # fmt: skip
-def test_two_seconds_are_a_step_and_more_than_thirty_make_the_sun_doubtful(step, told, trusted):
+def test_a_clock_step_is_reported_from_2_s_on_and_one_of_more_than_30_s_makes_the_time_distrusted(step, told, trusted):
     clock = SetClock()
     watch = ClockWatch(clock)
     # With an offset of this size, halves are exact numbers.
@@ -143,7 +143,7 @@ def test_a_clock_that_is_slowly_brought_back_is_trusted_when_it_is_back():
     assert watch.trusted
 
 
-def test_two_steps_that_undo_each_other_leave_no_doubt_and_two_of_one_direction_do():
+def test_opposite_clock_steps_leave_the_time_trusted_and_two_in_one_direction_do_not():
     clock = SetClock()
     watch = ClockWatch(clock)
     for step, trusted in ((3600.0, False), (3600.0, False), (-3600.0, False), (-3600.0, True), (-40.0, False)):
@@ -154,7 +154,7 @@ def test_two_steps_that_undo_each_other_leave_no_doubt_and_two_of_one_direction_
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_small_steps_within_an_hour_add_up_to_a_doubt_and_are_told_as_one(sign):
+def test_small_clock_steps_within_an_hour_add_up_to_distrust_and_are_reported_as_one(sign):
     told = Told(answer=None)
     doubts = []
     for _ in range(6):
@@ -195,7 +195,7 @@ class Told:
         return [alarm.text for alarm in self.alarms.active if alarm.name == "clock"]
 
 
-def test_a_clock_that_was_never_synchronised_is_told_and_over_when_it_is():
+def test_a_clock_that_was_never_synchronised_raises_an_alarm_until_it_is():
     told = Told(answer=False)
     assert not told.after(100), "what synchronises it may need some time"
     (text,) = told.after(60)
@@ -208,7 +208,7 @@ def test_a_clock_that_was_never_synchronised_is_told_and_over_when_it_is():
     assert told.asked == asked
 
 
-def test_a_clock_that_nothing_synchronises_is_asked_for_after_two_minutes_and_every_minute_from_then_on():
+def test_clock_synchronisation_is_asked_for_first_after_two_minutes_and_then_every_minute():
     told = Told(answer=False)
     assert not told.after(115)
     assert told.asked == 0
@@ -230,7 +230,7 @@ def test_a_clock_that_nothing_synchronises_is_asked_for_after_two_minutes_and_ev
         (-200.0 * 86400.0, "the clock was set back by 200 days, and"),
     ],
 )
-def test_a_step_is_told_in_the_unit_that_people_use_for_it(step_s, told):
+def test_a_clock_step_is_reported_in_the_usual_unit_for_its_size(step_s, told):
     found = Told(answer=None)
     found.clock.offset += step_s
     (text,) = found.after(5)
@@ -238,12 +238,12 @@ def test_a_step_is_told_in_the_unit_that_people_use_for_it(step_s, told):
 
 
 @pytest.mark.parametrize("answer", [None, True])
-def test_a_clock_that_is_synchronised_or_unknown_is_no_alarm(answer):
+def test_a_clock_that_is_synchronised_or_of_unknown_state_raises_no_alarm(answer):
     assert not Told(answer).after(3600)
 
 
 @pytest.mark.parametrize("answer", [None, False])
-def test_a_step_is_an_alarm_for_as_long_as_nothing_tells_that_the_time_is_right(answer):
+def test_the_alarm_of_a_clock_step_lasts_as_long_as_nothing_confirms_the_time(answer):
     told = Told(answer)
     told.clock.offset += 43200
     (text,) = told.after(5)

@@ -16,7 +16,7 @@ from tests.daemon.store.test_full_disk import fill, small_disk
 __all__ = ["small_disk"]
 
 
-def test_owner_and_rights_stay_and_a_link_stays_a_link(tmp_path):
+def test_rewriting_a_file_keeps_its_owner_and_mode_and_the_link_to_it(tmp_path):
     file, link = tmp_path / "real.toml", tmp_path / "link.toml"
     file.write_text("a = 1\n")
     file.chmod(0o640)
@@ -33,7 +33,7 @@ def test_owner_and_rights_stay_and_a_link_stays_a_link(tmp_path):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows syncs no folders")
 @pytest.mark.parametrize("write", [replace_file, rewrite_file, replace_kept])
-def test_the_new_name_is_on_the_disk_when_it_returns(tmp_path, monkeypatch, write):
+def test_replacing_a_file_returns_only_after_its_folder_is_synced_to_disk(tmp_path, monkeypatch, write):
     file, synced, fsync = tmp_path / "kept.json", [], os.fsync
     file.write_text("before")
 
@@ -48,7 +48,7 @@ def test_the_new_name_is_on_the_disk_when_it_returns(tmp_path, monkeypatch, writ
     assert synced == ["after"]
 
 
-def test_a_link_is_followed_but_for_one_to_itself(tmp_path):
+def test_writing_a_file_through_a_link_keeps_the_link_and_replaces_a_link_to_itself(tmp_path):
     file, link, loop = tmp_path / "real.csv", tmp_path / "link.csv", tmp_path / "loop.csv"
     link.symlink_to(file)
     loop.symlink_to(loop)
@@ -58,7 +58,7 @@ def test_a_link_is_followed_but_for_one_to_itself(tmp_path):
     assert (file.read_text(), link.is_symlink(), loop.read_text(), loop.is_symlink()) == ("a\n", True, "a\n", False)
 
 
-def test_on_a_full_disk_it_is_what_it_was(small_disk):
+def test_rewriting_a_file_on_a_full_disk_leaves_it_unchanged(small_disk):
     file = small_disk / "heliocube.toml"
     file.write_text("a = 1\n")
     fill(small_disk / "filler")
@@ -68,7 +68,7 @@ def test_on_a_full_disk_it_is_what_it_was(small_disk):
     assert sorted(path.name for path in small_disk.iterdir()) == ["filler", "heliocube.toml"]
 
 
-def test_a_secret_that_a_full_disk_cannot_take_leaves_no_file_that_looks_like_one(small_disk):
+def test_a_secret_that_does_not_fit_on_a_full_disk_leaves_no_file(small_disk):
     file = small_disk / "bridge.key"
     fill(small_disk / "filler")
     with pytest.raises(UserError, match=r"^the key cannot be written: No space left on device$"):
@@ -82,7 +82,7 @@ def test_a_secret_that_a_full_disk_cannot_take_leaves_no_file_that_looks_like_on
     assert file.read_bytes() == b"whole"
 
 
-def test_a_secret_in_a_folder_that_may_not_be_entered_is_one_sentence():
+def test_a_secret_in_a_folder_that_may_not_be_entered_is_refused_in_one_sentence():
     user = os.geteuid()
     with TemporaryDirectory() as name:
         folder = Path(name)

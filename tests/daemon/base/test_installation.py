@@ -62,12 +62,12 @@ def heliocube(site, *words):
     )
 
 
-def test_an_installation_of_its_own_runs(site):
+def test_the_program_runs_from_an_intact_installation(site):
     done = heliocube(site, "--version")
     assert (done.returncode, done.stdout, done.stderr) == (0, "heliocube 0.1.0\n", "")
 
 
-def test_a_daemon_of_another_distribution_is_named_and_refused(site):
+def test_a_daemon_package_overwritten_by_another_distribution_is_refused_by_name(site):
     another_daemon(site)
     done = heliocube(site, "--version")
     assert done.returncode == 2
@@ -77,7 +77,7 @@ def test_a_daemon_of_another_distribution_is_named_and_refused(site):
     )
 
 
-def test_what_the_removal_of_another_distribution_took_along_is_missed(site):
+def test_an_installation_that_lost_files_with_the_removal_of_another_distribution_is_refused(site):
     (site / "daemon" / "__init__.py").unlink()
     done = heliocube(site, "--version")
     assert done.returncode == 2
@@ -85,7 +85,7 @@ def test_what_the_removal_of_another_distribution_took_along_is_missed(site):
     assert "Traceback" not in done.stderr
 
 
-def test_a_package_that_stands_before_ours_is_named_and_refused(site, tmp_path):
+def test_a_foreign_package_earlier_on_the_import_path_is_named_and_refused(site, tmp_path):
     before = tmp_path / "before" / "solar"
     before.mkdir(parents=True)
     (before / "__init__.py").touch()
@@ -97,7 +97,7 @@ def test_a_package_that_stands_before_ours_is_named_and_refused(site, tmp_path):
     assert f"the package 'solar' is found at {before} and not at {site / 'solar'}" in done.stderr
 
 
-def test_a_stop_is_given_by_a_damaged_installation_too(site, tmp_path):
+def test_a_damaged_installation_still_tries_to_give_a_stop(site, tmp_path):
     another_daemon(site)
     done = heliocube(site, "stop", "--api", "http://127.0.0.1:9", "--token-file", str(tmp_path / "none"))
     assert "overwritten" not in done.stderr

@@ -28,11 +28,13 @@ class Libc:
         ("win32", 5, 16_000_000, None),
     ],
 )
-def test_unsynchronised_is_a_clock_whose_error_has_no_bound(monkeypatch, platform, state, maxerror_us, expected):
+def test_the_clock_counts_as_unsynchronised_from_a_maximum_error_of_16_s_on(
+    monkeypatch, platform, state, maxerror_us, expected
+):
     monkeypatch.setattr(kernel_clock.sys, "platform", platform)
     monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: Libc(state, maxerror_us))
     assert kernel_clock.synchronised() is expected
 
 
-def test_this_machine_answers():
+def test_asking_the_kernel_of_this_machine_for_its_clock_state_succeeds():
     assert kernel_clock.synchronised() in (True, False, None)

@@ -32,20 +32,20 @@ def written(root_logger):
 log = logging.getLogger("heliocube.test")
 
 
-def test_in_the_journal_a_line_begins_with_its_priority_and_bears_no_time(written):
+def test_in_the_journal_a_line_begins_with_its_priority_and_has_no_time(written):
     stream = written()
     for level in (logging.DEBUG, logging.INFO, logging.WARNING, logging.ERROR, logging.CRITICAL):
         log.log(level, "the sun rose")
     assert stream.getvalue().splitlines() == [f"<{n}>the sun rose" for n in (7, 6, 4, 3, 2)]
 
 
-def test_elsewhere_a_line_begins_with_utc_and_level(written):
+def test_outside_the_journal_a_line_begins_with_utc_and_level(written):
     stream = written(journal=False)
     log.warning("the wind is strong")
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z WARNING the wind is strong\n", stream.getvalue())
 
 
-def test_fields_follow_the_sentence_and_are_quoted_where_they_must_be(written):
+def test_log_fields_follow_the_message_and_are_quoted_where_necessary(written):
     stream = written()
     fields = {
         "down_s": 63.5,
@@ -64,7 +64,7 @@ def test_fields_follow_the_sentence_and_are_quoted_where_they_must_be(written):
     )
 
 
-def test_what_a_device_sends_cannot_begin_a_line_of_its_own_or_colour_the_terminal(written):
+def test_text_from_a_device_cannot_begin_a_log_line_or_colour_the_terminal(written):
     stream = written()
     log.warning("unit says %s", "ok\n<0>forged\x1b[31m", extra={"fields": {"raw": "\x1b[0m"}})
     assert stream.getvalue() == r'<4>unit says ok\n<0>forged\x1b[31m raw="\x1b[0m"' + "\n"
@@ -98,7 +98,7 @@ def test_warnings_of_the_interpreter_are_logged_in_one_line(written):
     assert "UserWarning: old habit" in stream.getvalue()
 
 
-def test_what_the_start_made_is_not_looked_through_for_garbage_again():
+def test_objects_made_at_the_start_are_frozen_out_of_garbage_collection():
     made = [[] for _ in range(1000)]
     before = gc.get_freeze_count()
     logs.keep_start()

@@ -9,14 +9,14 @@ from daemon.base.plugins import LAWS, PluginError, load, names
 from tests.support.packages import install
 
 
-def test_an_unknown_name_lists_the_known_ones():
+def test_an_unknown_law_is_refused_with_a_list_of_the_known_ones():
     with pytest.raises(
         PluginError, match='there is no law "best"; known are chronometric, flat, mu-prime, optimal, sun'
     ):
         load(LAWS, "best")
 
 
-def test_only_what_is_chosen_is_imported():
+def test_only_the_module_of_the_chosen_law_is_imported():
     code = (
         "import sys; from daemon.base.plugins import LAWS, load, names; names(LAWS); load(LAWS, 'flat');"
         "print([name for name in sys.modules if name.startswith('solar.laws.')])"
@@ -51,7 +51,7 @@ def test_a_package_that_cannot_be_imported_is_named(offered):
         load(LAWS, "bent")
 
 
-def test_a_module_of_other_contents_is_named(offered):
+def test_a_plugin_module_without_settings_and_build_is_refused_by_name(offered):
     offered("acme", "empty", "")
     with pytest.raises(PluginError, match='"empty" of the package acme is not a module with SETTINGS and build'):
         load(LAWS, "empty")
@@ -75,7 +75,7 @@ def test_a_module_of_other_contents_is_named(offered):
         ),
     ],
 )
-def test_a_module_that_leaves_or_whose_settings_are_of_no_use_is_named(offered, source, flaw):
+def test_a_plugin_module_that_exits_or_has_unusable_settings_is_refused_by_name(offered, source, flaw):
     offered("acme", "bent", source)
     with pytest.raises(PluginError, match=f'"bent" of the package acme {flaw}'):
         load(LAWS, "bent")

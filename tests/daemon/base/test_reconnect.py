@@ -20,7 +20,7 @@ def told(caplog, level=logging.INFO):
     return [(r.levelname, r.getMessage()) for r in caplog.records if r.levelno >= level]
 
 
-def test_an_outage_is_told_once_when_it_begins_and_once_with_its_length_when_it_ends(outage, caplog):
+def test_an_outage_is_logged_once_when_it_begins_and_once_with_its_length_when_it_ends(outage, caplog):
     assert outage.down(100.0, "the port is gone")
     assert not outage.down(101.0, "the port is gone")
     assert not outage.down(102.0, "the port is gone")
@@ -33,14 +33,14 @@ def test_an_outage_is_told_once_when_it_begins_and_once_with_its_length_when_it_
     assert caplog.records[-1].fields == {"down_s": 63.5, "repeats": 2}
 
 
-def test_repeats_are_debug_lines_that_carry_their_count(outage, caplog):
+def test_repeated_failures_in_an_outage_are_debug_lines_with_their_count(outage, caplog):
     for second in range(4):
         outage.down(float(second), "no answer")
     repeats = [r for r in caplog.records if r.levelno == logging.DEBUG]
     assert [r.fields["repeats"] for r in repeats] == [1, 2, 3]
 
 
-def test_it_says_since_when_and_why_only_while_it_lasts(outage):
+def test_an_outage_has_a_start_and_a_reason_only_while_it_lasts(outage):
     assert (outage.is_down, outage.since, outage.reason, outage.repeats) == (False, None, "", 0)
     outage.down(5.0, "no answer")
     outage.down(9.0, "refused")
@@ -49,7 +49,7 @@ def test_it_says_since_when_and_why_only_while_it_lasts(outage):
     assert (outage.is_down, outage.since, outage.reason) == (False, None, "")
 
 
-def test_up_without_an_outage_says_nothing(outage, caplog):
+def test_a_recovery_without_an_outage_logs_nothing(outage, caplog):
     assert not outage.up(1.0)
     assert told(caplog, logging.DEBUG) == []
 
@@ -62,7 +62,7 @@ def test_a_reminder_is_never_sooner_than_ten_minutes_after_the_one_before(outage
     assert outage.down(4190.0, "x")
 
 
-def test_only_the_first_sentence_of_an_outage_has_no_length(outage, caplog):
+def test_only_the_first_log_line_of_an_outage_has_no_length(outage, caplog):
     outage.down(100.0, "x")
     outage.down(700.06, "x")
     first, reminder = caplog.records
@@ -70,7 +70,7 @@ def test_only_the_first_sentence_of_an_outage_has_no_length(outage, caplog):
     assert reminder.fields == {"down_s": 600.1, "repeats": 1}
 
 
-def test_a_second_outage_counts_from_nought(outage, caplog):
+def test_a_second_outage_starts_its_count_and_reminders_from_zero(outage, caplog):
     outage.down(0.0, "x")
     outage.down(700.0, "x")
     outage.up(800.0)
@@ -88,7 +88,7 @@ def test_reminders_come_after_ten_minutes_one_hour_six_hours_and_then_every_six(
 
 
 @given(gaps_s=st.lists(st.floats(0.1, 3600.0), min_size=1, max_size=300))
-def test_a_day_of_outage_is_at_most_twenty_lines_however_often_it_fails(gaps_s):
+def test_a_day_of_outage_logs_at_most_twenty_lines_however_often_the_device_fails(gaps_s):
     logger = logging.getLogger("heliocube.test.quiet")
     logger.setLevel(logging.INFO)
     outage, now_s, lines = Outage(logger, "the cube"), 0.0, 0
@@ -108,7 +108,7 @@ def flap(outage, times, start_s=0.0, reason="unplugged"):
     return start_s + 20.0 * times
 
 
-def test_what_comes_and_goes_is_told_six_times_and_then_by_its_number(outage, caplog):
+def test_a_device_that_comes_and_goes_is_logged_six_times_and_then_with_its_number(outage, caplog):
     flap(outage, 12)
     assert told(caplog) == [
         *[("WARNING", "the positioner is down: unplugged"), ("INFO", "the positioner is back")] * 6,
@@ -122,12 +122,12 @@ def test_what_comes_and_goes_is_told_six_times_and_then_by_its_number(outage, ca
     ]
 
 
-def test_a_day_of_coming_and_going_is_few_lines(outage, caplog):
+def test_a_day_of_a_device_coming_and_going_logs_at_most_twenty_lines(outage, caplog):
     flap(outage, 4320)
     assert len(told(caplog)) <= 20
 
 
-def test_what_came_and_went_is_steady_after_half_an_hour_and_that_is_told_with_its_number(outage, caplog):
+def test_a_device_that_came_and_went_is_logged_as_steady_after_half_an_hour_with_its_outages(outage, caplog):
     end_s = flap(outage, 20) - 10.0
     caplog.clear()
     assert not outage.up(end_s + 1799.0)
@@ -137,7 +137,7 @@ def test_what_came_and_went_is_steady_after_half_an_hour_and_that_is_told_with_i
     assert told(caplog) == [("INFO", text)]
 
 
-def test_a_new_outage_after_coming_and_going_is_told_at_once(outage, caplog):
+def test_a_new_outage_of_a_device_that_no_longer_comes_and_goes_is_logged_at_once(outage, caplog):
     end_s = flap(outage, 20)
     outage.up(end_s + 2000.0)
     caplog.clear()
@@ -145,7 +145,7 @@ def test_a_new_outage_after_coming_and_going_is_told_at_once(outage, caplog):
     assert outage.up(end_s + 3010.0, "firmware 7") == "the positioner is back: firmware 7"
 
 
-def test_a_true_outage_in_the_middle_of_coming_and_going_is_told_after_an_hour(outage, caplog):
+def test_a_long_outage_of_a_device_that_comes_and_goes_is_logged_after_an_hour(outage, caplog):
     end_s = flap(outage, 20)
     caplog.clear()
     lines = [second for second in range(0, 7 * 3600, 5) if outage.down(end_s + second, "no answer")]
@@ -153,7 +153,7 @@ def test_a_true_outage_in_the_middle_of_coming_and_going_is_told_after_an_hour(o
     assert told(caplog)[0] == ("WARNING", "the positioner is still down: no answer")
 
 
-def test_whether_it_is_down_is_known_however_it_is_told(outage):
+def test_an_outage_keeps_its_state_while_its_log_lines_are_suppressed(outage):
     end_s = flap(outage, 20)
     outage.down(end_s, "no answer")
     assert (outage.is_down, outage.since, outage.reason) == (True, end_s, "no answer")
@@ -211,7 +211,7 @@ def test_a_lost_device_is_forgotten_reported_closed_and_used_again_after_growing
 
 
 @pytest.mark.parametrize("error", [HungError("no answer"), ValueError("a defect")])
-def test_what_only_a_new_process_can_mend_is_not_tried_again(outage, error):
+def test_a_hopeless_error_or_a_defect_is_not_retried(outage, error):
     assert reconnecting(outage, [error]) == [(0, "use"), (0, type(error).__name__)]
 
 
@@ -243,13 +243,13 @@ def test_beginning_and_end_of_an_outage_are_notified_and_reminders_are_not():
     assert outage.repeats > 400
 
 
-def test_what_is_not_said_of_coming_and_going_is_not_notified(outage):
+def test_suppressed_log_lines_of_a_device_that_comes_and_goes_are_not_notified_either(outage):
     flap(outage, 20, start_s=-450.0)
     seen = reconnecting(outage, [GoneError("no port"), None])
     assert [what for _, what in seen] == ["use", "forget", "close", "use", "CancelledError"]
 
 
-def test_a_rhythm_keeps_to_its_start_and_counts_what_it_leaves_out():
+def test_a_rhythm_keeps_its_phase_and_counts_the_beats_that_it_skips():
     rhythm = Rhythm(5.0)
     rhythm.start(100.0)
     assert rhythm.wait_s(101.0) == pytest.approx(4.0)

@@ -7,7 +7,7 @@ def event(tracker):
     return Event(1.0, 1.0, "test", f"of {tracker or 'nobody'}", tracker=tracker)
 
 
-def test_a_subscriber_of_one_tracker_hears_its_own_and_what_is_nobodys_and_others_hear_all():
+def test_a_subscriber_of_one_tracker_gets_its_records_and_common_ones_and_others_get_all():
     bus, heard = Bus(), {"all": [], "east": [], "west": []}
     bus.subscribe(heard["all"].append)
     bus.subscribe(heard["east"].append, "east")

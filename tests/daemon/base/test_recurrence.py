@@ -8,24 +8,24 @@ HOUR_S = 3600.0
 PLAINLY, OFTEN, QUIETLY = Wording.PLAINLY, Wording.OFTEN, Wording.QUIETLY
 
 
-def test_the_first_few_are_told_plainly_and_the_next_by_its_number():
+def test_the_first_few_occurrences_are_logged_plainly_and_the_next_with_its_number():
     recurrence = Recurrence(3)
     assert [recurrence.note(20.0 * turn) for turn in range(6)] == [PLAINLY] * 3 + [OFTEN] + [QUIETLY] * 2
     assert recurrence.how_often(120.0) == "6 times in the last hour"
 
 
-def test_the_number_is_told_again_after_ten_minutes_one_hour_six_hours_and_then_every_six():
+def test_the_number_is_logged_again_after_ten_minutes_one_hour_six_hours_and_then_every_six():
     recurrence = Recurrence(3)
     told_h = [time_s / HOUR_S for time_s in range(0, 86400, 20) if recurrence.note(float(time_s)) is OFTEN]
     assert told_h == pytest.approx([1 / 60, 1 / 60 + 1 / 6, 1 / 60 + 1, 1 / 60 + 6, 12 + 1 / 60, 18 + 1 / 60], abs=0.01)
 
 
-def test_what_is_seldom_is_told_plainly_for_ever():
+def test_a_rare_event_is_always_logged_plainly():
     recurrence = Recurrence(3)
     assert {recurrence.note(4.5 * HOUR_S * turn) for turn in range(100)} == {PLAINLY}
 
 
-def test_it_is_over_after_half_an_hour_once_with_its_number_and_the_next_is_told_plainly():
+def test_a_recurrence_ends_once_after_half_an_hour_with_its_number_and_the_next_is_plain():
     recurrence = Recurrence(3)
     for turn in range(10):
         recurrence.note(20.0 * turn)
@@ -35,7 +35,7 @@ def test_it_is_over_after_half_an_hour_once_with_its_number_and_the_next_is_told
     assert recurrence.note(2 * HOUR_S) is PLAINLY
 
 
-def test_if_it_begins_anew_it_has_to_be_calm_for_twice_as_long():
+def test_a_recurrence_that_begins_again_ends_only_after_twice_as_long_a_calm():
     recurrence = Recurrence(3)
     for turn in range(4):
         recurrence.note(20.0 * turn)
@@ -45,7 +45,7 @@ def test_if_it_begins_anew_it_has_to_be_calm_for_twice_as_long():
     assert recurrence.over(2001.0 + 3600.0, 2001.0) == 2
 
 
-def test_after_twelve_hours_without_it_all_is_as_it_was():
+def test_after_more_than_twelve_hours_of_calm_occurrences_are_logged_plainly_again():
     recurrence = Recurrence(3)
     for turn in range(10):
         recurrence.note(20.0 * turn)
@@ -53,7 +53,7 @@ def test_after_twelve_hours_without_it_all_is_as_it_was():
 
 
 @given(pauses_s=st.lists(st.sampled_from((20.0, 600.0, 1900.0, 3700.0, 7300.0, 14500.0)), min_size=1, max_size=12))
-def test_no_rhythm_of_a_day_makes_more_than_50_lines(pauses_s):
+def test_no_pattern_of_recurrence_logs_more_than_50_lines_a_day(pauses_s):
     recurrence, now_s, lines = Recurrence(6), 0.0, 0
     while now_s < 86400.0:
         for pause_s in pauses_s:
@@ -67,13 +67,13 @@ def test_no_rhythm_of_a_day_makes_more_than_50_lines(pauses_s):
     assert lines <= 50
 
 
-def test_what_is_told_elsewhere_too_is_told_by_its_number_only_once():
+def test_a_recurrence_without_reminders_logs_its_number_only_once():
     recurrence = Recurrence(3, reminds=False)
     told_s = [time_s for time_s in range(0, 86400, 20) if recurrence.note(float(time_s)) is not QUIETLY]
     assert told_s == [0, 20, 40, 60]
 
 
-def test_a_flood_is_logged_a_few_times_and_then_by_its_number():
+def test_a_flood_is_logged_a_few_times_and_then_only_with_its_number():
     budget = LogBudget("bad greetings", few=2)
     lines = [budget.spend(turn / 1000.0, f"greeting {turn} is bad") for turn in range(700_000)]
     said = [line for line in lines if line]
@@ -83,7 +83,7 @@ def test_a_flood_is_logged_a_few_times_and_then_by_its_number():
     assert budget.count == 700_000
 
 
-def test_what_a_flood_left_unsaid_is_said_when_it_has_been_over_for_half_an_hour():
+def test_the_number_of_unlogged_lines_of_a_flood_is_logged_half_an_hour_after_its_end():
     budget = LogBudget("bad greetings", few=2)
     for turn in range(1000):
         budget.spend(turn / 1000.0, "a greeting is bad")
@@ -100,7 +100,7 @@ def test_what_a_flood_left_unsaid_is_said_when_it_has_been_over_for_half_an_hour
         max_size=6,
     )
 )
-def test_no_rhythm_of_a_day_makes_a_source_more_than_100_lines_and_none_is_left_uncounted(bursts):
+def test_no_pattern_of_floods_logs_more_than_100_lines_a_day_and_each_message_is_counted(bursts):
     budget, now_s, sent, lines = LogBudget("bad greetings"), 0.0, 0, []
     while now_s < 86400.0 and sent < 20_000:
         for number, pause_s in bursts:

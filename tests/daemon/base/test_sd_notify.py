@@ -32,7 +32,7 @@ def test_each_message_arrives_as_one_datagram(manager):
     assert received == ["READY=1", "STATUS=tracking: A 3 B 60", "WATCHDOG=1", "STOPPING=1"]
 
 
-def test_an_abstract_socket_is_meant_by_a_leading_at(tmp_path):
+def test_a_leading_at_sign_in_notify_socket_means_an_abstract_socket(tmp_path):
     name = f"heliocube-{tmp_path.name}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
         receiver.bind("\0" + name)
@@ -41,26 +41,26 @@ def test_an_abstract_socket_is_meant_by_a_leading_at(tmp_path):
         assert receiver.recv(100) == b"READY=1"
 
 
-def test_without_a_service_manager_nothing_happens():
+def test_the_notifier_does_nothing_without_a_service_manager():
     notifier = Notifier({}, pid=7)
     notifier.ready()
     notifier.watchdog()
     assert notifier.watchdog_interval_s is None
 
 
-def test_a_manager_that_is_gone_is_no_error(tmp_path):
+def test_an_unreachable_service_manager_causes_no_error(tmp_path):
     Notifier({"NOTIFY_SOCKET": str(tmp_path / "nobody")}, pid=7).ready()
     Notifier({"NOTIFY_SOCKET": "/" + "x" * 300}, pid=7).ready()
 
 
-def test_a_manager_that_does_not_read_is_not_waited_for(manager):
+def test_the_notifier_does_not_wait_for_a_service_manager_that_does_not_read(manager):
     _, path = manager
     notifier = Notifier({"NOTIFY_SOCKET": path}, pid=7)
     for _ in range(2000):
         notifier.watchdog()
 
 
-def test_the_watchdog_is_pinged_at_half_its_time():
+def test_the_watchdog_interval_is_half_of_the_watchdog_time():
     assert Notifier({"WATCHDOG_USEC": "10000000"}, pid=7).watchdog_interval_s == 5.0
     assert Notifier({"WATCHDOG_USEC": "10000000", "WATCHDOG_PID": "7"}, pid=7).watchdog_interval_s == 5.0
 
@@ -74,11 +74,11 @@ def test_the_watchdog_is_pinged_at_half_its_time():
         {"WATCHDOG_USEC": "soon"},
     ],
 )
-def test_a_watchdog_of_another_process_or_without_a_time_is_not_ours(environment):
+def test_a_watchdog_of_another_process_or_without_a_valid_time_is_ignored(environment):
     assert Notifier(environment, pid=7).watchdog_interval_s is None
 
 
-def test_a_machine_without_unix_sockets_imports_it_and_stays_silent(monkeypatch):
+def test_the_notifier_loads_and_stays_silent_on_a_machine_without_unix_sockets(monkeypatch):
     monkeypatch.delattr(socket, "AF_UNIX")
     # A copy: reloading the module itself gave all later tests a second version of the names that its log lines use.
     found = importlib.util.find_spec(Notifier.__module__)
@@ -116,14 +116,14 @@ def test_a_socket_is_given_to_the_manager_with_its_name(manager):
             assert kept.getsockname() == port.getsockname()
 
 
-def test_the_next_process_finds_its_socket_by_its_name_and_once(handed_over):
+def test_the_next_process_gets_a_kept_socket_by_its_name_and_only_once(handed_over):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port:
         port.bind(("127.0.0.1", 0))
         lines = "print(notifier.take_kept('bridge-1').getsockname()[1], notifier.take_kept('bridge-1'))"
         assert handed_over(lines, port, "bridge-1").split() == [str(port.getsockname()[1]), "None"]
 
 
-def test_a_socket_of_other_settings_is_let_go_before_the_port_is_taken(handed_over, manager):
+def test_a_kept_socket_of_other_settings_is_released_before_the_port_is_taken(handed_over, manager):
     receiver, path = manager
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port, ThreadPoolExecutor(1) as threads:
         running = threads.submit(handed_over, "print(notifier.take_kept('bridge-2'))", port, "bridge-1", path)
@@ -137,5 +137,5 @@ def test_a_socket_of_other_settings_is_let_go_before_the_port_is_taken(handed_ov
 
 
 @pytest.mark.parametrize("environment", [{}, {"LISTEN_FDS": "1", "LISTEN_PID": "8"}, {"LISTEN_FDS": "x"}])
-def test_what_is_handed_to_another_process_is_not_ours(environment):
+def test_a_socket_handed_to_another_process_is_not_taken(environment):
     assert Notifier(environment | {"LISTEN_FDNAMES": "bridge-1"}, pid=7).take_kept("bridge-1") is None

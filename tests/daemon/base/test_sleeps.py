@@ -22,7 +22,7 @@ class Machine:
         return self.slept_s
 
 
-def test_each_sleep_is_part_of_the_ages_of_what_was_before_it():
+def test_each_sleep_of_the_machine_adds_to_the_age_of_earlier_instants():
     machine = Machine()
     watch = SleepWatch(machine)
     assert watch.look() == ()
@@ -39,7 +39,7 @@ def test_each_sleep_is_part_of_the_ages_of_what_was_before_it():
     ("platform", "boot_s", "utc_s", "slept_s"),
     [("linux", 90.0, 0.0, 90.0), ("linux", 90.0, -90.0, 90.0), ("linux", 0.0, 90.0, 0.0), ("darwin", 0.0, 90.0, 90.0)],
 )
-def test_linux_tells_a_sleep_from_a_step_of_the_clock_and_elsewhere_both_look_alike(
+def test_linux_distinguishes_a_sleep_from_a_clock_step_and_other_systems_do_not(
     monkeypatch, platform, boot_s, utc_s, slept_s
 ):
     monkeypatch.setattr(sys, "platform", platform)

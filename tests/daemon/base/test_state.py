@@ -29,32 +29,32 @@ def state_file(directory):
     return StateFile(StateFolder(directory), "kept.json", Kept, LOG, "the count")
 
 
-def test_what_is_saved_comes_back_in_another_process(tmp_path):
+def test_saved_state_can_be_loaded_again_from_its_file(tmp_path):
     state_file(tmp_path / "new").save(Kept(count=3))
     assert state_file(tmp_path / "new").load() == Kept(count=3)
     assert (tmp_path / "new" / "kept.json").read_text() == '{"count":3}'
 
 
-def test_nothing_kept_is_none():
+def test_a_state_file_without_a_folder_saves_nothing_and_loads_none():
     assert state_file(None).load() is None
     state_file(None).save(Kept(count=1))
 
 
-def test_a_folder_that_is_not_there_holds_nothing(tmp_path):
+def test_state_in_a_folder_that_does_not_exist_is_loaded_as_none(tmp_path):
     (tmp_path / "file").touch()
     assert state_file(tmp_path / "none").load() is None
     assert state_file(tmp_path / "file").load() is None
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b'{"count": "3"}', b'{"count": 3, "more": 1}', b"\xff\xfe", b"null"])
-def test_what_cannot_be_read_is_the_callers_to_judge(tmp_path, content):
+def test_an_unreadable_state_file_raises_an_error_that_names_its_path(tmp_path, content):
     (tmp_path / "kept.json").write_bytes(content)
     with pytest.raises(UnreadableStateError, match=r"kept\.json cannot be read") as caught:
         state_file(tmp_path).load()
     assert caught.value.path == tmp_path / "kept.json"
 
 
-def test_a_pipe_in_its_place_is_not_waited_for_and_the_next_contents_take_its_place(tmp_path):
+def test_a_pipe_in_place_of_a_state_file_is_unreadable_and_replaced_by_the_next_save(tmp_path):
     path = tmp_path / "kept.json"
     os.mkfifo(path)
     with pytest.raises(UnreadableStateError):
@@ -64,7 +64,7 @@ def test_a_pipe_in_its_place_is_not_waited_for_and_the_next_contents_take_its_pl
         assert state_file(tmp_path).load() == Kept(count=count)
 
 
-def test_a_link_that_leads_nowhere_and_a_file_without_end_cannot_be_read(tmp_path):
+def test_a_state_file_that_is_a_dangling_link_or_enormous_cannot_be_read(tmp_path):
     path = tmp_path / "kept.json"
     path.symlink_to("nowhere")
     with pytest.raises(UnreadableStateError):
@@ -99,7 +99,7 @@ def test_a_disk_that_fails_is_reported_once_until_it_works_again_and_gets_the_ne
     ]
 
 
-def test_what_two_files_keep_alike_is_said_once(tmp_path):
+def test_the_same_state_unsaved_in_two_files_is_reported_in_one_sentence(tmp_path):
     directory = tmp_path / "folder"
     folder = StateFolder(directory)
     directory.touch()
@@ -122,7 +122,7 @@ class SlowDisk:
         replace_file(path, text)
 
 
-def test_a_slow_disk_is_not_waited_for_and_gets_the_newest_of_each_file_in_order(tmp_path):
+def test_saving_state_does_not_wait_for_a_slow_disk_which_gets_the_newest_contents_in_order(tmp_path):
     disk, now_s = SlowDisk(), [100.0]
     folder = StateFolder(tmp_path, behind=True, replace=disk.replace, now_s=lambda: now_s[0])
     first, second = (StateFile(folder, name, Kept, LOG, f"the {name}") for name in ("a.json", "b.json"))
@@ -147,7 +147,7 @@ def test_a_slow_disk_is_not_waited_for_and_gets_the_newest_of_each_file_in_order
     assert first.load() == Kept(count=5)
 
 
-def test_the_end_of_the_service_tries_once_more_and_says_what_is_lost(tmp_path, caplog):
+def test_closing_the_state_folder_tries_to_save_once_more_and_logs_what_is_lost(tmp_path, caplog):
     folder = StateFolder(tmp_path / "folder", behind=True)
     (tmp_path / "folder").touch()
     StateFile(folder, "kept.json", Kept, LOG, "the count").save(Kept(count=1))
@@ -160,7 +160,7 @@ def test_the_end_of_the_service_tries_once_more_and_says_what_is_lost(tmp_path, 
     assert not caplog.records
 
 
-def test_on_a_full_disk_each_new_content_takes_the_room_of_the_one_before(small_disk):
+def test_on_a_full_disk_state_is_saved_into_reserved_room_or_left_unchanged_if_too_long(small_disk):
     kept = state_file(small_disk)
     kept.reserve()
     fill(small_disk / "filler")
@@ -174,7 +174,7 @@ def test_on_a_full_disk_each_new_content_takes_the_room_of_the_one_before(small_
         assert state_file(small_disk).load() == Kept(count=4, why="w" * 400), "what has no room leaves the file alone"
 
 
-def test_without_room_that_was_kept_the_first_content_is_lost_and_said(small_disk, caplog):
+def test_on_a_full_disk_without_reserved_room_the_first_state_is_reported_as_unsaved(small_disk, caplog):
     fill(small_disk / "filler")
     folder = StateFolder(small_disk)
     StateFile(folder, "kept.json", Kept, LOG, "the count").save(Kept(count=1))
@@ -211,7 +211,9 @@ def dies_in_the_middle(monkeypatch):
 
 
 @pytest.mark.parametrize("dies_at", range(6))
-def test_whoever_dies_in_the_middle_leaves_the_whole_old_or_the_whole_new_file(tmp_path, dies_in_the_middle, dies_at):
+def test_a_process_that_dies_while_replacing_a_file_leaves_the_whole_old_or_the_whole_new_one(
+    tmp_path, dies_in_the_middle, dies_at
+):
     path = tmp_path / "kept.json"
     dies_in_the_middle(path, dies_at)
     assert path.read_text() in ("second", "third, and longer")
@@ -220,7 +222,9 @@ def test_whoever_dies_in_the_middle_leaves_the_whole_old_or_the_whole_new_file(t
 
 
 @pytest.mark.parametrize("dies_at", range(6))
-def test_whoever_died_in_the_middle_has_the_room_still_when_the_disk_is_full(small_disk, dies_in_the_middle, dies_at):
+def test_reserved_room_on_a_full_disk_survives_a_process_that_died_while_replacing_a_file(
+    small_disk, dies_in_the_middle, dies_at
+):
     path = small_disk / "kept.json"
     dies_in_the_middle(path, dies_at)
     fill(small_disk / "filler")
@@ -229,7 +233,7 @@ def test_whoever_died_in_the_middle_has_the_room_still_when_the_disk_is_full(sma
         assert path.read_text() == text
 
 
-def test_a_file_system_without_second_names_keeps_room_too(tmp_path, monkeypatch):
+def test_a_file_system_without_hard_links_keeps_reserved_room_too(tmp_path, monkeypatch):
     def link(*_):
         raise OSError
 
@@ -240,7 +244,7 @@ def test_a_file_system_without_second_names_keeps_room_too(tmp_path, monkeypatch
         assert spare_of(tmp_path / "kept.json").read_text() == text
 
 
-def test_a_spare_that_root_has_left_is_made_anew(tmp_path, monkeypatch):
+def test_a_spare_file_that_the_service_may_not_write_is_made_anew(tmp_path, monkeypatch):
     state_file(tmp_path).save(Kept(count=1))
     spare = spare_of(tmp_path / "kept.json")
     with spare.open() as left:
@@ -250,7 +254,7 @@ def test_a_spare_that_root_has_left_is_made_anew(tmp_path, monkeypatch):
     assert state_file(tmp_path).load() == Kept(count=2)
 
 
-def test_what_no_thread_can_write_at_present_is_told_and_written_later(tmp_path, monkeypatch):
+def test_state_is_reported_as_unsaved_and_written_later_when_no_thread_can_start(tmp_path, monkeypatch):
     now_s = 0.0
     folder = StateFolder(tmp_path, behind=True, now_s=lambda: now_s)
     kept = StateFile(folder, "kept.json", Kept, LOG, "the count")
@@ -270,7 +274,7 @@ def test_what_no_thread_can_write_at_present_is_told_and_written_later(tmp_path,
     assert kept.load() == Kept(count=1)
 
 
-def test_an_error_that_nobody_expects_of_a_disk_is_told_and_keeps_no_other_file_waiting(tmp_path):
+def test_an_unexpected_error_while_saving_state_is_reported_and_blocks_no_other_file(tmp_path):
     broken = True
 
     def replace(path, text):

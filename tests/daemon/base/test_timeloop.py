@@ -86,7 +86,7 @@ def test_virtual_time_stands_still_while_threads_end():
         assert runner.run(work()) < 0.001
 
 
-def test_a_program_that_waits_for_nothing_is_told_so(monkeypatch):
+def test_a_program_that_waits_for_ever_in_virtual_time_gets_an_error(monkeypatch):
     monkeypatch.setattr("daemon.base.timeloop._DEADLOCK_AFTER_S", 0.05)
 
     async def hang():
@@ -101,7 +101,7 @@ def test_a_program_that_waits_for_nothing_is_told_so(monkeypatch):
     loop.close()
 
 
-def test_a_scaled_minute_passes_in_a_moment():
+def test_a_sleep_of_a_minute_lasts_a_minute_of_scaled_time():
     async def minute():
         loop = asyncio.get_running_loop()
         before = loop.time()
@@ -112,7 +112,7 @@ def test_a_scaled_minute_passes_in_a_moment():
         assert runner.run(minute()) >= 60.0
 
 
-def test_scaled_time_that_the_machine_was_away_passes_in_small_steps_and_is_made_up_for():
+def test_scaled_time_lost_while_the_loop_was_blocked_is_made_up_for_in_small_steps():
     async def seconds():
         loop = asyncio.get_running_loop()
         seen, began_s = [loop.time()], time.monotonic()
@@ -135,7 +135,7 @@ def test_scaled_time_that_the_machine_was_away_passes_in_small_steps_and_is_made
     assert max(steps) <= 3.0
 
 
-def test_what_is_called_every_second_comes_between_the_timers_until_it_is_ended():
+def test_a_function_called_every_second_runs_between_the_timers_until_it_is_ended():
     async def scenario():
         loop, calls = asyncio.get_running_loop(), []
         start_s, woken = loop.time(), asyncio.Event()
@@ -161,7 +161,7 @@ def test_what_is_called_every_second_comes_between_the_timers_until_it_is_ended(
 
 
 @pytest.mark.parametrize("loop", [asyncio.SelectorEventLoop, VirtualTimeLoop])
-def test_a_beat_runs_in_the_context_of_whoever_asked_for_it(loop):
+def test_a_periodic_call_runs_in_the_context_of_the_task_that_asked_for_it(loop):
     async def worker(name, seen):
         NAME.set(name)
         await call_until(0.01, lambda: seen.append(NAME.get()) or seen.count(name) >= 2)
@@ -176,7 +176,7 @@ def test_a_beat_runs_in_the_context_of_whoever_asked_for_it(loop):
         assert runner.run(scenario()) == {"roof", "field"}
 
 
-def test_a_timer_that_raises_or_never_ends_holds_up_nothing_else():
+def test_a_timer_that_raises_or_sets_itself_again_for_ever_blocks_nothing_else():
     async def scenario():
         loop, told, turns = asyncio.get_running_loop(), [], []
         loop.set_exception_handler(lambda _, context: told.append(context["exception"]))
@@ -207,7 +207,7 @@ def test_a_timer_that_raises_or_never_ends_holds_up_nothing_else():
     task.result()
 
 
-def test_what_is_called_until_it_is_over_ends_at_that_instant_and_is_called_no_more():
+def test_call_until_returns_at_the_instant_of_success_and_then_calls_no_more():
     async def scenario():
         loop, calls = asyncio.get_running_loop(), []
 
@@ -228,7 +228,7 @@ def test_what_is_called_until_it_is_over_ends_at_that_instant_and_is_called_no_m
 
 
 @pytest.mark.parametrize("years", [0.5, 0.54, 1.0, 2.0, 20.0])
-def test_timers_run_after_so_many_years(years):
+def test_timers_are_exact_after_half_a_year_to_twenty_years_of_virtual_time(years):
     async def main():
         loop = asyncio.get_running_loop()
         loop.skip(years * 365.25 * 86400.0)
@@ -260,7 +260,7 @@ def test_a_timer_can_be_years_away():
 
 
 @pytest.mark.parametrize("loop", [asyncio.SelectorEventLoop, VirtualTimeLoop])
-def test_a_look_every_so_often_ends_when_it_finds_something_or_the_event_is_set(loop):
+def test_look_until_ends_when_its_look_succeeds_or_the_event_is_set(loop):
     async def scenario():
         running, event, looks = asyncio.get_running_loop(), asyncio.Event(), []
 
@@ -278,7 +278,7 @@ def test_a_look_every_so_often_ends_when_it_finds_something_or_the_event_is_set(
         assert runner.run(scenario()) == ((3, False), 3, False)
 
 
-def test_whoever_sleeps_alone_sees_the_same_as_among_others():
+def test_a_task_that_sleeps_alone_sees_the_same_order_as_among_other_timers():
     async def course(others):
         loop, seen = asyncio.get_running_loop(), []
 
@@ -319,7 +319,7 @@ def test_a_task_that_was_cancelled_does_not_sleep_first():
         assert runner.run(scenario()) < 1.0
 
 
-def test_in_virtual_time_garbage_is_looked_for_seldom_and_as_often_as_before_after_it():
+def test_garbage_collection_is_rare_in_virtual_time_and_as_frequent_as_before_after_it():
     def fails(runner):
         assert isinstance(runner.get_loop(), VirtualTimeLoop)
         seen.append(gc.get_threshold())

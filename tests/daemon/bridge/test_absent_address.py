@@ -72,7 +72,7 @@ def run(scenario):
 
 @pytest.mark.usefixtures("_possible")
 @pytest.mark.parametrize("settings", [LISTEN, JOIN], ids=["unicast", "group"])
-def test_a_cube_is_heard_as_soon_as_the_address_is_there_and_again_after_it_was_gone(settings, caplog):
+def test_a_cube_is_heard_once_the_bridge_address_appears_and_again_after_it_was_gone(settings, caplog):
     async def scenario():
         listener = Listener(settings)
         listener.receiver.bind()
@@ -111,7 +111,7 @@ def test_a_cube_is_heard_as_soon_as_the_address_is_there_and_again_after_it_was_
 
 
 @pytest.mark.usefixtures("_possible")
-def test_a_port_that_another_program_has_taken_meanwhile_is_waited_for():
+def test_the_bridge_waits_for_a_port_that_another_program_has_taken_meanwhile():
     async def scenario():
         listener = Listener(LISTEN)
         await listener.receiver.open()
@@ -129,7 +129,7 @@ def test_a_port_that_another_program_has_taken_meanwhile_is_waited_for():
     run(scenario)
 
 
-def test_what_no_waiting_mends_is_refused_at_the_start(monkeypatch):
+def test_an_ipv6_bridge_address_on_a_system_without_ipv6_is_refused_at_the_start(monkeypatch):
     monkeypatch.setattr(socket, "socket", SocketWithoutIpv6)
     receiver = BridgeReceiver(BridgeSettings(listen="[::1]:20571"), KEY, LoopClock(lambda: 0.0, UTC_S), print)
     with pytest.raises(BridgeError, match=r"\[::1\]:20571 cannot be bound \(Address family not supported"):

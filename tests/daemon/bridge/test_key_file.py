@@ -76,7 +76,7 @@ def run(scenario, folder):
         runner.run(main())
 
 
-def test_by_the_documented_steps_no_scan_is_lost_and_the_old_key_ends(tmp_path):
+def test_changing_the_key_by_the_documented_steps_loses_no_scan_and_ends_the_old_key(tmp_path):
     async def scenario(sides):
         await sides.send()
         write(sides.tracker_file, OLD, NEW)
@@ -93,7 +93,7 @@ def test_by_the_documented_steps_no_scan_is_lost_and_the_old_key_ends(tmp_path):
     run(scenario, tmp_path)
 
 
-def test_while_two_keys_are_alive_both_are_accepted_and_no_third(tmp_path):
+def test_while_two_keys_are_in_force_the_second_is_accepted_and_a_third_is_not(tmp_path):
     async def scenario(sides):
         write(sides.tracker_file, NEW, OLD)
         await sides.send()
@@ -105,7 +105,7 @@ def test_while_two_keys_are_alive_both_are_accepted_and_no_third(tmp_path):
 
 
 @pytest.mark.parametrize("speed", [1.0, 10.0])
-def test_new_keys_are_taken_once_and_told(tmp_path, caplog, speed):
+def test_new_keys_of_a_changed_key_file_are_taken_once_and_logged(tmp_path, caplog, speed):
     async def scenario():
         taken = []
         file = tmp_path / "bridge.key"
@@ -129,7 +129,7 @@ def test_new_keys_are_taken_once_and_told(tmp_path, caplog, speed):
         runner.run(scenario())
 
 
-def test_a_file_that_cannot_be_used_is_reported_once_and_changes_nothing(tmp_path, caplog):
+def test_an_unusable_key_file_is_logged_once_and_the_keys_in_force_stay(tmp_path, caplog):
     async def scenario(sides):
         with caplog.at_level(logging.WARNING, "heliocube.bridge"):
             sides.tracker_file.write_text("half a ke")

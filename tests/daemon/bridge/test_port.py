@@ -36,7 +36,7 @@ def udp():
 
 @only_linux
 @pytest.mark.parametrize("listen", ["127.0.0.1:0", "0.0.0.0:0"])
-def test_a_flood_that_overflows_the_port_costs_the_cube_no_scan(listen):
+def test_a_flood_that_overflows_the_bridge_port_loses_no_scan_of_the_cube(listen):
     async def main():
         async with port(BridgeSettings(listen=listen)) as (receiver, _, scans, settle):
             place = place_of(receiver)
@@ -58,7 +58,7 @@ def test_a_flood_that_overflows_the_port_costs_the_cube_no_scan(listen):
 
 
 @only_linux
-def test_who_repeats_the_cubes_scans_faster_than_they_are_read_does_not_take_its_line():
+def test_an_attacker_sending_copies_of_scans_ahead_of_the_cube_does_not_take_its_socket():
     async def main():
         async with port() as (receiver, _, scans, settle):
             place = place_of(receiver)
@@ -93,7 +93,7 @@ def test_a_cube_that_comes_back_from_another_port_is_heard_as_before():
     asyncio.run(main())
 
 
-def test_senders_in_turn_are_all_heard_although_there_are_more_of_them_than_lines():
+def test_senders_in_turn_are_all_heard_although_they_outnumber_the_connected_sockets():
     async def main():
         async with port() as (receiver, clock, scans, settle):
             with ExitStack() as stack:
@@ -115,7 +115,7 @@ def lines_on(place):
 
 
 @only_linux
-def test_who_has_been_silent_longest_loses_its_line_to_a_newcomer_after_a_minute():
+def test_the_longest_silent_sender_loses_its_connected_socket_to_a_newcomer_after_a_minute():
     async def main():
         async with port() as (receiver, clock, _, settle):
             with ExitStack() as stack:
@@ -137,7 +137,7 @@ def test_who_has_been_silent_longest_loses_its_line_to_a_newcomer_after_a_minute
     asyncio.run(main())
 
 
-def test_nobody_else_can_take_the_port_while_a_cube_has_a_line_on_it():
+def test_no_other_program_can_take_the_bridge_port_while_a_cube_is_connected_to_it():
     async def main():
         async with port() as (receiver, _, _, settle):
             with udp() as cube, udp() as thief:
@@ -216,7 +216,7 @@ def manager():
 
 @only_linux
 @pytest.mark.usefixtures("stamps")
-def test_what_comes_while_the_service_is_restarted_is_heard_and_dated_by_when_it_came(manager):
+def test_scans_that_arrive_while_the_service_restarts_are_heard_and_dated_by_their_arrival(manager):
     async def main():
         clock, scans = HandClock(), []
         before = BridgeReceiver(BridgeSettings(listen="127.0.0.1:0"), KEY, clock, scans.append, manager)
@@ -250,7 +250,9 @@ def test_what_comes_while_the_service_is_restarted_is_heard_and_dated_by_when_it
 
 @only_linux
 @pytest.mark.parametrize(("set_on_s", "waited_s"), [(290.0, 290.0), (310.0, 0.0), (-10.0, 0.0)])
-def test_what_waited_longer_than_a_restart_takes_or_not_yet_is_dated_now(manager, monkeypatch, set_on_s, waited_s):
+def test_a_scan_that_waited_290_s_is_dated_by_arrival_and_one_of_310_s_or_from_the_future_now(
+    manager, monkeypatch, set_on_s, waited_s
+):
     async def main():
         clock, scans, true_s = HandClock(), [], time.time
         settings = BridgeSettings(listen="127.0.0.1:0")
@@ -280,7 +282,7 @@ def group_on_loopback():
 
 @only_linux
 @pytest.mark.parametrize("restarted", [False, True])
-def test_a_group_is_heard_again_after_the_kernel_has_forgotten_it_with_its_network(manager, restarted):
+def test_a_multicast_group_is_heard_again_after_the_kernel_has_dropped_its_membership(manager, restarted):
     loopback = socket.inet_aton("127.0.0.1")
 
     async def main():
@@ -313,7 +315,7 @@ def test_a_group_is_heard_again_after_the_kernel_has_forgotten_it_with_its_netwo
 
 
 @only_linux
-def test_a_port_of_other_settings_is_not_taken_for_this_one(manager):
+def test_a_kept_socket_of_other_settings_is_not_used_for_another_address(manager):
     async def main():
         first = BridgeReceiver(BridgeSettings(listen="127.0.0.1:0"), KEY, HandClock(), print, manager)
         second = BridgeReceiver(BridgeSettings(listen="0.0.0.0:0"), KEY, HandClock(), print, manager)

@@ -24,7 +24,7 @@ def test_arbitrary_bytes_never_raise_and_never_reach_control(datagram, with_key)
 
 
 @given(st.integers(0, len(GOOD) * 8 - 1))
-def test_no_bit_of_a_signed_datagram_can_be_flipped(bit):
+def test_a_signed_datagram_with_any_bit_flipped_is_refused(bit):
     desk = Desk()
     flipped = bytearray(GOOD)
     flipped[bit // 8] ^= 1 << bit % 8
@@ -35,7 +35,7 @@ def test_no_bit_of_a_signed_datagram_can_be_flipped(bit):
 
 
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=80))
-def test_whatever_the_network_does_to_the_order_scans_come_out_rising_and_the_counts_add_up(numbers):
+def test_scans_come_out_in_rising_order_and_counts_add_up_whatever_order_they_arrive_in(numbers):
     desk = Desk()
     for number in numbers:
         desk.take(signed(scan(number, time_s=0.01 * number)), time_s=0.5)
@@ -50,20 +50,20 @@ def test_whatever_the_network_does_to_the_order_scans_come_out_rising_and_the_co
     assert statistics.accepted + statistics.reordered == len(set(numbers))
 
 
-def test_a_number_that_is_far_behind_is_a_replay():
+def test_a_sequence_number_far_behind_counts_as_a_replay():
     desk = Desk()
     desk.follow(scan(0), scan(100, time_s=5.0))
     desk.take(signed(scan(0)))
     assert desk.counts == {"accepted": 2, "lost": 99, "replayed": 1}
 
 
-def test_a_leap_to_the_largest_number_is_counted_and_takes_no_memory():
+def test_a_leap_to_the_largest_sequence_number_counts_its_lost_scans_and_takes_no_memory():
     desk = Desk()
     desk.follow(scan(0), scan(2**53 - 1, time_s=5.0))
     assert desk.counts == {"accepted": 2, "lost": 2**53 - 2}
 
 
-def test_a_restarted_cube_is_followed_at_once_and_what_is_left_of_its_old_session_is_not():
+def test_a_restarted_cube_is_followed_at_once_and_late_scans_of_its_old_session_are_not():
     desk = Desk()
     desk.follow(scan(7, time_s=0.0), scan(0, time_s=5.0, session="second"))
     desk.take(signed(scan(7, time_s=0.0)), time_s=10.0)
@@ -85,7 +85,7 @@ def test_a_recorded_session_cannot_be_played_again_to_a_receiver_that_remembers_
     assert desk.counts == {"accepted": 4, "replayed": 12}
 
 
-def test_many_sessions_are_forgotten_and_still_cannot_return():
+def test_a_session_forgotten_among_200_newer_ones_still_cannot_return():
     desk = Desk()
     for number in range(200):
         desk.follow(scan(0, time_s=0.1 * number, session=f"run-{number}"))
@@ -116,7 +116,7 @@ def test_only_listed_senders_are_heard():
     assert desk.counts == {"refused_sender": 1, "accepted": 2}
 
 
-def test_what_comes_over_another_transport_is_judged_like_a_datagram_and_asked_for_no_address():
+def test_scans_over_another_transport_are_judged_like_datagrams_but_need_no_listed_address():
     desk = Desk(accept_from=("192.168.1.10",))
     desk.receiver.take(GOOD, "the broker")
     desk.receiver.take(GOOD, "the broker")
@@ -142,7 +142,7 @@ def test_a_refusal_names_its_kind_its_sender_and_its_reason():
     assert desk.reason.startswith("malformed: a datagram from 127.0.0.1:40000 is not JSON")
 
 
-def test_a_day_of_forged_and_malformed_datagrams_writes_few_lines_and_the_end_is_told(caplog):
+def test_a_day_of_forged_and_malformed_datagrams_logs_at_most_ten_lines_and_its_end(caplog):
     caplog.set_level(logging.INFO)
     desk = Desk()
     desk.follow(scan(0))
@@ -176,7 +176,7 @@ def test_a_network_that_doubles_every_datagram_is_reported_once(caplog):
         ({"listen": "0.0.0.0:1", "multicast_group": "239.255.20.71:20571"}, KEY, "must be the same"),
     ],
 )
-def test_wrong_settings_are_one_sentence_with_their_key(settings, key, words):
+def test_missing_or_contradictory_bridge_settings_are_refused_with_the_reason(settings, key, words):
     with pytest.raises(BridgeError) as caught:
         BridgeReceiver(BridgeSettings(**settings), key, HandClock(), print)
     assert words in str(caught.value)

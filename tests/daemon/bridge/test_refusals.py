@@ -20,12 +20,12 @@ def refuse(tally, kind, *times_s):
         tally.refuse(ScanRefusedError(kind, "is wrong"), ("10.0.0.7", 40000), UTC_S + time_s, time_s)
 
 
-def test_nothing_refused_is_no_refusal():
+def test_statistics_without_refused_datagrams_count_zero_and_name_no_last_refusal():
     found = Tally().statistics(lost=0)
     assert (found.accepted, found.refused, found.last_refusal, found.last_refusal_utc_s) == (0, 0, "", None)
 
 
-def test_what_was_refused_since_the_last_good_scan_is_listed_by_its_names():
+def test_refusals_since_the_last_accepted_scan_are_listed_by_kind():
     tally = Tally()
     assert tally.since_accepted == ""
     refuse(tally, Refusal.SECOND_CUBE, 1.0)
@@ -48,7 +48,7 @@ def test_what_was_refused_since_the_last_good_scan_is_listed_by_its_names():
     assert found.last_refusal_utc_s == UTC_S + 5.0
 
 
-def test_the_first_of_a_kind_is_told_and_the_others_after_1_2_and_4_hours(log):
+def test_the_first_refusal_of_a_kind_is_logged_and_then_counts_at_gaps_of_1_2_and_4_hours(log):
     tally = Tally()
     step_s = HOUR_S / 4
     refuse(tally, Refusal.FORGED, *(step_s * step for step in range(31)))
@@ -59,7 +59,7 @@ def test_the_first_of_a_kind_is_told_and_the_others_after_1_2_and_4_hours(log):
     assert counted == ["4 forged", "8 forged", "16 forged"]
 
 
-def test_a_stretch_begins_with_nothing_told_and_an_hour_to_the_first_summary(log):
+def test_a_new_stretch_of_refusals_begins_without_old_counts_and_an_hour_to_its_summary(log):
     tally = Tally()
     refuse(tally, Refusal.FORGED, 0.0, HOUR_S, HOUR_S + 10.0)
     assert len(log.records) == 2
@@ -75,13 +75,13 @@ def test_a_stretch_begins_with_nothing_told_and_an_hour_to_the_first_summary(log
 
 
 @pytest.mark.parametrize(("quiet_s", "lines"), [(QUIET_S - 1.0, 1), (QUIET_S, 2)])
-def test_six_quiet_hours_end_a_stretch(log, quiet_s, lines):
+def test_six_quiet_hours_end_a_stretch_of_refusals(log, quiet_s, lines):
     tally = Tally()
     refuse(tally, Refusal.FORGED, 0.0, quiet_s)
     assert sum("more of this kind" in record.getMessage() for record in log.records) == lines
 
 
-def test_a_gap_of_a_minute_that_ends_is_told_once_a_stretch(log):
+def test_the_end_of_a_gap_of_a_minute_between_scans_is_logged_once_per_stretch_of_refusals(log):
     tally = Tally()
     refuse(tally, Refusal.LATE, 0.0)
     tally.accept(SILENCE_S - 1.0)

@@ -37,7 +37,7 @@ def test_a_clock_just_within_the_allowed_skew_is_accepted_and_just_beyond_is_not
     assert "NTP" in desk.reason
 
 
-def test_a_scan_that_was_skewed_is_not_lost_as_well():
+def test_a_scan_refused_as_skewed_is_not_counted_as_lost_as_well():
     desk = Desk()
     desk.follow(scan(0))
     desk.take(signed(scan(1, time_utc_s=UTC_S + 1e4)))
@@ -45,7 +45,7 @@ def test_a_scan_that_was_skewed_is_not_lost_as_well():
     assert desk.counts == {"accepted": 2, "skewed": 1}
 
 
-def test_times_are_rebased_to_the_fastest_way_and_ages_are_kept():
+def test_scan_times_are_rebased_by_the_smallest_delay_and_face_ages_are_kept():
     desk = Desk()
     for number, delay_s in enumerate((0.5, 0.1, 2.1)):
         desk.take(signed(scan(number)), time_s=5.0 * number + delay_s)
@@ -98,7 +98,7 @@ def test_a_steady_clock_that_steps_back_never_makes_time_run_back_for_control():
     assert "steady clock" in desk.reason
 
 
-def test_what_waited_is_judged_and_dated_by_when_it_came():
+def test_a_datagram_that_waited_is_judged_and_dated_by_its_arrival():
     desk = Desk()
     desk.clock.now_s += 40.0
     desk.receiver.datagram_received(GOOD, PEER, 40.0)

@@ -74,7 +74,7 @@ def test_a_scan_reaches_every_target_signed_before_send_returns():
         assert [(target.sent, target.failed) for target in sender.statistics] == [(1, 0), (1, 0)]
 
 
-def test_without_a_key_the_datagram_is_the_plain_pack():
+def test_without_a_key_a_scan_is_sent_as_an_unsigned_pack():
     with listening() as listener, sending(address_of(listener), key=None, insecure=True) as sender:
         sender.send(scan())
         assert listener.recv(4096) == senml.encode(scan())
@@ -119,7 +119,7 @@ def test_the_first_scan_after_a_receiver_came_back_arrives():
 
 
 # The kernel reports only so many refused datagrams per second, so the tests below provoke few of them.
-def test_a_day_of_outage_is_told_in_few_lines(caplog):
+def test_a_day_of_outage_of_a_target_logs_at_most_20_lines(caplog):
     caplog.set_level(logging.INFO)
     clock = HandClock()
     with sending("127.255.255.255:20571", clock=clock) as sender:
@@ -131,7 +131,7 @@ def test_a_day_of_outage_is_told_in_few_lines(caplog):
     assert len(caplog.records) <= 20
 
 
-def test_the_end_of_an_outage_is_told_once(caplog):
+def test_the_end_of_an_outage_of_a_target_is_logged_once_after_ten_minutes_without_an_error(caplog):
     caplog.set_level(logging.INFO)
     clock = HandClock()
     port = closed_port()
@@ -154,7 +154,7 @@ def test_the_end_of_an_outage_is_told_once(caplog):
     assert up.getMessage() == f"the way of the scans to 127.0.0.1:{port} is back"
 
 
-def test_a_target_that_comes_and_goes_is_one_outage(caplog):
+def test_a_target_that_comes_and_goes_is_logged_as_one_outage(caplog):
     caplog.set_level(logging.INFO)
     clock = HandClock()
     port = closed_port()
@@ -172,7 +172,7 @@ def test_a_target_that_comes_and_goes_is_one_outage(caplog):
     assert len(caplog.messages) <= 4
 
 
-def test_the_shipped_defaults_need_a_key_or_an_explicit_insecure():
+def test_a_sender_with_the_default_settings_and_without_a_key_is_refused():
     with pytest.raises(BridgeError, match=r"bridge\.key_file is not set: make a key"):
         BridgeSender(BridgeSettings(), None, HandClock())
 
@@ -182,7 +182,7 @@ def test_a_sender_without_a_target_is_refused():
         BridgeSender(BridgeSettings(send_to=()), KEY, HandClock())
 
 
-def test_an_interface_that_this_machine_does_not_have_is_an_outage_not_an_error():
+def test_a_multicast_interface_that_this_machine_does_not_have_is_an_outage_not_an_error():
     with sending(multicast_group="239.255.20.71:20571", multicast_interface="192.0.2.1") as sender:
         assert not sender.statistics[0].down
         sender.send(scan())
@@ -190,7 +190,7 @@ def test_an_interface_that_this_machine_does_not_have_is_an_outage_not_an_error(
         assert sender.statistics[0].last_error == os.strerror(errno.EADDRNOTAVAIL)
 
 
-def test_a_group_needs_no_interface():
+def test_a_multicast_group_needs_no_interface_setting():
     with sending(multicast_group="239.255.20.71:20571") as sender:
         assert [target.target for target in sender.statistics] == ["239.255.20.71:20571"]
 
@@ -210,7 +210,7 @@ IP_RECVTTL = 12
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the option has another number elsewhere")
-def test_a_scan_for_the_group_goes_as_far_as_the_settings_let_it():
+def test_a_scan_for_the_multicast_group_has_the_ttl_of_the_settings():
     with listening(host="0.0.0.0") as listener:
         membership = socket.inet_aton("239.255.20.71") + socket.inet_aton("127.0.0.1")
         try:
@@ -259,7 +259,7 @@ def test_an_address_is_read_and_written_back(text, host, port):
         *("::1:20571", "[::1]", "[127.0.0.1]:1", "[fe80::1%eth0]:20571"),
     ],
 )
-def test_what_is_no_numeric_address_is_refused_in_one_sentence_that_quotes_it(text):
+def test_a_text_that_is_no_numeric_address_is_refused_in_one_sentence_that_quotes_it(text):
     with pytest.raises(ValueError, match=r"such as 192\.168\.1\.20:20571|highest port") as caught:
         parse_address(text)
     assert repr(text) in str(caught.value)

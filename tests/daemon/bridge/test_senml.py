@@ -63,7 +63,7 @@ scans = st.builds(
 
 
 @given(scans)
-def test_a_scan_comes_back_to_a_milliwatt_and_a_millisecond(sent):
+def test_a_scan_survives_encoding_as_senml_to_a_milliwatt_and_a_millisecond(sent):
     got = senml.decode(senml.encode(sent))
     assert (got.source, got.session, got.sequence, got.simulated) == (
         sent.source,
@@ -156,13 +156,13 @@ def test_a_pack_that_breaks_a_rule_is_refused_and_the_reason_names_the_place(cha
 
 
 @pytest.mark.parametrize("base_time", [0, 1e8, 4.2e9, 1e300, "1665742815", None])
-def test_a_base_time_outside_our_century_is_refused(base_time):
+def test_a_base_time_outside_1978_to_2099_or_that_is_no_number_is_refused(base_time):
     records = json.loads(senml.encode(scan()))
     records[0]["bt"] = base_time
     assert "bt" in refusal(json.dumps(records).encode())
 
 
-def test_the_time_of_a_clock_that_is_not_set_is_refused_as_that():
+def test_a_base_time_of_a_clock_that_is_not_set_is_refused_with_that_reason():
     records = json.loads(senml.encode(scan()))
     records[0]["bt"] = 36014.077
     said = "has a base time (bt) before July 1978, 36014.077: the clock of the cube's machine is not set"
@@ -170,7 +170,7 @@ def test_the_time_of_a_clock_that_is_not_set_is_refused_as_that():
 
 
 @pytest.mark.parametrize("base_time", [2**28, 4102444800])
-def test_times_from_the_first_that_is_no_relative_one_to_the_end_of_the_century_are_taken(base_time):
+def test_base_times_from_july_1978_to_the_end_of_the_century_are_taken_and_none_beyond(base_time):
     records = json.loads(senml.encode(scan()))
     records[0]["bt"] = base_time
     assert senml.decode(json.dumps(records).encode()).time_utc_s == base_time
@@ -186,7 +186,7 @@ def test_times_from_the_first_that_is_no_relative_one_to_the_end_of_the_century_
     ({"n": "west", "u": "W/m2"}, 10_000, 10_000.001),
     ({"n": "west", "u": "W/m2"}, -10_000, -10_000.001),
 ])  # fmt: skip
-def test_each_number_is_taken_up_to_its_bound_and_not_beyond(record, most, too_much):
+def test_each_number_of_a_pack_is_taken_up_to_its_bound_and_not_beyond(record, most, too_much):
     senml.decode(pack(**{record["n"]: record | {"v": most}}))
     assert record["n"] in refusal(pack(**{record["n"]: record | {"v": too_much}}))
 
@@ -218,11 +218,11 @@ def test_a_base_name_that_is_no_source_is_refused(base_name):
         b'[{"bn":"cube/","bt":' + b"9" * 2000 + b"}]",
     ],
 )
-def test_what_is_not_one_json_array_of_objects_is_refused(payload):
+def test_a_payload_that_is_not_one_json_array_of_objects_is_refused(payload):
     refusal(payload)
 
 
-def test_a_reason_is_one_short_ascii_line_whatever_was_sent():
+def test_the_reason_of_a_refusal_is_one_short_ascii_line_whatever_was_sent():
     reason = refusal(pack(session={"n": "session", "vs": "\x1b[31m\nété" * 100}))
     assert reason.isascii()
     assert reason.isprintable()
@@ -230,7 +230,7 @@ def test_a_reason_is_one_short_ascii_line_whatever_was_sent():
 
 
 @pytest.mark.parametrize(("letters", "shown"), [(78, "'" + "!" * 78 + "'"), (79, "'" + "!" * 76 + "...")])
-def test_of_foreign_text_eighty_letters_are_shown(letters, shown):
+def test_a_refusal_shows_at_most_eighty_letters_of_foreign_text(letters, shown):
     assert refusal(pack(session={"n": "session", "vs": "!" * letters})).endswith(f": {shown}")
 
 
@@ -238,13 +238,13 @@ def test_of_foreign_text_eighty_letters_are_shown(letters, shown):
     ("value", "quality"),
     [(math.nan, Quality.MISSING), (math.inf, Quality.IMPLAUSIBLE), (-1e9, Quality.IMPLAUSIBLE)],
 )
-def test_a_reading_that_claims_to_be_ok_without_a_possible_number_is_sent_as_what_it_is(value, quality):
+def test_an_ok_reading_without_a_possible_number_is_sent_as_missing_or_implausible(value, quality):
     got = senml.decode(senml.encode(scan(west=reading(value)))).west
     assert math.isnan(got.irradiance_w_m2)
     assert got.quality is quality
 
 
-def test_numbers_travel_in_thousandths():
+def test_the_numbers_of_a_pack_are_rounded_to_thousandths():
     sent = scan(west=FaceReading(123.45678, Quality.OK, UTC_S, STEADY_S - 0.12345))
     sent = replace(sent, time_utc_s=UTC_S + 0.00049, time_monotonic_s=STEADY_S + 0.00049)
     records = {record["n"]: record for record in json.loads(senml.encode(sent))}
@@ -259,16 +259,16 @@ def test_a_face_is_sent_as_no_younger_than_its_scan_and_no_older_than_an_hour(ag
     assert records["west"].get("t") == offset_s
 
 
-def test_a_scan_without_a_time_is_no_pack():
+def test_a_scan_without_a_time_cannot_be_encoded():
     with pytest.raises(ValueError, match="not JSON compliant"):
         senml.encode(scan(time_utc_s=math.nan))
 
 
-def test_a_pack_takes_no_blank_more_than_it_needs():
+def test_a_pack_contains_no_blanks():
     assert b" " not in senml.encode(scan(west=reading(math.nan, Quality.LATE)))
 
 
-def test_a_face_whose_time_is_not_known_is_sent_as_the_oldest_there_can_be():
+def test_a_face_whose_time_is_not_known_is_sent_as_an_hour_older_than_its_scan():
     got = senml.decode(senml.encode(scan(west=FaceReading(1.0, Quality.STALE, math.nan, math.nan))))
     assert got.west.time_utc_s == got.time_utc_s - 3600
 
@@ -287,7 +287,7 @@ def test_the_longest_signed_scan_fits_an_unfragmented_datagram():
 
 
 @given(scans)
-def test_a_peek_at_a_pack_of_ours_sees_what_reading_the_whole_of_it_does(sent):
+def test_a_peek_at_an_encoded_pack_gives_the_same_head_as_decoding_the_whole(sent):
     head, whole = senml.peek(senml.encode(sent)), senml.decode(senml.encode(sent))
     assert head == ScanHead(whole.source, whole.session, whole.sequence, whole.time_utc_s)
 
@@ -295,7 +295,7 @@ def test_a_peek_at_a_pack_of_ours_sees_what_reading_the_whole_of_it_does(sent):
 @pytest.mark.parametrize(
     ("ours", "other"), [(b'[{"bn"', b'[ {"bn"'), (b'"u":"count","v"', b'"v"'), (b'"session","vs"', b'"session", "vs"')]
 )
-def test_a_peek_at_a_pack_of_another_program_sees_nothing_and_leaves_it_to_the_reading(ours, other):
+def test_a_peek_at_a_pack_that_another_program_has_written_returns_nothing(ours, other):
     sent = senml.encode(scan())
     assert senml.peek(sent) is not None
     assert senml.peek(sent.replace(ours, other)) is None

@@ -23,7 +23,7 @@ def sessions(desk):
     return [got.session for got in desk.scans]
 
 
-def test_a_second_cube_that_was_started_by_mistake_costs_the_first_one_no_scan():
+def test_a_second_cube_that_was_started_by_mistake_loses_no_scan_of_the_first_one():
     desk = Desk()
     desk.follow(*(scan(number) for number in range(4)))
     follow_both(desk, 20, 40)
@@ -43,7 +43,7 @@ def test_a_first_cube_that_was_silent_meanwhile_is_followed_again_at_once():
     assert desk.counts == {"accepted": 9, "lost": 4}
 
 
-def test_the_second_cube_is_followed_when_the_first_has_been_silent_for_a_minute_and_no_longer_than_that():
+def test_a_second_cube_is_followed_after_a_minute_of_silence_of_the_first_until_it_returns():
     desk = Desk()
     follow_both(desk, 0, 15)
     desk.follow(*(scan(number, time_s=5.0 * number + 2.0, session="second") for number in range(3, 20)))
@@ -76,7 +76,7 @@ def test_a_cube_whose_clock_is_set_back_and_that_is_started_again_is_followed_at
 
 
 @pytest.mark.parametrize(("old_s", "counts"), [(0.2, {"accepted": 3}), (0.3, {"accepted": 2, "replayed": 1})])
-def test_what_is_of_this_very_moment_by_this_machine_is_no_replay(old_s, counts):
+def test_a_scan_stamped_0_2_s_ago_by_this_machines_clock_is_no_replay_and_one_0_3_s_ago_is(old_s, counts):
     desk = Desk()
     desk.follow(scan(0))
     desk.take(signed(scan(0, time_s=25.0, session="second")), time_s=5.0)
@@ -94,7 +94,7 @@ def test_a_restart_of_the_first_cube_is_followed_beside_a_second_one():
     assert desk.counts["second_cube"] == 2 + 4
 
 
-def test_what_two_cubes_have_sent_cannot_be_played_again():
+def test_recorded_scans_of_two_cubes_cannot_be_played_again():
     desk = Desk()
     recorded = [scan(number) for number in range(8)]
     recorded += [scan(number, time_s=5.0 * number + 2.0, session="second") for number in range(8)]
@@ -132,7 +132,7 @@ def test_after_a_restart_of_the_receiver_an_old_session_cannot_take_the_place_of
 @given(
     st.lists(st.tuples(st.sampled_from(("first", "second", "third")), st.integers(0, 12)), min_size=1, max_size=60),
 )
-def test_whoever_sends_and_whatever_is_replayed_no_scan_comes_through_twice_and_stamps_rise_between_sessions(sent):
+def test_under_any_replay_no_scan_comes_through_twice_and_time_stamps_never_fall(sent):
     desk = Desk()
     for number, (session, back) in enumerate(sent):
         # `back` numbers ago: recorded scans come again among the new ones.
@@ -145,7 +145,7 @@ def test_whoever_sends_and_whatever_is_replayed_no_scan_comes_through_twice_and_
 
 
 @pytest.mark.parametrize(("behind", "refused"), [(63, {"reordered": 1}), (64, {"replayed": 1})])
-def test_the_numbers_of_the_last_64_are_remembered(behind, refused):
+def test_the_last_64_sequence_numbers_of_a_session_are_remembered(behind, refused):
     desk = Desk()
     desk.follow(scan(0), scan(100))
     desk.take(signed(scan(100 - behind)))
@@ -156,7 +156,7 @@ def test_the_numbers_of_the_last_64_are_remembered(behind, refused):
 
 
 @pytest.mark.parametrize("ahead", [1, 2, 63, 64, 65])
-def test_after_a_leap_what_came_before_it_is_known_as_far_as_64_go(ahead):
+def test_after_a_leap_an_earlier_scan_is_a_duplicate_if_less_than_64_behind_else_a_replay(ahead):
     desk = Desk()
     desk.follow(scan(100), scan(100 + ahead))
     desk.take(signed(scan(100)))
@@ -166,7 +166,7 @@ def test_after_a_leap_what_came_before_it_is_known_as_far_as_64_go(ahead):
 
 
 @pytest.mark.parametrize(("sessions", "words"), [(64, "has been replaced"), (65, "begins the session run-0")])
-def test_of_64_sessions_it_is_known_that_they_were_there(sessions, words):
+def test_the_last_64_sessions_are_remembered_as_replaced(sessions, words):
     desk = Desk()
     for number in range(sessions):
         desk.follow(scan(0, time_s=0.1 * number, session=f"run-{number}"))
@@ -175,7 +175,7 @@ def test_of_64_sessions_it_is_known_that_they_were_there(sessions, words):
     assert words in desk.reason
 
 
-def test_what_a_forgotten_session_lost_stays_counted():
+def test_lost_scans_of_a_forgotten_session_stay_counted():
     desk = Desk()
     desk.follow(scan(0, time_s=0.0), scan(4, time_s=0.05))
     for number in range(1, 70):
@@ -186,7 +186,7 @@ def test_what_a_forgotten_session_lost_stays_counted():
 
 
 @pytest.mark.parametrize(("silence_s", "counts"), [(550.0, {"accepted": 1, "late": 1}), (610.0, {"accepted": 2})])
-def test_the_fastest_way_is_remembered_for_five_to_ten_minutes(silence_s, counts):
+def test_the_smallest_delay_is_remembered_for_550_s_and_forgotten_after_610_s(silence_s, counts):
     desk = Desk()
     desk.follow(scan(0))
     # It comes 11 s after it was made; 10 s are allowed.
@@ -194,7 +194,7 @@ def test_the_fastest_way_is_remembered_for_five_to_ten_minutes(silence_s, counts
     assert desk.counts == counts
 
 
-def test_what_is_known_of_delays_can_be_forgotten():
+def test_the_known_delays_of_scans_can_be_forgotten():
     guard = SequenceGuard(clock_skew_s=30.0, late_after_s=10.0)
     guard.admit(scan(0), UTC_S, 1000.0)
     with pytest.raises(ScanRefusedError):
@@ -204,7 +204,7 @@ def test_what_is_known_of_delays_can_be_forgotten():
 
 
 @pytest.mark.parametrize(("stamp_s", "words"), [(31.0, "31.0 s ahead of"), (-31.0, "31.0 s behind")])
-def test_it_is_said_on_which_side_of_the_clock_a_stamp_is(stamp_s, words):
+def test_the_refusal_of_a_skewed_scan_says_whether_it_is_ahead_of_or_behind_the_clock(stamp_s, words):
     desk = Desk()
     desk.take(signed(scan(0, time_s=stamp_s)))
     assert desk.counts == {"skewed": 1}
@@ -220,7 +220,7 @@ def test_a_scan_may_be_ten_seconds_later_than_the_fastest_and_no_more():
     assert desk.counts == {"accepted": 2, "late": 1}
 
 
-def test_of_very_many_sessions_the_one_that_is_followed_is_never_forgotten():
+def test_the_followed_session_is_never_forgotten_among_very_many_others():
     desk = Desk()
     desk.follow(scan(0))
     for number in range(100):

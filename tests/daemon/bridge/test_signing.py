@@ -48,14 +48,14 @@ def block(name):
 
 
 @given(st.binary(min_size=1, max_size=1000), st.binary(min_size=32, max_size=64))
-def test_what_is_signed_with_a_key_is_verified_with_it_and_is_what_a_library_of_others_signs(payload, key):
+def test_a_signed_payload_is_verified_with_its_key_and_equals_what_pyjwt_signs(payload, key):
     signed = signing.sign(payload, key)
     assert signing.verify(signed, key) == payload
     assert signed == jwt.PyJWS().encode(payload, key, algorithm="HS256", headers=signing.HEADER).encode()
 
 
 @pytest.mark.parametrize("part", [b"abcde", b"ab==", b"ab+d", b"ab/d", b"abc\n"])
-def test_what_is_signed_but_not_in_the_compact_form_is_refused(part):
+def test_a_signed_datagram_that_is_not_in_the_compact_form_is_refused(part):
     signed = SIGNED.split(b".")[0] + b"." + part
     found = refusal(signed + b"." + b64(hmac.new(KEY, signed, hashlib.sha256).digest()))
     assert found.kind is Refusal.MALFORMED
@@ -85,7 +85,7 @@ def test_arbitrary_bytes_are_refused(datagram):
         st.sampled_from(["HS256", "none", "heliocube-scan", ["b64"], [[]], {}, False, None, 5]),
     )
 )
-def test_a_rightly_signed_datagram_with_any_header_but_ours_is_forged(header):
+def test_a_correctly_signed_datagram_with_any_other_header_counts_as_forged(header):
     if header != signing.HEADER:
         assert refusal(jws(header)).kind is Refusal.FORGED
 
@@ -96,14 +96,14 @@ def test_a_header_that_is_no_object_is_refused(header):
     refusal(signing_input + b"." + b64(hmac.new(KEY, signing_input, hashlib.sha256).digest()))
 
 
-def test_of_a_foreign_header_eighty_letters_are_shown():
+def test_a_refusal_shows_at_most_eighty_letters_of_a_foreign_header():
     # The quotes and brackets of {'alg': '...'} take the first nine characters.
     reason = refusal(jws({"alg": "x" * 200})).reason
     assert f"has the header {{'alg': '{'x' * 71} and not " in reason
 
 
 @pytest.mark.parametrize("letters", range(1, 5))
-def test_a_foreign_header_of_any_length_is_read(letters):
+def test_a_foreign_header_of_any_length_is_quoted_in_the_refusal(letters):
     assert f"'{'x' * letters}'" in refusal(jws({"alg": "x" * letters})).reason
 
 
@@ -114,23 +114,23 @@ def test_no_algorithm_but_hs256_is_taken():
     assert refusal(unsigned).kind is Refusal.FORGED
 
 
-def test_the_order_and_blanks_of_the_header_are_free():
+def test_the_header_of_a_signed_datagram_may_have_any_order_and_blanks():
     assert signing.verify(jws({"typ": "heliocube-scan", "alg": "HS256"}), KEY) == PAYLOAD
 
 
-def test_another_key_is_forged_and_the_reason_names_the_remedy():
+def test_a_datagram_signed_with_another_key_is_forged_and_the_reason_names_the_remedy():
     refused = refusal(SIGNED, bytes(32))
     assert refused.kind is Refusal.FORGED
     assert "same key file" in refused.reason
 
 
-def test_a_plain_pack_is_forged_where_a_key_is_set():
+def test_an_unsigned_pack_counts_as_forged_if_a_key_is_set():
     refused = refusal(PAYLOAD)
     assert refused.kind is Refusal.FORGED
     assert "not signed" in refused.reason
 
 
-def test_the_example_of_the_document_can_be_computed_from_its_steps_and_is_what_heliocube_takes():
+def test_the_example_in_the_bridge_docs_can_be_computed_from_its_steps_and_is_accepted():
     key = base64.urlsafe_b64decode(block("key") + b"=")
     pack = block("json")
     assert key == signing.EXAMPLE_KEY
@@ -152,7 +152,7 @@ def test_the_example_of_the_document_can_be_computed_from_its_steps_and_is_what_
     assert signing.sign(senml.encode(scan), key) == datagram
 
 
-def test_every_refusal_and_every_quality_is_in_the_document():
+def test_every_kind_of_refusal_and_every_quality_is_in_the_bridge_docs():
     for word in [*Refusal, "lost", "accepted", *Quality]:
         assert f"`{word}`" in DOCUMENT
 
@@ -227,7 +227,7 @@ def test_two_keys_can_be_in_force_and_the_first_signs(tmp_path):
         signing.load_keys(path)
 
 
-def test_a_key_file_of_a_kibibyte_is_read_and_a_longer_one_is_none(tmp_path):
+def test_a_key_file_of_a_kibibyte_is_read_and_a_longer_one_is_refused(tmp_path):
     path = write(tmp_path / "bridge.key", b64(KEY).ljust(1024, b"\n"))
     assert signing.load_key(path) == KEY
     with pytest.raises(KeyFileError, match="not one line of base64url"):

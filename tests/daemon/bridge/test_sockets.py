@@ -144,7 +144,7 @@ def test_a_group_that_another_process_of_the_machine_has_joined_is_not_heard():
     asyncio.run(main())
 
 
-def test_a_group_is_heard_without_an_interface_where_this_machine_has_one():
+def test_a_multicast_group_without_an_interface_setting_is_joined_if_a_network_leads_to_it():
     settings = BridgeSettings(listen="0.0.0.0:20578", multicast_group="239.255.20.71:20578")
     receiver = BridgeReceiver(settings, KEY, HandClock(), print)
 
@@ -157,7 +157,7 @@ def test_a_group_is_heard_without_an_interface_where_this_machine_has_one():
     asyncio.run(main())
 
 
-def test_a_port_in_use_is_one_sentence_with_the_address_and_a_remedy():
+def test_a_bridge_port_in_use_is_refused_with_its_address_and_a_remedy():
     async def main():
         async with port() as (receiver, *_):
             second = BridgeReceiver(BridgeSettings(listen=receiver.address), KEY, HandClock(), print)

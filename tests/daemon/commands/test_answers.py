@@ -44,7 +44,7 @@ def test_every_command_that_ends_with_an_answer_gives_it_as_json_too():
     assert without <= WITHOUT
 
 
-def test_a_page_is_strict_json_whatever_it_is_made_of(capsys):
+def test_printed_json_is_strict_also_for_nan_arrays_records_dates_and_paths(capsys):
     print_json({
         "none": float("nan"),
         "beyond": np.float64("inf"),
@@ -67,7 +67,7 @@ def test_a_page_is_strict_json_whatever_it_is_made_of(capsys):
     }
 
 
-def test_a_checked_file_says_what_is_wrong_with_it_on_both_streams(heliocube, tmp_path):
+def test_config_check_lists_problems_in_its_json_answer_and_on_standard_error(heliocube, tmp_path):
     file = tmp_path / "heliocube.toml"
     file.write_text('[law]\ndriver = "flat"\n')
     code, out, err = heliocube("config", "check", file, "--json")
@@ -81,7 +81,7 @@ def test_a_checked_file_says_what_is_wrong_with_it_on_both_streams(heliocube, tm
     assert all(problem in err for problem in page["problems"])
 
 
-def test_what_cannot_be_done_leaves_standard_output_empty(heliocube):
+def test_a_refused_command_leaves_standard_output_empty(heliocube):
     code, out, err = heliocube("gain", "--lat", "95", "--json")
     assert (code, out) == (2, "")
     assert "95" in err
@@ -114,13 +114,13 @@ def test_what_cannot_be_done_leaves_standard_output_empty(heliocube):
         ),
     ],
 )
-def test_a_mistyped_value_is_told_in_plain_words(heliocube, words, sentence):
+def test_a_mistyped_value_on_the_command_line_is_refused_in_plain_words(heliocube, words, sentence):
     code, out, err = heliocube(*words.split())
     assert (code, out) == (2, "")
     assert sentence in " ".join(err.translate({ord("│"): " "}).split())
 
 
-def test_figures_are_those_of_the_table(heliocube):
+def test_gain_gives_the_same_figures_as_json_and_as_a_csv_table(heliocube):
     arguments = ("gain", "--lat", "48.7", "--day", "10:12:1")
     table = heliocube(*arguments, "--format", "csv")[1].splitlines()
     rows = json.loads(heliocube(*arguments, "--json")[1])["rows"]
@@ -128,7 +128,7 @@ def test_figures_are_those_of_the_table(heliocube):
     assert [[float(cell) for cell in line.split(",")] for line in table[1:]] == [list(row.values()) for row in rows]
 
 
-def test_whom_to_tell_is_looked_at_as_well(heliocube, tmp_path):
+def test_config_check_examines_the_people_file_of_the_notifications(heliocube, tmp_path):
     people = tmp_path / "notify.people"
     file = tmp_path / "heliocube.toml"
     file.write_text('[notify]\npeople_file = "notify.people"\n')
@@ -146,7 +146,7 @@ def test_whom_to_tell_is_looked_at_as_well(heliocube, tmp_path):
     assert heliocube("config", "check", file)[0] == 0
 
 
-def test_a_terminal_breaks_lines_between_words_and_a_file_gets_them_whole(tmp_path, monkeypatch):
+def test_long_lines_are_wrapped_between_words_on_a_terminal_and_left_whole_in_a_file(tmp_path, monkeypatch):
     monkeypatch.delenv("COLUMNS", raising=False)
     ours, theirs = os.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 30, 0, 0))
@@ -169,7 +169,7 @@ def test_a_terminal_breaks_lines_between_words_and_a_file_gets_them_whole(tmp_pa
         assert wrapped("  store   the disk is full: free it", terminal) == "  store   the disk is full: free it"
 
 
-def test_a_path_that_is_too_long_for_its_line_is_shown_whole_by_a_check(tmp_path):
+def test_config_check_shows_a_path_that_is_longer_than_a_line_whole(tmp_path):
     records = tmp_path / "a-long-name-of-a-folder" / "of-somebody-who-likes-long-names"
     file = tmp_path / "heliocube.toml"
     file.write_text(f"[store]\ndirectory = '{records}'\n")
@@ -188,7 +188,7 @@ def test_a_path_that_is_too_long_for_its_line_is_shown_whole_by_a_check(tmp_path
     "words",
     ["--version", "config check FILE", "config check FILE --json", "gain --lat 45", "gain --lat-range 0:65:1 --json"],
 )
-def test_an_answer_that_cannot_be_written_is_one_sentence(tmp_path, words):
+def test_an_answer_that_cannot_be_written_is_reported_in_one_sentence(tmp_path, words):
     file, told = tmp_path / "heliocube.toml", tmp_path / "told"
     file.touch()
     given = [file if word == "FILE" else word for word in words.split()]
@@ -199,7 +199,7 @@ def test_an_answer_that_cannot_be_written_is_one_sentence(tmp_path, words):
 
 
 @pytest.mark.parametrize("words", [["config", "check", "FILE"], ["gain", "--lat-range", "0:65:1", "--json"]])
-def test_a_reader_that_has_gone_is_no_defect_of_the_program(tmp_path, words):
+def test_a_broken_pipe_on_standard_output_ends_with_code_7_and_no_message(tmp_path, words):
     file, told = tmp_path / "heliocube.toml", tmp_path / "told"
     file.touch()
     reader, writer = os.pipe()
@@ -209,7 +209,7 @@ def test_a_reader_that_has_gone_is_no_defect_of_the_program(tmp_path, words):
     assert (code, told.read_text()) == (7, "")
 
 
-def test_a_standard_output_that_is_closed_is_one_that_nobody_reads():
+def test_a_closed_standard_output_causes_no_error():
     program = "from daemon.entry import main; main()"
     words = [sys.executable, "-c", program, "gain", "--lat", "45", "--format", "csv"]
     done = subprocess.run(
@@ -219,7 +219,7 @@ def test_a_standard_output_that_is_closed_is_one_that_nobody_reads():
 
 
 @pytest.mark.parametrize("closed", ["2>&-", "0<&- 2>&-"])
-def test_a_standard_error_that_is_closed_changes_no_code_and_is_no_file_of_ours(tmp_path, closed):
+def test_a_closed_standard_error_changes_no_exit_code_and_its_descriptor_is_not_reused(tmp_path, closed):
     program = """
 import os, sys
 from pathlib import Path
@@ -245,7 +245,7 @@ finally:
     ],
 )
 @pytest.mark.parametrize("in_c", [False, True])
-def test_ctrl_c_while_the_libraries_load_is_a_sentence_and_no_defect(library, words, sentence, in_c):
+def test_ctrl_c_while_the_libraries_load_ends_with_one_sentence_and_code_130(library, words, sentence, in_c):
     program = f"""
 import signal, sys
 
@@ -269,7 +269,7 @@ from daemon.entry import main; main()
     assert (done.returncode, done.stdout, done.stderr) == (130, "", f"heliocube: {sentence}\n")
 
 
-def test_no_room_for_what_draws_the_pictures_is_a_sentence_and_no_defect(tmp_path):
+def test_a_missing_folder_for_matplotlib_is_reported_in_a_sentence_without_a_traceback(tmp_path):
     program = "import tempfile; tempfile.tempdir = '/dev/null/x'; from daemon.entry import main; main()"
     words = ["gain", "--lat", "48", "--plot", str(tmp_path / "gain.png")]
     without_home = os.environ | {"MPLCONFIGDIR": "/dev/null/y"}
@@ -281,7 +281,7 @@ def test_no_room_for_what_draws_the_pictures_is_a_sentence_and_no_defect(tmp_pat
     assert done.stderr.splitlines()[-1].startswith(words)
 
 
-def test_a_home_that_cannot_be_written_to_is_no_word_more_about_a_picture(tmp_path):
+def test_a_figure_is_drawn_without_a_warning_when_the_home_cannot_be_written_to(tmp_path):
     figure = tmp_path / "gain.png"
     command = [sys.executable, "-m", "daemon.commands.main", "gain", "--lat", "48", "--plot", str(figure)]
     without_home = {name: text for name, text in os.environ.items() if not name.startswith("XDG_")}

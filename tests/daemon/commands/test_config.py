@@ -45,7 +45,7 @@ def test_init_writes_a_file_and_a_key_that_check_finds_good(heliocube, tmp_path,
     assert "\x1b" not in out
 
 
-def test_init_differs_from_the_defaults_by_secrets_records_and_for_a_tracker_by_where_it_listens(heliocube, tmp_path):
+def test_init_differs_from_the_defaults_only_in_secrets_store_and_a_trackers_bridge_address(heliocube, tmp_path):
     for role, listen in (("both", "127.0.0.1:20571"), ("tracker", "0.0.0.0:20571")):
         heliocube("config", "init", tmp_path / role, "--role", role)
         found = check_file(tmp_path / role / "heliocube.toml")
@@ -78,13 +78,13 @@ def test_two_rigs_get_two_keys_and_two_tokens(heliocube, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="what is synced is seen in /proc")
-def test_what_init_has_written_outlasts_a_cut_of_the_power(heliocube, tmp_path, synced):
+def test_init_syncs_all_its_files_to_disk_so_that_they_survive_a_power_cut(heliocube, tmp_path, synced):
     assert heliocube("config", "init", tmp_path)[0] == 0
     assert synced == ["heliocube.toml", "bridge.key", "api.token"]
 
 
 @pytest.mark.parametrize("there", ["heliocube.toml", "bridge.key", "api.token"])
-def test_init_never_overwrites_and_then_writes_nothing(heliocube, tmp_path, there):
+def test_init_overwrites_no_existing_file_and_then_writes_nothing_at_all(heliocube, tmp_path, there):
     (tmp_path / there).write_text("mine")
     code, out, err = heliocube("config", "init", tmp_path)
     assert (code, out) == (2, "")
@@ -95,7 +95,7 @@ def test_init_never_overwrites_and_then_writes_nothing(heliocube, tmp_path, ther
     assert (tmp_path / there).read_text() == "mine"
 
 
-def test_init_into_what_is_no_folder_is_one_sentence(heliocube, tmp_path):
+def test_init_into_a_place_that_is_no_folder_is_refused_in_one_sentence(heliocube, tmp_path):
     (tmp_path / "file").write_text("")
     code, _, err = heliocube("config", "init", tmp_path / "file" / "rig")
     assert code == 2
@@ -121,7 +121,7 @@ def test_init_that_fails_half_way_takes_back_what_it_has_made(heliocube, tmp_pat
     assert not (tmp_path / "new").exists()
 
 
-def test_check_lists_everything_on_standard_error_without_a_traceback(heliocube, tmp_path):
+def test_check_lists_all_problems_on_standard_error_without_a_traceback(heliocube, tmp_path):
     path = tmp_path / "heliocube.toml"
     path.write_text("[site]\nlatitude_deg = 95\n[law]\nname = 'fat'\n[bridge]\nlisten = 'here'\n")
     code, out, err = heliocube("config", "check", path)
@@ -146,14 +146,14 @@ def test_check_warns_of_addresses_that_are_not_on_this_machine(heliocube, tmp_pa
     assert keys == ["bridge.listen: 198.51.100.1", "api.listen: 198.51.100.2"], "there is no SunSpec device"
 
 
-def test_check_tells_of_a_people_file_in_the_folder_of_nobody(heliocube, tmp_path):
+def test_check_reports_a_people_file_in_the_home_of_an_unknown_user(heliocube, tmp_path):
     (tmp_path / "bad.toml").write_text("[notify]\npeople_file = '~nosuch/x'\n")
     code, _, err = heliocube("config", "check", tmp_path / "bad.toml")
     assert code == 2
     assert "  people_file = '~nosuch/x': there is no such user; write the whole path\n" in err
 
 
-def test_check_without_a_name_takes_the_file_of_the_surroundings_and_says_which(heliocube, tmp_path, monkeypatch):
+def test_check_without_a_file_name_takes_the_file_of_the_environment_and_names_it(heliocube, tmp_path, monkeypatch):
     path, other = tmp_path / "heliocube.toml", tmp_path / "other.toml"
     path.write_text("")
     other.write_text("[site]\nlatitude_deg = 95\n")
@@ -172,7 +172,7 @@ def test_check_without_a_name_takes_the_file_of_the_surroundings_and_says_which(
     assert err == "heliocube: config check needs the service's configuration: name it as FILE or in HELIOCUBE_CONFIG\n"
 
 
-def test_check_tells_what_to_do_about_a_folder_of_nobody_and_a_link_that_leads_back_to_itself(heliocube, tmp_path):
+def test_check_gives_a_remedy_for_the_home_of_an_unknown_user_and_for_a_link_to_itself(heliocube, tmp_path):
     path = tmp_path / "bad.toml"
     (tmp_path / "round").symlink_to("round")
     path.write_text("[store]\ndirectory = '~nosuch/x'\n[bridge]\nkey_file = 'round'\n")
@@ -205,7 +205,7 @@ def test_check_warns_of_a_stuck_line_that_no_self_test_sees_and_finds_the_file_g
     assert "warning" not in heliocube("config", "check", file)[1]
 
 
-def test_init_writes_the_keys_of_another_cube(tmp_path):
+def test_init_writes_the_settings_of_a_chosen_cube_driver(tmp_path):
     write_example(tmp_path / "rig", "cube", "modbus")
     settings = check_file(tmp_path / "rig" / "heliocube.toml")
     assert settings.instruments.cube.driver == "modbus-pyranometers"
@@ -215,7 +215,7 @@ def test_init_writes_the_keys_of_another_cube(tmp_path):
     assert not (tmp_path / "other").exists()
 
 
-def test_a_file_is_good_if_one_role_can_run_with_it_and_says_which(heliocube, tmp_path):
+def test_check_finds_a_file_good_if_one_role_can_run_with_it_and_says_which(heliocube, tmp_path):
     path = tmp_path / "heliocube.toml"
     path.write_text(REAL)
     code, out, err = heliocube("config", "check", path)
@@ -244,7 +244,7 @@ def test_a_role_that_needs_the_shared_key_is_refused_without_it(heliocube, tmp_p
     assert "as tracker: bridge.key_file: the role 'tracker' needs the key that cube and tracker share" in err
 
 
-def test_a_store_that_cannot_be_made_is_a_problem(heliocube, tmp_path):
+def test_check_reports_a_store_that_cannot_be_made_as_a_problem(heliocube, tmp_path):
     path = tmp_path / "heliocube.toml"
     (tmp_path / "file").write_text("")
     path.write_text(f'[store]\ndirectory = "{tmp_path / "file" / "records"}"\n')
@@ -253,7 +253,9 @@ def test_a_store_that_cannot_be_made_is_a_problem(heliocube, tmp_path):
     assert f"store.directory: {tmp_path / 'file'} is not a folder" in err
 
 
-def test_the_store_of_a_unit_s_file_without_a_folder_is_where_its_unit_keeps_it(heliocube, tmp_path, monkeypatch):
+def test_check_finds_the_store_of_a_units_file_without_a_folder_where_the_unit_keeps_it(
+    heliocube, tmp_path, monkeypatch
+):
     """The service's user may not write beside the file; the unit does not either, and keeps the store elsewhere."""
     path, kept = tmp_path / "etc" / "east.toml", tmp_path / "lib" / "east"
     monkeypatch.setattr("daemon.store.place.OF_THE_UNITS", kept.parent)
@@ -266,7 +268,7 @@ def test_the_store_of_a_unit_s_file_without_a_folder_is_where_its_unit_keeps_it(
     assert (code, json.loads(out)["sets_up"]["store"]) == (0, str(kept))
 
 
-def test_probe_tells_every_instrument_that_does_not_answer_and_what_else_is_wrong_at_once(heliocube, tmp_path):
+def test_check_with_probe_reports_all_unreachable_instruments_and_other_problems_at_once(heliocube, tmp_path):
     path = tmp_path / "heliocube.toml"
     (tmp_path / "records").write_text("no folder")
     path.write_text(

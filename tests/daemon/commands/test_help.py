@@ -44,13 +44,13 @@ def test_every_help_fits_its_width_and_shows_every_word(path, columns):
 
 
 @pytest.mark.parametrize("order", sorted({*NAMES} - {"mode", "acknowledge"}))
-def test_the_help_of_an_order_tells_what_its_exit_codes_mean(order):
+def test_the_help_of_each_tracker_command_explains_its_exit_codes(order):
     told = words(CliRunner(env={"COLUMNS": "80"}).invoke(app, [order, "--help"]).output)
     seen = "Exit code: 0 if its effect was seen, complete or under way; 3 if it was not seen in time;"
     assert f"{seen} 5 if the service cannot be reached; 6 if it is refused." in told
 
 
-def test_the_version_is_told():
+def test_the_version_option_prints_the_version():
     shown = CliRunner().invoke(app, ["--version"])
     assert re.fullmatch(r"heliocube \d+\.\d+\.\d+\S*\n", shown.output)
 

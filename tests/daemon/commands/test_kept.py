@@ -20,7 +20,7 @@ NAMED = Settings.model_validate({"instruments": {"kind": "real"}, "store": {"dir
     ("settings", "file", "found"),
     [(REAL, FILE, "rig/records"), (NAMED, FILE, "elsewhere"), (Settings(), FILE, None), (REAL, None, None)],
 )
-def test_real_instruments_have_a_folder_and_a_simulated_rig_has_none(settings, file, found):
+def test_a_rig_of_real_instruments_has_a_default_store_folder_and_a_simulated_rig_has_none(settings, file, found):
     wanted = None if found is None else Path(found)
     assert with_place(settings, file, {}).store.directory == wanted
     if file is not None:
@@ -33,7 +33,7 @@ def heliocube(*words):
 
 
 @pytest.mark.parametrize(("role", "name"), [("both", "tracker"), ("cube", "cube")])
-def test_what_has_no_name_is_exported_under_the_name_that_its_topics_have(tmp_path, role, name):
+def test_records_of_a_rig_without_a_name_are_exported_under_the_name_in_its_topics(tmp_path, role, name):
     file = tmp_path / "rig.toml"
     file.write_text(
         f'[store]\ndirectory = "{tmp_path}"\n[bridge]\ninsecure = true\nlisten = "127.0.0.1:0"\n'
@@ -45,7 +45,7 @@ def test_what_has_no_name_is_exported_under_the_name_that_its_topics_have(tmp_pa
         assert {row["tracker"] for row in csv.DictReader(rows)} == {name}
 
 
-def test_what_two_services_of_one_folder_say_differently_is_no_change_of_either(tmp_path):
+def test_two_services_with_one_store_folder_record_no_change_of_their_configurations(tmp_path):
     for role in ("cube", "tracker"):
         file = tmp_path / f"{role}.toml"
         file.write_text(
@@ -58,7 +58,7 @@ def test_what_two_services_of_one_folder_say_differently_is_no_change_of_either(
         assert [row["text"] for row in csv.DictReader(rows) if row["subject"] == "configuration"] == []
 
 
-def test_what_is_kept_without_being_asked_is_found_by_export_and_by_no_second_service(tmp_path):
+def test_export_finds_the_default_store_folder_and_a_second_service_is_refused_it(tmp_path):
     file, kept = tmp_path / "east.toml", tmp_path / "east-records"
     file.write_text(
         '[instruments]\nkind = "real"\n[instruments.positioner]\nport = "/dev/no-such-port"\n'

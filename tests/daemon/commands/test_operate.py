@@ -15,20 +15,20 @@ MEASURED = re.findall(r'(?:found\.(?:gauge|by_axis)\(\s*"|HistogramMetricFamily\
 
 
 @pytest.mark.parametrize("name", [*Mode, *MoveOutcome, *Refusal, *(q for q in Quality if q is not Quality.OK)])
-def test_every_mode_outcome_refusal_and_quality_is_explained(name):
+def test_every_mode_outcome_refusal_and_quality_is_explained_in_the_operating_docs(name):
     assert f"`{name}`" in PAGE
 
 
 @pytest.mark.parametrize("name", [*(f"{name}_total" for name in COUNTED), *MEASURED])
-def test_every_metric_is_explained(name):
+def test_every_metric_is_explained_in_the_operating_docs(name):
     assert f"`heliocube_{name}`" in PAGE
 
 
-def test_no_metric_is_explained_that_is_not_there():
+def test_the_operating_docs_explain_no_metric_that_does_not_exist():
     known = {f"{name}_total" for name in COUNTED} | set(MEASURED)
     assert set(re.findall(r"`heliocube_(\w+)`", PAGE)) == known
 
 
-def test_no_command_is_named_that_is_not_there():
+def test_the_operating_docs_name_no_command_that_does_not_exist():
     named = set(re.findall(r"heliocube ([a-z]+)(?= |`|\n)", re.sub(r"(?m)^heliocube .*", "", PAGE)))
     assert named - {"heliocube"} <= set(get_command(app).commands), named

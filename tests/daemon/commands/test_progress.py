@@ -10,7 +10,7 @@ from daemon.commands.progress import progress_bar
 from tests.system.processes import wait_until
 
 
-def test_the_time_that_is_left_is_told_where_each_step_takes_longer_than_half_a_minute():
+def test_the_progress_bar_shows_the_time_left_when_each_step_takes_over_half_a_minute():
     now_s, shown = [0.0], io.StringIO()
     with progress_bar(Console(file=shown, force_terminal=True, get_time=lambda: now_s[0]), "repeating") as progress:
         for number in range(1, 4):
@@ -20,7 +20,7 @@ def test_the_time_that_is_left_is_told_where_each_step_takes_longer_than_half_a_
     assert "0:04:40" in shown.getvalue()
 
 
-def test_without_a_terminal_a_line_now_and_then_tells_how_far_it_is(capsys):
+def test_without_a_terminal_a_progress_line_is_printed_now_and_then(capsys):
     now_s, told = [0.0], ""
 
     def line(after):
@@ -44,7 +44,7 @@ def test_without_a_terminal_a_line_now_and_then_tells_how_far_it_is(capsys):
     assert "progress" not in {thread.name for thread in threading.enumerate()}
 
 
-def test_work_goes_on_where_nobody_reads_its_progress(monkeypatch):
+def test_work_continues_when_its_progress_output_is_a_broken_pipe(monkeypatch):
     class Gone(io.StringIO):
         asked = 0
 

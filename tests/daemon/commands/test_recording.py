@@ -9,7 +9,7 @@ from drivers.transcript import parse
 PIECES = 20_000
 
 
-def test_what_two_threads_tell_is_a_transcript_of_both(tmp_path):
+def test_a_transcript_recorded_from_two_threads_has_all_pieces_of_both_in_order(tmp_path):
     told = {direction: [b"%d\r" % number for number in range(PIECES)] for direction in "<>"}
     every_s = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)

@@ -159,7 +159,7 @@ def refused(tmp_path_factory):
 
 
 @pytest.mark.parametrize("words", WRONG, ids=lambda words: words[:60])
-def test_it_is_one_sentence_at_once(refused, words):
+def test_a_wrong_command_line_is_refused_in_a_sentence_before_heavy_modules_are_loaded(refused, words):
     told, heavy = refused[words]
     assert WRONG[words] in told
     assert told.startswith("heliocube: ")

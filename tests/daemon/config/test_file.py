@@ -84,7 +84,7 @@ def problems(load):
     return problems_of
 
 
-def test_ten_mistakes_and_one_more_are_listed_together_in_the_order_of_the_file(load, tmp_path):
+def test_eleven_mistakes_are_listed_together_in_the_order_of_the_file(load, tmp_path):
     with pytest.raises(ConfigError) as caught:
         load(TEN_MISTAKES)
     expected = [f"{tmp_path / 'heliocube.toml'} has 11 problems:", *THEIR_LINES.splitlines()]
@@ -114,12 +114,12 @@ def test_an_empty_file_is_the_defaults(load):
         ("[instruments.voltmeter]\nrange_mv = 1000", "instruments.voltmeter.range_v = 1"),
     ],
 )
-def test_an_unknown_key_brings_the_one_that_was_meant(problems, text, meant):
+def test_the_refusal_of_an_unknown_key_suggests_the_key_that_was_meant(problems, text, meant):
     (line,) = problems(text)
     assert line.endswith(f"; did you mean {meant}?")
 
 
-def test_an_unknown_key_that_resembles_nothing_brings_the_keys_there_are(problems):
+def test_the_refusal_of_an_unknown_key_that_resembles_no_other_lists_the_known_keys(problems):
     assert problems("[law]\ncolour = 3") == [
         (
             "law.colour = 3: there is no such key; the keys of [law] are driver, shadow, uniform_threshold, albedo,"
@@ -166,7 +166,7 @@ def test_an_unknown_key_that_resembles_nothing_brings_the_keys_there_are(problem
         ),
     ],
 )
-def test_a_wrong_value_is_shown_with_what_would_be_right(problems, text, line):
+def test_the_refusal_of_a_wrong_value_says_what_would_be_right(problems, text, line):
     (found,) = problems(text)
     assert found.startswith(line)
 
@@ -218,7 +218,7 @@ def test_a_wrong_value_is_shown_with_what_would_be_right(problems, text, line):
         ),
     ],
 )
-def test_keys_that_do_not_go_together_are_told_with_both_values(problems, text, line):
+def test_keys_that_contradict_each_other_are_refused_in_a_sentence_about_both(problems, text, line):
     (found,) = problems(text)
     assert found.startswith(line)
 
@@ -229,7 +229,7 @@ def test_a_self_test_reading_counts_in_the_time_of_a_scan(load, problems):
     assert "for 5 readings" in problems(four.replace("\n[safety]", "\nself_test_channel = 7\n[safety]"))[0]
 
 
-def test_a_rule_is_silent_about_keys_that_are_wrong_themselves(problems):
+def test_a_rule_between_two_keys_is_not_reported_when_one_of_them_is_wrong_itself(problems):
     (line,) = problems("[safety]\nstow_wind_m_s = 54\nrelease_wind_m_s = 20")
     assert line.startswith("safety.stow_wind_m_s = 54: must be")
     (line,) = problems("[safety]\nstow_wind_kmh = 90\nrelease_wind_m_s = 20")
@@ -249,7 +249,7 @@ def test_a_face_keeps_its_own_defaults_for_the_keys_that_the_file_leaves_out(loa
     assert (cube.west.channel, cube.west.gain_w_m2_per_mv, cube.west.tilt_deg) == (2, 9.8, 90.0)
 
 
-def test_paths_are_meant_from_the_folder_of_the_file(load, tmp_path):
+def test_relative_paths_start_from_the_folder_of_the_file(load, tmp_path):
     found = load(
         "[bridge]\nkey_file = 'keys/bridge.key'\n[store]\ndirectory = '/var/lib/x'\n[simulation]\nweather = 'day.csv'"
     )
@@ -274,23 +274,23 @@ def test_paths_are_meant_from_the_folder_of_the_file(load, tmp_path):
         (b"name = '\xe9'", "byte 8 is not UTF-8; save the file as UTF-8 text"),
     ],
 )
-def test_what_is_not_toml_is_told_with_its_line_and_column(problems, text, line):
+def test_invalid_toml_is_refused_with_the_place_of_the_mistake(problems, text, line):
     (found,) = problems(text)
     assert found.startswith(line)
 
 
-def test_the_mark_that_windows_editors_put_in_front_is_no_error(load):
+def test_a_byte_order_mark_at_the_start_of_the_file_is_accepted(load):
     assert load(b"\xef\xbb\xbf[law]\nname = 'flat'\n").law.driver == "flat"
 
 
-def test_a_file_that_is_not_there_or_not_a_file_is_one_sentence(tmp_path):
+def test_a_missing_file_or_a_folder_is_refused_with_the_reason(tmp_path):
     with pytest.raises(ConfigError, match="there is no such file; 'heliocube config init DIR' writes"):
         load_settings(tmp_path / "none.toml")
     with pytest.raises(ConfigError, match="cannot be read: Is a directory"):
         load_settings(tmp_path)
 
 
-def test_checking_looks_at_the_files_that_are_named(tmp_path):
+def test_checking_a_file_also_checks_the_files_that_it_names(tmp_path):
     path = tmp_path / "heliocube.toml"
     path.write_text("[bridge]\nkey_file = 'bridge.key'\n[simulation]\nweather = 'day.csv'")
     with pytest.raises(ConfigError) as caught:
@@ -313,7 +313,7 @@ def test_the_command_line_changes_keys_under_the_same_rules():
 
 
 @pytest.mark.parametrize("role", ["both", "cube", "tracker"])
-def test_the_commented_file_is_exactly_the_defaults(load, role):
+def test_the_commented_example_file_gives_exactly_the_default_settings(load, role):
     assert load(example(role)) == Settings()
 
 
@@ -340,7 +340,7 @@ def entries(text):
     return found
 
 
-def test_the_commented_file_has_every_key_and_section_with_a_comment():
+def test_the_commented_example_file_has_every_key_and_section_with_a_comment():
     found = entries(example("both"))
     known = [
         path
@@ -354,7 +354,7 @@ def test_the_commented_file_has_every_key_and_section_with_a_comment():
     assert all(len(comment) > 12 for comment in found.values()), found
 
 
-def test_what_stands_behind_a_hash_is_a_working_example(load, tmp_path):
+def test_the_keys_commented_out_in_the_example_file_are_valid_settings(load, tmp_path):
     text = re.sub(r"(?m)^#([a-z][a-z0-9_]* = )", r"\1", example("both"))
     # Two examples are valid only with the switch that they belong to.
     found = load(text.replace("\nenabled = false", "\nenabled = true").replace("\ntls = false", "\ntls = true"))
@@ -364,7 +364,7 @@ def test_what_stands_behind_a_hash_is_a_working_example(load, tmp_path):
     assert [path for path, value in walk(found) if value is None and path not in sections] == []
 
 
-def test_a_role_is_spared_the_sections_that_it_does_not_read():
+def test_the_example_file_of_a_role_leaves_out_the_sections_that_the_role_does_not_read():
     cube, tracker = tomllib.loads(example("cube")), tomllib.loads(example("tracker"))
     assert "limits" not in cube
     assert "cube" in cube
@@ -392,7 +392,7 @@ contents = st.dictionaries(
 
 @settings(max_examples=100, suppress_health_check=[HealthCheck.too_slow])
 @given(changes=st.dictionaries(st.sampled_from(list(Sections.model_fields)), contents, max_size=4))
-def test_whatever_the_values_are_the_answer_is_settings_or_a_list_of_lines(changes):
+def test_any_values_give_either_settings_or_a_list_with_one_line_per_problem(changes):
     try:
         found = override(Settings(), changes)
     except ConfigError as error:

@@ -14,7 +14,7 @@ SERVED = "[sunspec]\nenabled = true\nlisten = '{}'\n[api]\nenabled = {}\nlisten 
         ("[::]:5020", "[::1]:5020"),
     ],
 )
-def test_two_servers_of_one_process_have_a_port_each(problem, sunspec, api):
+def test_two_servers_of_one_process_on_the_same_port_are_refused(problem, sunspec, api):
     said = problem(SERVED.format(sunspec, "true", api))
     assert said.startswith(f'sunspec.listen = "{sunspec}": is the port of api.listen ({api}) already')
 
@@ -29,10 +29,10 @@ def test_two_servers_of_one_process_have_a_port_each(problem, sunspec, api):
         ("127.0.0.1:0", "true", "127.0.0.1:0"),
     ],
 )
-def test_servers_that_do_not_meet_may_have_one_number(read, sunspec, served, api):
+def test_two_servers_that_cannot_clash_may_have_the_same_port_number(read, sunspec, served, api):
     assert read(SERVED.format(sunspec, served, api)).sunspec.listen == sunspec
 
 
-def test_quiet_hours_that_begin_when_they_end_are_none_and_refused(problem):
+def test_quiet_hours_that_begin_when_they_end_are_refused(problem):
     said = problem('[notify]\nquiet_from = "22:00"\nquiet_until = "22:00"')
     assert said.startswith('notify.quiet_until = "22:00": must differ from notify.quiet_from; leave out both')

@@ -15,7 +15,7 @@ KEYS = (
 @pytest.mark.parametrize(
     ("host", "good"), [("a..b", False), ("a" * 70, False), ("hc.lab:8443", True), ("[::1]", True), ("[::1", False)]
 )
-def test_a_host_has_no_name_that_nobody_can_look_up(tmp_path, key, host, good):
+def test_a_host_in_an_address_must_have_a_name_that_can_be_looked_up(tmp_path, key, host, good):
     file = tmp_path / "heliocube.toml"
     file.write_text(key.format(host))
     if good:
@@ -26,7 +26,7 @@ def test_a_host_has_no_name_that_nobody_can_look_up(tmp_path, key, host, good):
 
 
 @pytest.mark.parametrize(("host", "good"), [("db.plant", True), ("/run/a..b,db.plant", True), ("db..plant", False)])
-def test_a_host_and_files_may_stand_behind_the_database(tmp_path, host, good):
+def test_a_database_address_may_name_hosts_and_files_after_the_database(tmp_path, host, good):
     file = tmp_path / "heliocube.toml"
     file.write_text(f"archive.database = 'postgresql:///db?sslrootcert=/etc/ca.pem&host={host}'")
     if good:
@@ -37,7 +37,7 @@ def test_a_host_and_files_may_stand_behind_the_database(tmp_path, host, good):
 
 
 @pytest.mark.parametrize("host", ["255.255.255.255", "0.0.0.0", "[::]"])
-def test_scans_go_to_one_machine_each_and_not_to_all_of_a_network(tmp_path, host):
+def test_an_address_that_is_not_of_one_machine_is_refused_as_a_target_of_scans(tmp_path, host):
     file = tmp_path / "heliocube.toml"
     file.write_text(f"bridge.send_to = ['192.168.1.20:20571', '{host}:20571']\nbridge.insecure = true")
     with pytest.raises(ConfigError) as refused:

@@ -42,7 +42,7 @@ def file(tmp_path):
     return write
 
 
-def test_comments_and_order_stay_and_the_old_file_too(file):
+def test_migration_keeps_comments_order_and_the_old_file(file):
     path = file(OLDER)
     before = load_settings(path)
     old = path.with_name(BEFORE)
@@ -55,7 +55,7 @@ def test_comments_and_order_stay_and_the_old_file_too(file):
     assert (name, own.law.driver, own.mqtt.name) == (before.trackers[0].name, "flat", "roof")
 
 
-def test_a_file_that_is_in_todays_form_is_left_alone(file):
+def test_migration_leaves_an_up_to_date_file_alone(file):
     path = file(OLDER)
     migrate(path)
     text = path.read_text()
@@ -65,26 +65,26 @@ def test_a_file_that_is_in_todays_form_is_left_alone(file):
     assert not path.with_name(BEFORE).exists()
 
 
-def test_the_tables_of_trackers_are_brought_up_to_date_as_well(file):
+def test_migration_updates_the_tables_of_trackers_too(file):
     path = file('[[tracker]]\nname = "east" # the near one\n[tracker.law]\nname = "flat"\n')
     assert "law.name is law.driver now" in migrate(path)
     assert path.read_text() == '[[tracker]]\nname = "east" # the near one\n[tracker.law]\ndriver = "flat"\n'
 
 
-def test_what_stands_in_one_line_is_written_anew_without_comments(file):
+def test_migration_rewrites_an_inline_table_without_its_comments(file):
     path = file('law = {name = "flat"} # short\n')
     assert migrate(path).endswith("its comments are in the old one only")
     assert tomllib.loads(path.read_text()) == {"law": {"driver": "flat"}, "tracker": [{"name": "tracker"}]}
 
 
-def test_what_cannot_be_is_told_and_nothing_is_written(file):
+def test_migration_to_an_invalid_tracker_name_is_refused_and_writes_nothing(file):
     path = file('[mqtt]\nname = "two words"\n')
     with pytest.raises(UserError, match="a tracker's name is 1 to 32 letters"):
         migrate(path)
     assert not path.with_name(BEFORE).exists()
 
 
-def test_an_old_file_that_is_kept_already_is_not_overwritten(file):
+def test_migration_does_not_overwrite_an_old_file_that_was_kept_before(file):
     path = file(OLDER)
     path.with_name(BEFORE).write_text("precious")
     assert migrate(path).endswith(f"; the old one is {path.with_name(BEFORE)}-2")
@@ -92,7 +92,7 @@ def test_an_old_file_that_is_kept_already_is_not_overwritten(file):
     assert path.with_name(f"{BEFORE}-2").read_text() == OLDER
 
 
-def test_an_upgrade_gives_keys_their_names_and_a_tracker_none(file):
+def test_migration_of_keys_only_renames_keys_and_gives_the_tracker_no_name(file):
     path = file(OLDER)
     assert migrate(path, keys_only=True).startswith(f"{path} is updated: law.name is law.driver now; ")
     assert path.read_text() == OLDER.replace('name = "flat"', 'driver = "flat"')
@@ -100,14 +100,14 @@ def test_an_upgrade_gives_keys_their_names_and_a_tracker_none(file):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="what is synced is seen in /proc")
-def test_the_old_file_is_on_the_disk_before_the_new_one_takes_its_place(file, synced):
+def test_migration_syncs_the_old_file_to_disk_before_the_new_one_replaces_it(file, synced):
     path = file(OLDER)
     migrate(path)
     assert synced == [BEFORE, ".heliocube.toml.part"]
 
 
 @pytest.mark.parametrize("room_bytes", [0, 4096])
-def test_on_a_full_disk_nothing_is_kept_that_is_not_whole_nor_without_need(small_disk, room_bytes):
+def test_a_migration_that_fails_on_a_full_disk_changes_no_file_and_leaves_no_part(small_disk, room_bytes):
     path = small_disk / "heliocube.toml"
     path.write_text(OLDER)
     fill(small_disk / "filler")

@@ -125,7 +125,7 @@ def in_time(read, path):
     return found
 
 
-def test_no_mutation_of_a_good_file_gives_anything_but_a_list_soon(tmp_path):
+def test_a_mutated_file_is_accepted_or_refused_with_a_printable_list_within_5_s(tmp_path):
     write_example(tmp_path / "good", "both")
     good = [example("both"), example("tracker", {"mqtt.prefix": "x"}) + TRACKERS]
     load_settings(tmp_path / "good" / "heliocube.toml")
@@ -149,7 +149,9 @@ def test_no_mutation_of_a_good_file_gives_anything_but_a_list_soon(tmp_path):
 
 
 @pytest.mark.parametrize("nasty", [*NASTY, *LINES])
-def test_every_nasty_value_ends_with_code_2_or_is_none(tmp_path, monkeypatch, capsys, nasty):
+def test_config_check_of_a_nasty_value_ends_with_exit_code_0_or_2_and_no_traceback(
+    tmp_path, monkeypatch, capsys, nasty
+):
     path = tmp_path / "heliocube.toml"
     text = f"[store]\ndirectory = {nasty}\n" if nasty in NASTY else nasty
     path.write_text(text)
@@ -164,7 +166,7 @@ def test_every_nasty_value_ends_with_code_2_or_is_none(tmp_path, monkeypatch, ca
         assert "Traceback" not in written.err
 
 
-def test_what_is_no_ordinary_file_is_not_waited_for(tmp_path):
+def test_a_pipe_in_place_of_a_file_is_refused_without_waiting(tmp_path):
     pipe = tmp_path / "heliocube.toml"
     os.mkfifo(pipe)
     with pytest.raises(ConfigError, match="the file is not an ordinary one, but a device or a pipe"):

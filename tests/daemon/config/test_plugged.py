@@ -12,21 +12,21 @@ from daemon.config.settings import Settings
 
 
 @pytest.mark.parametrize("key", ["driver", "name"])
-def test_a_law_is_chosen_by_driver_and_by_what_driver_was_called_before(read, key):
+def test_a_law_is_chosen_by_the_key_driver_or_by_its_earlier_spelling(read, key):
     law = read(f"[law]\n{key} = 'optimal'\nthrift = 2.0\n").law
     assert (law.driver, law.thrift, law.moves_per_day) == ("optimal", 2.0, 250)
 
 
-def test_both_spellings_at_once_are_one_too_many(problem):
+def test_the_key_driver_together_with_its_earlier_spelling_is_refused(problem):
     assert 'law.name = "flat": is the earlier name of law.driver' in problem("[law]\ndriver = 'flat'\nname = 'flat'\n")
 
 
-def test_an_unknown_name_lists_the_known_ones(problem):
+def test_the_refusal_of_an_unknown_law_lists_the_known_laws(problem):
     line = problem("[law]\ndriver = 'fastest'\n")
     assert line == 'law.driver = "fastest": must be "chronometric", "flat", "mu-prime", "optimal" or "sun-vector"'
 
 
-def test_keys_of_another_law_may_stay_and_serve_when_the_name_changes(read):
+def test_keys_of_a_law_that_is_not_chosen_are_kept_and_used_once_it_is_chosen(read):
     settings = read("[law]\ndriver = 'mu-prime'\nthrift = 2.0\n")
     assert override(settings, {"law": {"driver": "optimal"}}).law.thrift == 2.0
     again = override(override(settings, {"law": {"driver": "flat"}}), {"law": {"name": "optimal"}})
@@ -34,12 +34,12 @@ def test_keys_of_another_law_may_stay_and_serve_when_the_name_changes(read):
 
 
 @pytest.mark.parametrize("driver", ["optimal", "mu-prime"])
-def test_a_wrong_value_is_told_by_the_law_that_knows_the_key_chosen_or_not(problem, driver):
+def test_a_wrong_value_in_a_key_of_a_law_is_refused_even_if_that_law_is_not_chosen(problem, driver):
     line = problem(f"[law]\ndriver = '{driver}'\nthrift = 500.0\n")
     assert line == "law.thrift = 500.0: must be a number from 0.1 to 100"
 
 
-def test_a_misspelt_key_brings_the_one_that_was_meant(problem):
+def test_the_refusal_of_a_misspelt_key_suggests_the_key_that_was_meant(problem):
     assert problem("[law]\nthirft = 2.0\n").endswith("there is no such key; did you mean law.thrift?")
 
 
@@ -62,7 +62,7 @@ def test_settings_made_in_a_program_are_checked_alike():
         Settings(law={"driver": "optimal", "thrift": 500.0})
 
 
-def test_settings_reach_another_process_as_they_are():
+def test_settings_stay_the_same_when_they_are_pickled_for_another_process():
     given = Settings.model_validate({"law": {"driver": "flat", "thrift": 2.0}, "simulation": {"seed": 7}})
     there = pickle.loads(pickle.dumps(given))
     assert there == given

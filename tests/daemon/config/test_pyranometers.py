@@ -50,7 +50,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_is_one_sentence(tmp_path, mistake):
+def test_a_mistake_in_the_keys_of_pyranometers_is_refused_in_one_sentence(tmp_path, mistake):
     path = tmp_path / "wrong.toml"
     path.write_text(f"{HEAD}{mistake}\n")
     with pytest.raises(ConfigError) as caught:

@@ -19,14 +19,14 @@ def test_without_positions_there_is_no_group(read):
     assert read("[rows]\nmodule_width_m = 2.0\nmodule_height_m = 2.0\n").rows.group(55.0) is None
 
 
-def test_a_group_is_laid_out_once_for_all_trackers_that_are_of_it(read):
+def test_all_trackers_of_a_group_share_one_layout(read):
     settings = read(GOOD + '    bypass_groups = 6\n    [[tracker]]\n    name = "a"\n    [[tracker]]\n    name = "b"\n')
     groups = [own.rows.group(own.site.latitude_deg) for _, own in settings.trackers]
     assert groups[0] is groups[1]
     assert (groups[0].count, groups[0].size_m, groups[0].bypass_groups) == (3, (2.0, 1.2), 6)
 
 
-def test_two_groups_in_one_process_stand_in_the_tables_of_their_trackers(read):
+def test_two_groups_in_one_process_are_configured_in_the_tables_of_their_trackers(read):
     one_by_one = GOOD + '    [[tracker]]\n    name = "a"\n    [[tracker]]\n    name = "b"\n    [tracker.rows]\n'
     of_a, of_b = (own for _, own in read(one_by_one + "    east_m = [0, 9, 20]\n").trackers)
     assert of_a.rows.east_m == (0.0, 5.0, 10.0)
@@ -49,13 +49,13 @@ def test_two_groups_in_one_process_stand_in_the_tables_of_their_trackers(read):
         ),
     ],
 )
-def test_what_is_no_group_is_told_in_one_sentence(read, before, after, told):
+def test_a_mistake_in_the_positions_or_sizes_of_a_group_is_refused_in_one_sentence(read, before, after, told):
     with pytest.raises(ConfigError) as caught:
         read(GOOD.replace(before, after))
     (sentence,) = caught.value.problems
     assert sentence.startswith(told)
 
 
-def test_one_tracker_is_no_group(read):
+def test_a_group_of_one_tracker_is_refused(read):
     with pytest.raises(ConfigError, match="names one tracker; a group has two or more"):
         read(GOOD.replace("[0, 5, 10]", "[0]").replace("[0.0, 0.0, 0.5]", "[0]"))

@@ -19,12 +19,12 @@ TOO_SHORT = "cube.scan_every_s = 1.0: is too short for 4 readings"
         ("[instruments.multiplexer]\nsettle_s = 1.3", "cube.scan_every_s = 5.0 (default): is too short for 4 readings"),
     ],
 )
-def test_a_scan_fits_its_period_where_a_multiplexer_reads_it(problem, text, message):
+def test_a_scan_period_too_short_for_the_multiplexer_is_refused(problem, text, message):
     assert problem(text).startswith(message)
 
 
 @pytest.mark.parametrize("text", [REAL, "[instruments.cube]\ndriver = 'modbus-pyranometers'\n"])
-def test_a_tracker_takes_the_scans_of_a_cube_that_is_faster_than_a_multiplexer(read, text):
+def test_a_scan_period_too_short_for_a_multiplexer_is_accepted_where_none_reads_the_cube(read, text):
     settings = read(FAST + text)
     assert settings.cube.scan_every_s == 1.0
     assert self_test_gaps(settings) == []
@@ -33,12 +33,12 @@ def test_a_tracker_takes_the_scans_of_a_cube_that_is_faster_than_a_multiplexer(r
 @pytest.mark.parametrize(
     "start", ["0001-01-01T00:00:00+14:00", "1978-12-31T23:59:59Z", "2099-12-31T23:00:00-05:00", "9999-12-31T00:00:00Z"]
 )
-def test_a_simulated_clock_starts_at_no_time_that_scans_cannot_tell(problem, start):
+def test_a_simulation_that_starts_outside_the_years_1979_to_2099_is_refused(problem, start):
     assert "must be in the years 1979 to 2099" in problem(f"[simulation]\nstart_utc = {start}\n")
 
 
 @pytest.mark.parametrize("start", ["1979-01-01T00:00:00Z", "2099-12-31T23:59:59Z"])
-def test_a_simulated_clock_may_start_at_times_that_scans_can_tell(read, start):
+def test_a_simulation_may_start_within_the_years_1979_to_2099(read, start):
     found = read(f"[simulation]\nstart_utc = {start}\n").simulation.start_utc
     assert EARLIEST_UTC_S < found.timestamp() < LATEST_UTC_S
 
@@ -60,7 +60,7 @@ ON_BUS = "[instruments.voltmeter]\nresource = 'GPIB0::5::INSTR'\n"
         (ON_BUS + BEHIND.format(ADAPTERS[0]) + POSITIONER.format(ADAPTERS[0]), "instruments.positioner.port"),
     ],
 )
-def test_no_two_instruments_have_a_line_in_common(problem, text, key):
+def test_two_instruments_on_the_same_line_are_refused(problem, text, key):
     assert problem(REAL + text).startswith(f"{key} = ")
     assert "already, and only one instrument can hold it; each needs its own" in problem(REAL + text)
 
@@ -114,7 +114,7 @@ SLEW = "[instruments.positioner]\nposition_unit = 'deg'\n[instruments.positioner
         ),
     ],
 )
-def test_moves_have_the_tolerance_that_the_drive_needs_to_arrive_anywhere(problem, text, message):
+def test_a_tolerance_or_limit_that_the_steps_of_the_positioner_cannot_meet_is_refused(problem, text, message):
     assert message in problem(text)
 
 
@@ -128,5 +128,5 @@ def test_an_axis_that_extension_lowers_has_its_low_end_beyond_flat(read, problem
 
 
 @pytest.mark.parametrize("text", [SHORT_ARMS + "[motion]\ntolerance_deg = 1.2\n", SLEW.format(13.0)])
-def test_with_enough_tolerance_the_drive_arrives(read, text):
+def test_a_tolerance_that_suits_the_steps_of_the_positioner_is_accepted(read, text):
     assert read(text).safety.stow_b_deg == 90.0

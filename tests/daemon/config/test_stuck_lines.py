@@ -64,12 +64,12 @@ def qualities(channels, tests, spoil, parallel=()):
 
 
 @pytest.mark.parametrize(("bit", "high"), LINES)
-def test_the_wiring_of_the_manual_sees_every_line_stuck_either_way(bit, high):
+def test_with_the_wiring_of_the_manual_the_self_test_detects_every_line_stuck_high_or_low(bit, high):
     seen = qualities(BEST, (3, 4), lambda switch, now: switch.stick(bit, high, now), parallel=(5, 6))
     assert seen == {Quality.SELF_TEST_FAILED}
 
 
-def test_the_wiring_of_the_manual_sees_a_port_that_has_lost_its_supply():
+def test_with_the_wiring_of_the_manual_the_self_test_detects_a_port_without_supply():
     def dead(switch, now):
         for bit in (0, 1, 2):
             switch.stick(bit, True, now)
@@ -77,13 +77,13 @@ def test_the_wiring_of_the_manual_sees_a_port_that_has_lost_its_supply():
     assert qualities(BEST, (3, 4), dead, parallel=(5, 6)) == {Quality.SELF_TEST_FAILED}
 
 
-def test_the_wiring_of_the_manual_passes_while_nothing_is_stuck():
+def test_with_the_wiring_of_the_manual_the_self_test_passes_while_no_line_is_stuck():
     assert qualities(BEST, (3, 4), lambda _switch, _now: None, parallel=(5, 6)) == {Quality.OK}
 
 
 @pytest.mark.parametrize("test", range(4, 8))
 @pytest.mark.parametrize(("bit", "high"), LINES)
-def test_one_input_sees_a_line_only_the_way_that_changes_its_own_address(test, bit, high):
+def test_one_self_test_input_detects_a_stuck_line_only_if_that_changes_its_own_address(test, bit, high):
     parallel = [channel for channel in range(4, 8) if channel != test]
     seen = qualities(FIRST, (test,), lambda switch, now: switch.stick(bit, high, now), parallel)
     sees = bool(test >> bit & 1) is not high
@@ -92,13 +92,13 @@ def test_one_input_sees_a_line_only_the_way_that_changes_its_own_address(test, b
     assert (f"line {bit} stuck {'high' if high else 'low'}" in sentence) is not sees
 
 
-def test_the_last_and_the_first_input_together_do_not_see_a_dead_port():
+def test_self_tests_at_the_last_and_the_first_input_are_reported_not_to_detect_a_dead_port():
     middle = {"east": 1, "south": 2, "west": 4, "zenith": 3}
     (sentence, _) = self_test_gaps(settings_of(middle, (7, 0)))
     assert "does not see a port without supply (all lines high)" in sentence
 
 
-def test_the_configuration_says_what_is_missing():
+def test_the_configuration_says_which_self_test_or_parallel_wiring_is_missing():
     assert "no self-test" in self_test_gaps(settings_of(FIRST, ()))[0]
     (sentence,) = self_test_gaps(settings_of(BEST, (3, 4)))
     assert "read at input 5, 6: wire it in parallel" in sentence

@@ -39,7 +39,7 @@ def test_a_file_without_tables_is_one_tracker_with_the_settings_of_the_file(read
     assert read("[mqtt]\nname = 'roof'\n").trackers[0].name == "roof"
 
 
-def test_each_table_lies_over_the_sections_of_the_file(read):
+def test_each_tracker_table_overrides_the_sections_of_the_file(read):
     settings = read(TWO)
     (east, of_east), (west, of_west) = settings.trackers
     assert (east, west) == ("east", "west")
@@ -51,14 +51,14 @@ def test_each_table_lies_over_the_sections_of_the_file(read):
     assert of_east.instruments.positioner.a_axis.apex_deg == of_west.instruments.positioner.a_axis.apex_deg
 
 
-def test_what_each_keeps_and_how_each_is_known_to_a_broker_is_its_own(read, tmp_path):
+def test_each_tracker_has_its_own_store_folder_mqtt_name_and_client_id(read, tmp_path):
     settings = read(f"[store]\ndirectory = 'records'\n[mqtt]\nclient_id = 'roof'\n{textwrap.dedent(TWO)}")
     found = [(own.store.directory, own.mqtt.name, own.mqtt.client_id) for _, own in settings.trackers]
     folder = (tmp_path / "records").resolve()
     assert found == [(folder / "east", "east", "roof-east"), (folder / "west", "west", "roof-west")]
 
 
-def test_what_the_command_line_says_holds_for_all(read):
+def test_a_setting_on_the_command_line_applies_to_all_trackers(read):
     changed = override(read(TWO), {"law": {"driver": "mu-prime"}})
     assert [own.law.driver for _, own in changed.trackers] == ["mu-prime", "mu-prime"]
     assert changed.trackers[0].settings.limits.a_max_deg == 40.0
@@ -138,12 +138,12 @@ def test_what_the_command_line_says_holds_for_all(read):
         ),
     ],
 )
-def test_a_mistake_in_a_table_is_told_once_with_its_place_and_its_remedy(read, text, expected):
+def test_a_mistake_in_a_tracker_table_is_reported_once_with_its_place_and_remedy(read, text, expected):
     (problem,) = problems(read, text)
     assert problem.startswith(expected)
 
 
-def test_a_mistake_in_a_section_of_the_file_is_not_told_again_for_each_tracker(read):
+def test_a_mistake_in_a_section_of_the_file_is_not_reported_again_for_each_tracker(read):
     found = problems(read, "[limits]\na_max_deg = 60\n[[tracker]]\nname = 'east'\n[[tracker]]\nname = 'west'\n")
     assert found == ["limits.a_max_deg = 60: must be a number from -50 to 50 deg"]
 
@@ -172,7 +172,7 @@ LOADS = """
     """
 
 
-def test_two_loads_of_one_address_are_behind_an_adapter_each(read):
+def test_two_loads_with_the_same_address_need_an_adapter_each(read):
     assert len(read(LOADS.format("b")).trackers) == 2
     (problem,) = problems(read, LOADS.format("a"))
     expected = 'tracker[west].load.prologix_port = "/dev/adapter-a": is that of the tracker east already'

@@ -100,7 +100,7 @@ async def scans(rig, count):
         rig.scanned.clear()
 
 
-def test_a_conversion_begins_after_the_settling_and_not_before(run):
+def test_a_conversion_begins_only_after_the_multiplexer_has_settled(run):
     begun = []
 
     async def scenario(rig):
@@ -122,7 +122,7 @@ def test_a_conversion_begins_after_the_settling_and_not_before(run):
 
 
 @pytest.mark.parametrize(("mv", "passes"), [(0.4, True), (0.6, False), (2.0, False), (-0.6, False), (5000.0, False)])
-def test_the_self_test_takes_millivolts_and_a_reading_that_fails_fails_it(run, mv, passes):
+def test_the_self_test_fails_beyond_its_limit_in_millivolts_and_when_its_reading_fails(run, mv, passes):
     async def scenario(rig):
         rig.mv[7] = mv
         await scans(rig, 1)
@@ -131,7 +131,7 @@ def test_the_self_test_takes_millivolts_and_a_reading_that_fails_fails_it(run, m
     assert rig.qualities == [Quality.OK if passes else Quality.SELF_TEST_FAILED] * 4
 
 
-def test_a_switch_that_is_lost_during_the_last_reading_spoils_the_scan(run):
+def test_a_multiplexer_lost_during_the_last_reading_of_a_scan_spoils_that_scan(run):
     async def scenario(rig):
         await scans(rig, 1)
 
@@ -162,7 +162,7 @@ def test_a_switch_that_is_lost_during_the_last_reading_spoils_the_scan(run):
         (2000.0, Quality.OVER_RANGE),
     ],
 )
-def test_what_no_light_can_be_is_implausible(run, mv, quality):
+def test_a_voltage_that_no_light_can_give_is_implausible(run, mv, quality):
     async def scenario(rig):
         rig.mv[1] = mv
         await scans(rig, 1)
@@ -181,7 +181,7 @@ def test_the_dark_offset_is_learnt_at_night_and_subtracted(run):
     assert run(scenario, sun_deg=NIGHT).scans[-1].east.irradiance_w_m2 == pytest.approx(300.0, abs=0.3)
 
 
-def test_without_the_correction_nothing_is_learnt_of_the_dark(run):
+def test_no_dark_offset_is_learnt_when_the_dark_correction_is_off(run):
     async def scenario(rig):
         rig.mv |= dict.fromkeys(range(4), 0.2)
         await scans(rig, 300)
@@ -191,7 +191,7 @@ def test_without_the_correction_nothing_is_learnt_of_the_dark(run):
     assert rig.scans[-1].east.irradiance_w_m2 == pytest.approx(2.0, abs=0.1)
 
 
-def test_scans_are_numbered_from_nought_under_one_name_and_it_is_ready_with_the_first(run):
+def test_scans_are_numbered_from_0_in_one_session_and_the_cube_is_ready_with_the_first_scan(run):
     async def scenario(rig):
         began_s = rig.loop.time()
         assert not rig.acquisition.ready
@@ -211,7 +211,7 @@ def test_scans_are_numbered_from_nought_under_one_name_and_it_is_ready_with_the_
     assert {(scan.source, scan.simulated, scan.calibration) for scan in rig.scans} == {("cube", True, "")}
 
 
-def test_that_the_instruments_are_open_is_told_once_and_a_loss_and_its_end_each_once(run, caplog):
+def test_the_opening_of_the_instruments_is_logged_once_and_each_loss_and_return_is_reported_once(run, caplog):
     async def scenario(rig):
         await scans(rig, 1)
         for _ in range(2):
@@ -228,7 +228,7 @@ def test_that_the_instruments_are_open_is_told_once_and_a_loss_and_its_end_each_
     assert told == ["the cube is down", "the cube is back"] * 2
 
 
-def test_an_acquisition_that_is_ended_leaves_its_instruments_to_others(run):
+def test_an_acquisition_that_is_ended_closes_its_instruments(run):
     cables = run(lambda rig: scans(rig, 1)).cables
     with pytest.raises(DaqError, match="unplugged"):
         asyncio.run(cables.multiplexer.write(0))
@@ -263,7 +263,7 @@ def test_a_sensor_of_exactly_0_v_at_night_is_not_frozen(run):
     run(scenario, sun_deg=NIGHT)
 
 
-def test_the_switch_is_not_touched_while_the_meter_cannot_be_opened(run, caplog):
+def test_the_outage_names_the_voltmeter_when_neither_it_nor_the_multiplexer_can_be_opened(run, caplog):
     async def scenario(rig):
         rig.cables.voltmeter.link_up = False
         rig.cables.multiplexer.link_up = False

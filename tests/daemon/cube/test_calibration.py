@@ -76,7 +76,7 @@ def written(tmp_path, made=None):
     return path
 
 
-def test_the_file_of_a_real_cube_has_no_word_of_simulation_and_the_name_that_it_always_had(tmp_path):
+def test_only_a_calibration_by_simulated_readings_is_marked_and_a_removed_mark_is_noticed(tmp_path):
     assert "simulated" not in written(tmp_path).read_text()
     marked = calibration(simulated=True)
     assert marked.identifier != calibration().identifier
@@ -104,7 +104,7 @@ def test_only_a_bench_or_a_simulated_rig_takes_a_calibration_by_simulated_readin
         assert (code, err.startswith(f"heliocube: {sentence}"), err.count("\n")) == (2, True, 1)
 
 
-def test_what_is_written_is_read_again(tmp_path):
+def test_a_calibration_that_is_written_and_read_again_is_unchanged(tmp_path):
     assert read_calibration(written(tmp_path)) == calibration()
 
 
@@ -116,7 +116,7 @@ def test_the_identifier_is_made_of_the_day_and_the_contents(gain, offset_mv):
     assert (made.identifier == calibration().identifier) == (gain == 10.1 and offset_mv == 0.05)
 
 
-def test_the_identifier_does_not_hang_on_the_order_of_the_contents():
+def test_the_identifier_of_a_calibration_does_not_depend_on_the_order_of_its_contents():
     made = calibration()
     contents = json.dumps(made.model_dump(mode="json", exclude={"identifier", "simulated"}), sort_keys=True)
     assert made.identifier == "20220320-" + hashlib.sha256(contents.encode()).hexdigest()[:8]
@@ -158,13 +158,13 @@ def test_each_number_of_a_calibration_has_its_bounds(name, least, most):
 
 
 @pytest.mark.parametrize(("field", "most"), [("cube", 64), ("reference", 400)])
-def test_a_serial_number_and_what_is_said_of_the_reference_have_a_greatest_length(field, most):
+def test_the_cube_and_reference_texts_of_a_calibration_have_a_greatest_length(field, most):
     assert getattr(calibration(**{field: "c" * most}), field) == "c" * most
     with pytest.raises(ValidationError):
         calibration(**{field: "c" * (most + 1)})
 
 
-def test_a_full_disk_leaves_no_calibration_that_is_in_the_way_of_the_next(small_disk):
+def test_a_calibration_can_be_written_after_an_attempt_that_failed_on_a_full_disk(small_disk):
     filler = small_disk / "filler"
     fill(filler)
     path = small_disk / "calibration.toml"
@@ -190,7 +190,7 @@ def test_a_calibration_is_not_overwritten(tmp_path):
         (("[zenith]", "[zenith"), "cannot be read"),
     ],
 )
-def test_a_damaged_file_is_refused_in_one_sentence(tmp_path, change, message):
+def test_a_damaged_calibration_file_is_refused_with_the_reason(tmp_path, change, message):
     path = written(tmp_path)
     path.write_text(path.read_text().replace(*change))
     with pytest.raises(UserError, match=message):
@@ -202,7 +202,7 @@ def test_a_missing_file_is_refused(tmp_path):
         read_calibration(tmp_path / "none.toml")
 
 
-def test_its_gains_and_offsets_replace_those_of_the_faces_and_nothing_else():
+def test_a_calibration_replaces_gains_and_offsets_of_the_faces_and_nothing_else():
     cube = calibrated_cube(CubeSettings(), calibration())
     assert (cube.zenith.gain_w_m2_per_mv, cube.zenith.offset_mv) == (10.4, -0.02)
     assert cube.east.gain_w_m2_per_mv == 10.1
@@ -220,11 +220,11 @@ def test_its_gains_and_offsets_replace_those_of_the_faces_and_nothing_else():
         (float("nan"), "expired"),
     ],
 )
-def test_it_expires_soon_in_its_last_30_days_and_has_at_the_second(left_s, validity):
+def test_a_calibration_expires_soon_in_its_last_30_days_and_is_expired_from_the_exact_second_on(left_s, validity):
     assert calibration().validity(EXPIRES.timestamp() - left_s) == validity
 
 
-def test_expiry_is_told_once_beforehand_and_once_when_it_comes(caplog):
+def test_the_expiry_of_a_calibration_is_reported_once_beforehand_and_once_when_it_comes(caplog):
     told = []
     watch = ExpiryWatch(calibration(), told.append)
     with caplog.at_level(logging.WARNING, "heliocube.calibration"):
@@ -238,7 +238,7 @@ def test_expiry_is_told_once_beforehand_and_once_when_it_comes(caplog):
     assert [record.getMessage() for record in caplog.records] == texts
 
 
-def test_a_clock_that_is_set_back_takes_nothing_back_and_what_comes_again_is_told_again():
+def test_an_approaching_expiry_is_reported_again_after_the_clock_was_set_back():
     told = []
     watch = ExpiryWatch(calibration(), told.append)
     for days in (-29, -400, -29):
@@ -248,7 +248,7 @@ def test_a_clock_that_is_set_back_takes_nothing_back_and_what_comes_again_is_tol
     assert len(told) == 2
 
 
-def test_the_file_is_found_beside_the_configuration_and_looked_at(tmp_path):
+def test_the_calibration_file_is_found_beside_the_configuration_and_checked(tmp_path):
     written(tmp_path)
     config = tmp_path / "heliocube.toml"
     config.write_text('[cube]\ncalibration_file = "calibration.toml"\n')
@@ -269,7 +269,7 @@ def test_the_machine_of_a_tracker_alone_needs_no_calibration_file(heliocube, tmp
         assert (code, "there is no calibration file" in err) == (2, True)
 
 
-def test_the_identifier_crosses_the_bridge_and_its_absence_does_too():
+def test_the_identifier_of_a_calibration_or_its_absence_crosses_the_bridge():
     identifier = calibration().identifier
     assert decode(encode(scan(identifier))).calibration == identifier
     assert decode(encode(scan(""))).calibration == ""
@@ -277,14 +277,14 @@ def test_the_identifier_crosses_the_bridge_and_its_absence_does_too():
 
 
 @pytest.mark.parametrize("text", ["", "2022-3-20", "20220320-ABCDEF01", "20220320-abcdef012"])
-def test_an_identifier_that_is_none_is_refused(text):
+def test_a_scan_with_an_invalid_calibration_identifier_is_refused(text):
     good = calibration().identifier.encode()
     with pytest.raises(ScanRefusedError, match="calibration"):
         decode(encode(scan(good.decode())).replace(good, text.encode()))
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_a_store_of_a_version_before_is_read_and_brought_forward(tmp_path, version):
+def test_a_store_of_an_earlier_version_is_read_and_upgraded_to_keep_calibration_identifiers(tmp_path, version):
     path = tmp_path / FILE_NAME
     with closing(open_for_writing(path)) as store:
         store.execute("INSERT INTO runs VALUES (1, 0, 'both', '0', 0, 'SIRTA', 48.7, 2.2, 156, '', '')")

@@ -52,7 +52,7 @@ def test_a_face_that_does_not_change_with_the_light_is_found_where_the_readings_
     assert Contradictions().look(faces, sun, SOUND) == [ODD, NONE, NONE, NONE]
 
 
-def test_nobody_is_believed_where_readings_and_changes_accuse_different_faces():
+def test_all_faces_are_doubted_when_readings_and_changes_accuse_different_faces():
     contradictions = Contradictions()
     faces, sun = half_hour(beam_w_m2=PASSING_W_M2)
     faces[:, 0] = faces[:, 0].mean()
@@ -63,7 +63,7 @@ def test_nobody_is_believed_where_readings_and_changes_accuse_different_faces():
     assert found == [SOUND] * 5 + [[TORN] * 4]
 
 
-def test_before_half_an_hour_nothing_is_known_and_nothing_forgiven():
+def test_with_less_than_half_an_hour_of_readings_no_face_is_accused_and_none_is_cleared():
     contradictions = Contradictions()
     shaded = {"share": (1.0, 0.3, 1.0, 1.0)}
     assert after(contradictions, 11, minutes=MINUTES - 1, **shaded) == [SOUND] * 11
@@ -81,7 +81,7 @@ def test_a_face_in_a_shade_of_its_own_is_found_at_once_and_looked_at_again_after
 
 
 @pytest.mark.parametrize(("face", "beam_w_m2"), [(2, 300.0), (3, 0.0)])
-def test_a_face_is_not_used_again_by_a_light_in_which_twice_as_much_would_agree(face, beam_w_m2):
+def test_a_face_is_not_cleared_under_light_in_which_twice_its_reading_would_agree_too(face, beam_w_m2):
     contradictions = Contradictions()
     odd = [ODD if place == face else NONE for place in range(4)]
     share = [0.55 if place == face else 1.0 for place in range(4)]
@@ -92,7 +92,7 @@ def test_a_face_is_not_used_again_by_a_light_in_which_twice_as_much_would_agree(
     assert contradictions.agrees(face, odd) == (face == 3), "with the sun behind it the west face could read anything"
 
 
-def test_two_that_are_swapped_are_both_found_and_asked_to_be_in_order():
+def test_two_swapped_faces_are_both_found_and_are_cleared_only_by_readings_in_order():
     contradictions = Contradictions()
     swapped = [NONE, NONE, SWAPPED, SWAPPED]
     assert after(contradictions, 1, order=(0, 1, 3, 2)) == [swapped]
@@ -108,7 +108,7 @@ def test_two_that_are_swapped_are_both_found_and_asked_to_be_in_order():
 TURNED = {"share": (0.2, 3.0, 8.0, 0.3)}
 
 
-def test_what_nobody_can_be_accused_of_is_said_of_all_at_the_second_look():
+def test_a_contradiction_that_fits_no_single_face_casts_doubt_on_all_faces_at_the_second_look():
     contradictions = Contradictions()
     torn = [TORN] * 4
     assert after(contradictions, 7, **TURNED) == [SOUND] * 5 + [torn] * 2
@@ -119,18 +119,18 @@ def test_what_nobody_can_be_accused_of_is_said_of_all_at_the_second_look():
     assert after(contradictions, 6, torn, **TURNED)[-4:] == [SOUND] * 4
 
 
-def test_a_look_that_accuses_somebody_is_none_of_the_two():
+def test_a_look_that_accuses_one_face_does_not_count_towards_doubting_all_faces():
     contradictions = Contradictions()
     after(contradictions, 5, share=(1.0, 0.3, 1.0, 1.0))
     assert after(contradictions, 6, **TURNED) == [SOUND] * 5 + [[TORN] * 4]
 
 
 @pytest.mark.parametrize(("why", "found"), [(ODD, SOUND), (SWAPPED, SOUND), (OVER, [TORN] * 4), (TORN, [TORN] * 4)])
-def test_nobody_else_is_accused_where_it_is_known_who_it_is(why, found):
+def test_all_faces_are_doubted_only_if_none_is_known_to_be_odd_or_swapped(why, found):
     assert after(Contradictions(), 6, [why, NONE, NONE, NONE], **TURNED)[-1] == found
 
 
-def test_what_is_said_of_a_face_for_another_reason_ends_the_comparison():
+def test_a_face_found_dead_ends_the_comparison_of_the_faces():
     contradictions = Contradictions()
     after(contradictions, 1, share=(1.0, 0.3, 1.0, 1.0))
     assert after(contradictions, 1, [DEAD, NONE, NONE, NONE], share=(1.0, 0.3, 1.0, 1.0)) == [SOUND]
@@ -151,7 +151,7 @@ def test_a_face_that_only_looked_frozen_beside_another_in_the_shade_is_acquitted
     assert after(Contradictions(), 6, [NONE, NONE, FROZEN, NONE], **TURNED)[-1] == SOUND
 
 
-def test_what_is_said_of_a_face_for_another_reason_acquits_nobody():
+def test_a_face_found_dead_ends_the_acquittal_of_a_frozen_face():
     contradictions = Contradictions()
     shaded = {"share": (1.0, 0.3, 1.0, 1.0)}
     after(contradictions, 1, [NONE, NONE, FROZEN, NONE], **shaded)

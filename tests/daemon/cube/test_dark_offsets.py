@@ -23,11 +23,11 @@ def test_an_offset_is_learnt_slowly_at_night():
     assert learnt(-10.0, 0.3, 3000) == pytest.approx(0.3, rel=0.001)
 
 
-def test_nothing_is_learnt_by_day_or_in_twilight():
+def test_no_dark_offset_is_learnt_by_day_or_in_twilight():
     assert learnt(20.0, 0.3, 3000) == 0.0
     assert learnt(-5.0, 0.3, 3000) == 0.0
 
 
 @pytest.mark.parametrize("voltage_mv", [0.6, -0.6, 20.0])
-def test_a_lamp_at_night_teaches_nothing(voltage_mv):
+def test_no_dark_offset_is_learnt_from_a_voltage_too_large_for_darkness(voltage_mv):
     assert learnt(-30.0, voltage_mv, 3000) == 0.0

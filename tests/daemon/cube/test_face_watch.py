@@ -33,11 +33,11 @@ def test_a_frozen_face_is_found_within_the_hour_and_used_again_when_it_follows_t
 
 
 @pytest.mark.parametrize("start_utc_s", [MORNING_UTC_S - 5 * 3600, 1671602400.0])
-def test_a_sound_cube_is_believed_on_a_day_of_passing_clouds(start_utc_s):
+def test_no_face_of_a_sound_cube_is_doubted_on_a_day_of_passing_clouds(start_utc_s):
     assert WatchedDay(start_utc_s).minutes(16 * 60) == [None] * 4
 
 
-def test_no_face_is_judged_after_a_sleep_of_the_machine_by_the_light_of_before():
+def test_after_a_sleep_of_the_machine_no_face_is_judged_by_the_light_before_it():
     day = WatchedDay(MORNING_UTC_S)
     day.minutes(10)
     day.sleep(10 * 3600.0)
@@ -45,7 +45,7 @@ def test_no_face_is_judged_after_a_sleep_of_the_machine_by_the_light_of_before()
 
 
 @pytest.mark.parametrize(("at_w_m2", "found"), [(1800.0, True), (1200.0, False)])
-def test_more_than_sun_and_sky_can_give_is_found_within_minutes(at_w_m2, found):
+def test_a_face_that_reads_more_than_sun_and_sky_can_give_is_found_within_minutes(at_w_m2, found):
     day = WatchedDay(MORNING_UTC_S)
     day.minutes(10)
     minutes = day.minutes(15, frozen=3, at_w_m2=at_w_m2)
@@ -53,7 +53,7 @@ def test_more_than_sun_and_sky_can_give_is_found_within_minutes(at_w_m2, found):
     assert ["more than sun and sky can give" in alarm.text for alarm in day.alarms.active] == [True] * found
 
 
-def test_a_face_is_accused_by_the_third_look_at_five_minutes_and_forgiven_after_ten_that_agree():
+def test_a_face_is_doubted_at_the_third_look_at_five_minutes_and_cleared_after_ten_looks_that_agree():
     day = WatchedDay(MORNING_UTC_S)
     assert day.minutes(7, frozen=3, at_w_m2=1800.0) == [None, None, None, 6.75]
     day.minutes(9)
@@ -77,7 +77,7 @@ def test_a_face_that_is_found_wrong_again_within_a_day_has_to_agree_for_twice_as
 
 
 @pytest.mark.parametrize("face", [1, 3])
-def test_a_face_at_half_its_gain_is_no_swap_of_two_and_is_not_forgiven_by_a_light_that_would_need_snow(face):
+def test_a_face_at_half_its_gain_is_not_taken_for_a_swap_nor_cleared_by_light_that_would_need_snow(face):
     day = WatchedDay(DECEMBER_UTC_S)
     day.share[face] = 0.5
     doubted = []
@@ -89,7 +89,7 @@ def test_a_face_at_half_its_gain_is_no_swap_of_two_and_is_not_forgiven_by_a_ligh
     assert all(face in faces for faces in doubted[named:])
 
 
-def test_a_face_that_has_to_follow_the_light_does_so_although_it_reads_the_same_as_another_meanwhile():
+def test_a_contradicted_face_stays_reported_as_such_while_all_faces_read_the_same():
     day = WatchedDay(MORNING_UTC_S)
     day.share[3] = 0.5
     day.minutes(90)
@@ -110,7 +110,7 @@ def test_looks_that_accuse_a_face_count_only_without_one_that_agrees_between_the
         assert day.minutes(9) == [None] * 4
 
 
-def test_each_fault_is_told_with_the_faces_that_have_it():
+def test_the_alarm_names_each_fault_with_the_faces_that_have_it():
     day = WatchedDay(MORNING_UTC_S)
     day.minutes(8, frozen=[1, 3], at_w_m2=[0.0, 1800.0])
     (alarm,) = day.alarms.active
@@ -140,7 +140,7 @@ def test_two_faces_with_the_same_fault_are_named_each_with_its_own_time():
 
 
 @pytest.mark.parametrize(("gap_s", "looks_again"), [(90.0, True), (150.0, False)])
-def test_after_a_gap_of_more_than_two_minutes_the_five_are_gathered_anew(gap_s, looks_again):
+def test_after_a_gap_of_more_than_two_minutes_five_minutes_of_readings_are_gathered_anew(gap_s, looks_again):
     day = WatchedDay(MORNING_UTC_S)
     assert day.minutes(6, frozen=3, at_w_m2=1800.0)[3] is None
     day.clock.utc_s += gap_s
@@ -149,7 +149,7 @@ def test_after_a_gap_of_more_than_two_minutes_the_five_are_gathered_anew(gap_s, 
     assert found < 6.0, "and the looks of before still count"
 
 
-def test_a_cube_that_is_read_once_a_minute_is_watched_over_half_an_hour_too():
+def test_a_frozen_face_is_also_found_on_a_cube_that_is_read_once_a_minute():
     day = WatchedDay(MORNING_UTC_S)
     found = day.minutes(90, frozen=3, at_w_m2=250.0, every_s=60.0, late_s=0.02)
     assert [minutes is not None for minutes in found] == [False, False, False, True]
@@ -161,14 +161,14 @@ def test_the_south_face_looks_to_the_equator(latitude_deg):
     assert face_normals(CubeSettings(), latitude_deg) == pytest.approx(FACE_NORMALS, abs=1e-12)
 
 
-def test_the_light_is_not_sought_by_a_cube_whose_faces_look_elsewhere():
+def test_faces_are_not_compared_by_the_light_on_a_cube_whose_faces_point_elsewhere():
     east = CubeSettings().east.model_copy(update={"azimuth_deg": 60.0})
     day = WatchedDay(MORNING_UTC_S - 3600.0, east=east)
     day.share = [1.0, 0.3, 1.0, 1.0]
     assert day.minutes(100) == [None] * 4
 
 
-def test_a_second_face_has_the_time_of_its_own():
+def test_a_second_doubted_face_raises_the_alarm_again_and_has_its_own_time():
     day = WatchedDay(MORNING_UTC_S)
     first = day.minutes(8, frozen=1, at_w_m2=0.0)[1]
     day.alarms.acknowledge("ana")
@@ -221,7 +221,7 @@ def test_swapped_faces_are_named_together_although_one_was_left_out_before_the_o
 
 
 @pytest.mark.parametrize("exactly", [False, True])
-def test_beside_a_face_that_repeats_itself_to_the_last_digit_no_other_is_accused_of_a_swap(exactly):
+def test_no_swap_of_faces_is_reported_beside_a_face_that_repeats_itself_to_the_last_digit(exactly):
     day = WatchedDay(MORNING_UTC_S)
     day.order = [0, 3, 2, 1]
     found = day.minutes(60, frozen=2, at_w_m2=200.0, exactly=exactly)
@@ -245,7 +245,7 @@ def test_a_face_that_jumps_for_a_minute_now_and_then_is_named_and_no_other_is(fa
 
 
 @pytest.mark.parametrize(("hours", "share"), [(0.0, 0.1), (2.25, 1.0)])
-def test_jumps_that_do_not_tell_their_face_accuse_no_other(hours, share):
+def test_jumps_that_do_not_show_which_face_is_wrong_cast_doubt_on_no_face(hours, share):
     # In dim light jumps are small, and the sun of a winter noon reaches only one other face.
     day = WatchedDay(DECEMBER_UTC_S + 3600.0 * hours)
     day.in_cloud_w_m2 = 750.0
@@ -256,7 +256,7 @@ def test_jumps_that_do_not_tell_their_face_accuse_no_other(hours, share):
     assert day.doubted() == []
 
 
-def test_jumps_of_a_face_that_outnumber_what_it_reads_between_them_make_no_other_look_frozen():
+def test_a_face_that_jumps_most_of_the_time_makes_no_other_face_look_frozen():
     day = WatchedDay(MORNING_UTC_S + 8.0 * 3600.0)
     day.in_cloud_w_m2 = 750.0
     day.share = [0.1] * 4
@@ -284,7 +284,7 @@ def test_a_face_in_a_shade_of_its_own_is_named_and_used_again_when_it_follows_th
 
 
 @pytest.mark.parametrize(("face", "hour"), [(1, 1.0), (0, 0.0), (2, 4.0)])
-def test_a_face_that_goes_into_its_shade_in_a_clear_sky_makes_no_other_look_frozen(face, hour):
+def test_a_face_that_goes_into_shade_under_a_clear_sky_is_found_and_makes_no_other_look_frozen(face, hour):
     day = WatchedDay(MORNING_UTC_S + 3600.0 * hour)
     day.in_cloud_w_m2 = 750.0
     day.minutes(40)
@@ -308,7 +308,7 @@ def test_a_face_that_looked_frozen_is_used_again_once_it_is_known_which_face_was
 
 
 @pytest.mark.parametrize("left", [0.02, 0.3])
-def test_a_face_that_comes_out_of_its_shade_makes_no_other_look_frozen_and_has_to_agree(left):
+def test_a_face_that_comes_out_of_its_shade_has_to_agree_and_makes_no_other_face_look_frozen(left):
     day = WatchedDay(MORNING_UTC_S - 3600.0)
     day.minutes(40)
     day.share = [1.0, left, 1.0, 1.0]
@@ -325,7 +325,7 @@ def test_a_face_that_comes_out_of_its_shade_makes_no_other_look_frozen_and_has_t
 
 
 @pytest.mark.parametrize("hours", [9.0, -12.0, -3.0, 2.0 / 3.0])
-def test_a_clock_that_is_set_wrong_for_hours_condemns_no_face(hours):
+def test_no_face_is_doubted_while_the_clock_is_set_wrong_for_hours(hours):
     day = WatchedDay(MORNING_UTC_S - 3600.0)
     assert day.minutes(40) == [None] * 4
     day.clock.off_s = hours * 3600.0
@@ -334,7 +334,7 @@ def test_a_clock_that_is_set_wrong_for_hours_condemns_no_face(hours):
     assert day.minutes(60) == [None] * 4
 
 
-def test_faces_that_a_wrong_clock_condemned_are_used_again_when_it_is_synchronised_and_judged_anew():
+def test_faces_doubted_because_of_a_wrong_clock_are_used_again_once_it_is_synchronised():
     day = WatchedDay(MORNING_UTC_S, off_s=-4 * 3600.0)
     day.minutes(60)
     assert day.doubted()
@@ -350,7 +350,7 @@ def test_faces_that_a_wrong_clock_condemned_are_used_again_when_it_is_synchronis
 
 
 @pytest.mark.parametrize(("face", "at_w_m2", "is_seen"), [(3, 0.0, True), (3, 250.0, True), (2, 1800.0, False)])
-def test_after_a_restart_a_face_that_somebody_has_seen_is_no_new_alarm_and_another_one_is(
+def test_after_a_restart_an_acknowledged_face_raises_no_new_alarm_and_another_face_does(
     tmp_path, face, at_w_m2, is_seen
 ):
     for hour, frozen in enumerate((3, face)):
@@ -359,7 +359,7 @@ def test_after_a_restart_a_face_that_somebody_has_seen_is_no_new_alarm_and_anoth
         assert day.alarms.acknowledge("ana") == (() if hour and is_seen else ("cube-face",))
 
 
-def test_faces_that_no_light_explains_are_none_of_them_used_until_they_agree():
+def test_no_face_is_used_while_no_light_explains_the_four_until_they_agree():
     day = WatchedDay(MORNING_UTC_S)
     day.in_cloud_w_m2 = 750.0
     day.order = [1, 0, 2, 3]
@@ -372,7 +372,7 @@ def test_faces_that_no_light_explains_are_none_of_them_used_until_they_agree():
     assert day.doubted() == []
 
 
-def test_of_faces_that_no_light_explains_the_one_that_stands_still_is_named_and_the_others_are_used_again():
+def test_of_faces_that_no_light_explains_the_frozen_one_is_named_and_the_others_are_used_again():
     day = WatchedDay(MORNING_UTC_S - 3 * 3600.0)
     day.minutes(150, frozen=1, at_w_m2=400.0)
     assert day.doubted() == [0, 1, 2, 3], "until the sun has reached the south face"

@@ -28,7 +28,7 @@ def stick_all(rig):
 
 @pytest.mark.parametrize("weather", [HandWeather(), HandWeather(dni=0, dhi=150), HandWeather(dni=0, dhi=20)])
 @pytest.mark.parametrize(("bit", "high"), [(0, False), (0, True), (1, False), (1, True), (2, True)])
-def test_a_stuck_line_is_found_within_ten_minutes(run_rig, bit, high, weather):
+def test_a_stuck_address_line_is_found_within_ten_minutes(run_rig, bit, high, weather):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 60)
         await asyncio.sleep(100)
@@ -41,7 +41,7 @@ def test_a_stuck_line_is_found_within_ten_minutes(run_rig, bit, high, weather):
     run_rig(scenario, weather=weather, rest_look_s=5.0)
 
 
-def test_a_port_without_supply_is_found_within_ten_minutes_and_forgiven_after_agreement(run_rig):
+def test_a_port_without_supply_is_found_in_ten_minutes_and_its_faces_are_used_again_once_they_agree(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 60)
         stick_all(rig)
@@ -88,7 +88,7 @@ def test_interchanged_faces_are_found(run_rig):
 
 
 @pytest.mark.parametrize("face", [2, 3])
-def test_an_open_input_that_keeps_what_the_face_before_it_had_is_found_in_the_sun(run_rig, face):
+def test_an_open_input_that_repeats_the_face_read_before_it_is_found_in_the_sun(run_rig, face):
     async def scenario(rig):
         sensor = rig.switch._inputs
         rig.switch._inputs = lambda channel, now: None if channel == face else sensor(channel, now)
@@ -103,7 +103,7 @@ def test_an_open_input_that_keeps_what_the_face_before_it_had_is_found_in_the_su
     ("weather", "start", "hours"),
     [(HandWeather(), "2022-10-12T06:00", 4), (HandWeather(dni=0, dhi=8), "2022-10-12T14:30", 3)],
 )
-def test_a_sound_cube_is_believed_through_dawn_and_dusk(run_rig, weather, start, hours):
+def test_a_sound_cube_raises_no_alarm_through_dawn_and_dusk(run_rig, weather, start, hours):
     async def scenario(rig):
         for _ in range(hours * 6):
             await asyncio.sleep(600)
@@ -113,7 +113,7 @@ def test_a_sound_cube_is_believed_through_dawn_and_dusk(run_rig, weather, start,
     run_rig(scenario, weather=weather, start=start, rest_look_s=5.0, **seldom)
 
 
-def test_a_clock_that_was_set_to_noon_at_night_accuses_nobody(run_rig):
+def test_a_clock_that_was_set_to_noon_at_night_raises_no_alarm_about_a_face(run_rig):
     async def scenario(rig):
         await asyncio.sleep(60)
         rig.clock.step_s = -12 * 3600.0

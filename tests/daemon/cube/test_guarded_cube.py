@@ -50,25 +50,25 @@ def read(answer):
     (replace(GOOD, west=FACE._replace(flaw="broken")), "the flaw of a face is 'broken', not one of over-range, late"),
     (KeyError("gauge"), r"cube: its driver has failed with KeyError: 'gauge' \(test_guarded_cube\.py, line \d+\)"),
 ])  # fmt: skip
-def test_what_is_no_reading_is_an_outage(answer, words):
+def test_an_invalid_reading_or_an_unexpected_error_of_a_cube_driver_is_a_device_error(answer, words):
     with pytest.raises(DeviceError, match=words):
         read(answer)
 
 
 @pytest.mark.parametrize("error", [LinkLostError("voltmeter", "gone"), UserError("the weather has ended")])
-def test_what_a_driver_may_raise_is_let_through(error):
+def test_an_error_that_a_cube_driver_may_raise_is_passed_on(error):
     with pytest.raises(type(error), match=str(error)):
         read(error)
 
 
-def test_a_reading_in_numbers_of_numpy_is_one(caplog):
+def test_a_reading_in_numpy_numbers_is_accepted(caplog):
     good = replace(GOOD, west=FACE._replace(value=np.float32(0.03), flaw="late"))
     assert read(good) is good
     assert asyncio.run(GuardedCube(Answering(GOOD)).open()) == "a cube"
     assert caplog.records == []
 
 
-def test_a_driver_that_cannot_be_closed_is_told_once(caplog):
+def test_a_cube_driver_that_cannot_be_closed_is_logged_once(caplog):
     async def twice():
         cube = GuardedCube(Answering(GOOD))
         await cube.close()

@@ -86,7 +86,7 @@ def scan_of():
     return scan
 
 
-def test_irradiances_are_taken_as_they_are(scan_of):
+def test_irradiances_reported_by_a_cube_are_used_without_gain_and_offset(scan_of):
     scan = scan_of()
     assert [face.irradiance_w_m2 for face in scan.faces] == [300.0, 410.0, 60.0, 470.0]
     assert {face.quality for face in scan.faces} == {Quality.OK}
@@ -99,12 +99,12 @@ def test_numbers_of_numpy_are_sent_as_those_of_python_are(scan_of, kind):
     assert of_numpy == of_python
 
 
-def test_they_learn_no_dark_offset(scan_of):
+def test_no_dark_offset_is_learnt_for_sensors_that_report_irradiances(scan_of):
     scan = scan_of(count=900, faces=[-3.0, -3.0, -3.0, -3.0])
     assert {face.irradiance_w_m2 for face in scan.faces} == {-3.0}
 
 
-def test_a_flawed_face_costs_the_others_nothing(scan_of):
+def test_a_flawed_face_does_not_affect_the_other_faces(scan_of):
     scan = scan_of(faces=["late", "missing", "over-range", 470.0])
     assert [face.quality for face in scan.faces] == [Quality.LATE, Quality.MISSING, Quality.OVER_RANGE, Quality.OK]
 
@@ -113,11 +113,11 @@ def test_a_flawed_face_costs_the_others_nothing(scan_of):
     ("value", "quality"),
     [(math.nan, Quality.MISSING), (math.inf, Quality.IMPLAUSIBLE), (1501.0, Quality.IMPLAUSIBLE)],
 )
-def test_what_is_no_irradiance_is_not_used(scan_of, value, quality):
+def test_a_value_that_is_no_irradiance_is_marked_missing_or_implausible(scan_of, value, quality):
     assert scan_of(faces=[300.0, value, 60.0, 470.0]).south.quality is quality
 
 
-def test_a_way_that_failed_its_test_spoils_every_face(scan_of):
+def test_a_failed_self_test_spoils_every_face(scan_of):
     assert {face.quality for face in scan_of(proven=False).faces} == {Quality.SELF_TEST_FAILED}
 
 
@@ -125,7 +125,7 @@ def test_a_frozen_value_is_stale(scan_of):
     assert {face.quality for face in scan_of(count=7).faces} == {Quality.STALE}
 
 
-def test_values_in_steps_may_stand_still_for_a_while_but_not_by_day_for_ever(scan_of):
+def test_rounded_values_may_repeat_for_a_while_but_become_stale_by_day(scan_of):
     qualities = [{face.quality for face in scan_of(count=count, rounded=True).faces} for count in (7, 361)]
     assert qualities == [{Quality.OK}, {Quality.STALE}]
     assert {face.quality for face in scan_of(count=361, rounded=True, faces=[-1.0] * 4).faces} == {Quality.OK}
@@ -164,7 +164,7 @@ def alarmed():
     return run
 
 
-def test_what_the_instruments_have_against_themselves_is_an_alarm_until_it_is_over(alarmed):
+def test_a_fault_that_a_sensor_reports_about_itself_is_an_alarm_until_it_is_over(alarmed):
     async def scenario(scan, _alarms):
         assert await scan() == []
         for _ in range(2):
@@ -176,7 +176,7 @@ def test_what_the_instruments_have_against_themselves_is_an_alarm_until_it_is_ov
     assert alarmed(scenario) == ["raised cube-sensor", "cleared cube-sensor"]
 
 
-def test_a_sensor_that_comes_and_goes_is_one_alarm(alarmed):
+def test_a_sensor_that_fails_again_and_again_raises_one_alarm_only(alarmed):
     async def scenario(scan, _alarms):
         for number in range(120):
             await scan(**({"zenith": SILENT} if number % 12 < 6 else {}))
@@ -184,7 +184,7 @@ def test_a_sensor_that_comes_and_goes_is_one_alarm(alarmed):
     assert alarmed(scenario) == ["raised cube-sensor"]
 
 
-def test_a_second_sensor_that_fails_after_the_first_was_acknowledged_is_an_alarm_of_its_own(alarmed):
+def test_a_second_sensor_that_fails_after_the_first_was_acknowledged_raises_the_alarm_again(alarmed):
     async def scenario(scan, alarms):
         await scan(east=OVERFLOW)
         alarms.acknowledge("ana")
@@ -196,7 +196,7 @@ def test_a_second_sensor_that_fails_after_the_first_was_acknowledged_is_an_alarm
     assert alarmed(scenario) == ["raised cube-sensor", "acknowledged cube-sensor by ana", "raised cube-sensor"]
 
 
-def test_a_sensor_that_gives_nothing_any_more_after_its_lesser_fault_was_acknowledged_is_told_anew_once(alarmed):
+def test_a_sensor_that_falls_silent_after_its_lesser_fault_was_acknowledged_raises_the_alarm_once(alarmed):
     lesser = "the east sensor (address 1) keeps an error from earlier; its values are used"
     silent = "the east sensor (address 1) does not answer"
 
@@ -213,7 +213,7 @@ def test_a_sensor_that_gives_nothing_any_more_after_its_lesser_fault_was_acknowl
     assert alarmed(scenario) == ["raised cube-sensor", "acknowledged cube-sensor by ana"] * 2
 
 
-def test_what_is_infinite_is_implausible_and_ends_nothing():
+def test_an_infinite_irradiance_is_implausible_and_does_not_end_the_acquisition():
     async def scenario():
         clock = LoopClock(asyncio.get_running_loop().time, NOON_UTC_S)
         cube, settings, site = Pyranometers(clock), CubeSettings(), SiteSettings()

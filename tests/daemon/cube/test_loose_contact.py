@@ -35,12 +35,12 @@ def doubted(week, faces, from_utc_s, until_utc_s):
 
 
 @pytest.mark.parametrize("late_min", range(5))
-def test_jumps_of_the_zenith_face_accuse_no_other_whenever_the_faces_are_compared(week, late_min):
+def test_only_a_zenith_face_that_jumps_is_doubted_whenever_the_faces_are_compared(week, late_min):
     faces = week.spoilt("loose", ZENITH)
     assert doubted(week, faces, DAWN + 60.0 * late_min, DAWN + 9000.0) == {ZENITH}
 
 
-def test_beside_a_dead_face_that_shows_no_cloud_nobody_is_accused_by_the_one_that_is_left(measured, monkeypatch):
+def test_a_dead_west_face_that_shows_no_cloud_is_the_only_face_doubted(measured, monkeypatch):
     monkeypatch.setattr(face_weeks, "DAYS", 1)
     week = Week(measured / "dtu_lyngby_2016", 11, 17, 60.0, 12.0, sky="haydavies")
     assert doubted(week, week.spoilt("dead", WEST), NOON, NOON + 5400.0) == {WEST}

@@ -64,7 +64,7 @@ def unread(alarms, clock):
     return listening(alarms, clock, UnreadFaces(alarms, clock))
 
 
-def test_it_is_named_after_a_minute_and_until_it_agrees_again(told):
+def test_an_implausible_face_is_reported_after_a_minute_and_until_it_agrees_again(told):
     assert told(9, south=LIES) == []
     assert told(1, south=LIES) == [
         "the south face reads what cannot be true; not used since 2022-10-12 10:20 UTC; the cube's own alarms say why"
@@ -81,14 +81,14 @@ def test_it_is_named_after_a_minute_and_until_it_agrees_again(told):
     assert told.raised() == 2
 
 
-def test_a_reading_now_and_then_is_no_lie(told):
+def test_an_implausible_reading_now_and_then_raises_no_alarm(told):
     for _ in range(30):
         assert told(1, west=LIES) == []
         assert told(1) == []
         assert told(1, west=GOOD._replace(quality=Quality.STALE)) == []
 
 
-def test_a_face_without_a_reading_is_named_with_what_is_wrong_until_it_has_one(unread):
+def test_a_face_that_is_not_read_is_reported_with_the_reason_until_it_is_read_again(unread):
     assert unread(9, west=LOST) == []
     assert unread(1, west=LOST) == [
         "no reading of west (over-range since 2022-10-12 10:20 UTC) while other faces are read"
@@ -103,18 +103,18 @@ def test_a_face_without_a_reading_is_named_with_what_is_wrong_until_it_has_one(u
     assert unread(1) == []
 
 
-def test_a_digital_sensor_that_is_silent_on_another_machine_is_named(unread):
+def test_a_silent_digital_sensor_on_another_machine_is_reported(unread):
     silent = LOST._replace(quality=Quality.LATE)
     (told,) = unread(10, west=silent)
     assert told == "no reading of west (late since 2022-10-12 10:20 UTC) while other faces are read"
     assert unread(10) == []
 
 
-def test_no_face_is_named_where_none_is_read(unread):
+def test_no_face_is_reported_as_unread_when_no_face_at_all_is_read(unread):
     assert unread(30, east=LOST, south=LOST, west=LOST, zenith=LOST) == []
 
 
-def test_a_face_whose_sensor_has_said_so_itself_is_not_named_again(alarms, unread):
+def test_an_unread_face_is_not_reported_again_while_the_alarm_of_its_own_sensor_is_active(alarms, unread):
     alarms.set("cube-sensor", "the west sensor is silent")
     assert unread(30, west=LOST) == ["the west sensor is silent"]
     assert unread(10, west=LOST, zenith=LOST)[1].startswith("no reading of zenith (over-range since ")

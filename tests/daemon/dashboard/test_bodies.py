@@ -14,7 +14,7 @@ from tests.daemon.dashboard.house import NAMES, in_house
 @pytest.mark.parametrize(
     ("body", "status"), [("[]", 400), ("{", 400), ("[" * 3000, 400), ('{"a": "' + "x" * 5000 + '"}', 413)]
 )
-def test_a_body_that_cannot_be_meant_is_refused(body, status):
+def test_a_request_body_that_is_no_object_or_is_too_long_is_refused(body, status):
     async def scenario(house):
         reply = await house.browser.post("/login", content=body)
         assert (reply.status_code, "error" in reply.json()) == (status, True)
@@ -23,7 +23,7 @@ def test_a_body_that_cannot_be_meant_is_refused(body, status):
 
 
 @pytest.mark.parametrize("words", [r'"\ud800"', "NaN", "-1e999", "[" * 500 + "]" * 500, '"' + "\N{SUN}" * 1100 + '"'])
-def test_an_order_is_not_held_up_by_odd_words_that_the_service_may_refuse(words):
+def test_an_order_with_odd_values_is_handed_on_for_the_service_to_judge(words):
     async def scenario(house):
         await house.login()
         body = f'{{"service": "{NAMES[0]}", "name": "stop", "why": {words}}}'
@@ -72,7 +72,7 @@ def test_a_body_that_is_read_but_too_deep_to_hand_on_is_refused(monkeypatch):
     in_house(scenario)
 
 
-def test_what_is_no_service_of_heliocube_is_not_said_to_have_done_anything(monkeypatch):
+def test_an_order_answered_by_a_program_that_is_no_heliocube_service_is_reported_as_failed(monkeypatch):
     async def scenario(house):
         await house.login()
         for answer in (b"<html>", b"[]", b"{}"):
@@ -91,7 +91,7 @@ def test_what_is_no_service_of_heliocube_is_not_said_to_have_done_anything(monke
 @pytest.mark.parametrize(
     ("ago_s", "taken"), [(41.0, False), (math.nan, False), (10**400, False), (30.0, True), (-(10**400), True)]
 )
-def test_an_order_that_was_under_way_for_long_is_not_carried_out_unless_it_is_a_stop(ago_s, taken):
+def test_an_order_more_than_40_s_old_is_refused_unless_it_is_a_stop(ago_s, taken):
     async def scenario(house):
         await house.login()
         given_s = -ago_s if isinstance(ago_s, int) else time.monotonic() - ago_s

@@ -94,7 +94,7 @@ async def nothing(reader, writer):
     ],
     ids=["unread", "unread at the end", "a service that hangs"],
 )
-def test_a_crowd_that_waits_for_its_answers_or_reads_none_keeps_nobody_out(content, answer):
+def test_clients_that_wait_for_answers_or_read_none_do_not_keep_others_out(content, answer):
     async def scenario():
         async with crowded(content, answer) as address:
             pages = [page(address) for _ in range(PLACES // 2)]
@@ -122,7 +122,7 @@ def test_an_answer_that_is_read_slowly_is_read_to_its_end():
         runner.run(scenario())
 
 
-def test_no_more_pages_are_kept_up_to_date_than_there_are_places_where_many_come_at_once():
+def test_of_100_pages_opened_at_once_only_64_are_kept_up_to_date_and_the_others_are_refused():
     async def scenario():
         async with served() as address:
             connections = await asyncio.gather(*(ask(address, STREAM) for _ in range(100)))

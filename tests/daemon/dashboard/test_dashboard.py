@@ -15,7 +15,7 @@ from daemon.dashboard.serve import bind, serve, settings_of_file
 from tests.daemon.dashboard.house import NAMES, OTHER, TOKEN, in_house
 
 
-def test_the_page_and_all_that_it_needs_are_shipped_and_run_nothing_else():
+def test_the_page_and_all_its_files_are_served_under_a_strict_content_security_policy():
     async def scenario(house):
         page = await house.browser.get("/")
         assert page.status_code == 200
@@ -32,7 +32,7 @@ def test_the_page_and_all_that_it_needs_are_shipped_and_run_nothing_else():
 
 
 @pytest.mark.parametrize("name", ["index.html", "style.css", "js/main.js", "vendor/uPlot.iife.min.js"])
-def test_no_asset_names_a_place_outside(name):
+def test_no_asset_of_the_page_refers_to_an_outside_address(name):
     text = (STATIC / name).read_text().replace("http://www.w3.org/2000/svg", "")
     assert "//cdn" not in text
     assert "http://" not in text.replace("https://github.com/leeoniya/uPlot", "")
@@ -56,7 +56,7 @@ def test_no_asset_names_a_place_outside(name):
         (None, True),
     ],
 )
-def test_a_foreign_name_is_refused(host, taken):
+def test_a_request_for_a_foreign_host_name_is_refused(host, taken):
     async def scenario(house):
         request = house.browser.build_request("GET", "/", headers={"Host": host or ""})
         if host is None:
@@ -70,7 +70,7 @@ def test_a_foreign_name_is_refused(host, taken):
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://dash.lab", "http://dash.lab:1", "http://["])
-def test_another_page_can_give_no_order(origin):
+def test_a_page_of_another_origin_cannot_give_an_order(origin):
     async def scenario(house):
         await house.login()
         reply = await house.browser.post(
@@ -101,7 +101,7 @@ def test_an_order_goes_to_the_service_with_its_token_and_the_name_of_whoever_log
     in_house(scenario)
 
 
-def test_a_service_with_another_token_asks_for_that_one_too_and_both_are_kept():
+def test_a_service_with_another_token_asks_for_its_own_token_and_both_logins_are_kept():
     async def scenario(house):
         await house.login()
         refused = await house.order(service=NAMES[1])
@@ -142,7 +142,7 @@ def test_a_service_that_was_away_at_the_login_gets_orders_with_the_token_that_th
     in_house(scenario)
 
 
-def test_stow_for_all_says_of_each_service_what_came_of_it():
+def test_stow_for_all_reports_the_result_of_each_service():
     async def scenario(house):
         await house.login()
         await house.login(OTHER)
@@ -179,7 +179,7 @@ def test_stop_for_all_reaches_every_service_however_late_and_needs_a_login():
     in_house(scenario)
 
 
-def test_stow_for_all_is_not_asked_of_the_process_of_a_cube_alone_while_it_is_known_to_be_one():
+def test_stow_for_all_leaves_out_a_process_while_it_is_known_to_read_only_a_cube():
     async def scenario(house):
         cube = house.services[NAMES[1]]
         cube.token = TOKEN
@@ -236,7 +236,7 @@ def test_no_token_can_be_tried_while_no_service_answers():
     in_house(scenario)
 
 
-def test_a_page_that_is_opened_begins_the_days_of_its_cookie_anew():
+def test_opening_the_page_renews_the_30_days_of_the_session_cookie():
     async def scenario(house):
         assert "set-cookie" not in (await house.browser.get("/session")).headers
         given = (await house.login()).headers["set-cookie"]
@@ -258,7 +258,7 @@ def test_logging_out_ends_the_session_for_whoever_has_the_cookie():
     in_house(scenario)
 
 
-def test_the_dashboards_of_one_host_log_nobody_out_of_each_other():
+def test_dashboards_on_one_host_have_separate_logins():
     async def scenario(house):
         await house.login()
         for port in ("20575", "20576"):
@@ -289,7 +289,7 @@ def test_unknown_commands_services_and_readings_are_refused():
     in_house(scenario)
 
 
-def test_every_browser_gets_the_newest_of_each_service_whenever_it_comes():
+def test_every_browser_gets_the_newest_state_of_each_service_whenever_it_connects():
     async def scenario(house):
         following = asyncio.create_task(house.fleet.run())
         try:
@@ -316,7 +316,7 @@ def test_every_browser_gets_the_newest_of_each_service_whenever_it_comes():
     in_house(scenario)
 
 
-def test_a_browser_that_does_not_read_holds_one_message_of_each_service():
+def test_for_a_browser_that_does_not_read_only_one_message_of_each_service_is_held():
     async def scenario(house):
         service = house.services[NAMES[0]]
         service.states = [f'{{"n": {n}}}' for n in range(1000)]
@@ -334,7 +334,7 @@ def test_a_browser_that_does_not_read_holds_one_message_of_each_service():
 
 
 @pytest.mark.parametrize("text", ["<html>", '{"a_deg": NaN}', "[" * 100_000])
-def test_what_is_no_state_never_reaches_a_browser(text):
+def test_a_message_that_is_no_valid_state_never_reaches_a_browser(text):
     async def scenario(house):
         house.services[NAMES[0]].states = [text]
         following = asyncio.create_task(house.fleet.run())
@@ -351,7 +351,7 @@ def test_what_is_no_state_never_reaches_a_browser(text):
     in_house(scenario)
 
 
-def test_it_ends_with_what_follows_the_services_instead_of_showing_for_ever_what_was(monkeypatch):
+def test_the_dashboard_ends_when_following_the_services_fails_instead_of_showing_an_old_state(monkeypatch):
     def broken(*_, **__):
         raise LookupError("a defect of a library")
 
@@ -364,7 +364,7 @@ def test_it_ends_with_what_follows_the_services_instead_of_showing_for_ever_what
     assert ended.group_contains(LookupError)
 
 
-def test_the_services_are_those_of_the_file_or_the_one_of_its_own_interface(tmp_path):
+def test_the_dashboard_uses_the_services_of_its_file_or_else_the_one_at_the_api_address(tmp_path):
     assert settings_of_file(None).services == ("127.0.0.1:20572",)
     file = tmp_path / "x.toml"
     file.write_text('[api]\nlisten = "0.0.0.0:4000"\n')
@@ -381,7 +381,7 @@ def test_the_services_are_those_of_the_file_or_the_one_of_its_own_interface(tmp_
         ("[dashboard\n", "is not TOML"),
     ],
 )
-def test_a_file_that_is_wrong_is_one_sentence(tmp_path, text, words):
+def test_a_wrong_configuration_file_is_refused_naming_the_wrong_section(tmp_path, text, words):
     file = tmp_path / "x.toml"
     file.write_text(text)
     with pytest.raises(UserError, match="heliocube config check") as caught:
@@ -389,7 +389,7 @@ def test_a_file_that_is_wrong_is_one_sentence(tmp_path, text, words):
     assert words in str(caught.value).replace("\\", "")
 
 
-def test_a_port_that_is_taken_is_said_with_the_remedy():
+def test_a_port_that_is_taken_is_reported_with_its_likely_cause():
     with bind("127.0.0.1:0") as first:
         port = first.getsockname()[1]
         with pytest.raises(UserError, match="is another dashboard running"):

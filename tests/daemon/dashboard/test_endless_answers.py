@@ -14,7 +14,7 @@ from tests.support import PATIENCE_S
 from tests.support.endless import ACCEPTED, TAKEN, sent_to
 
 
-def test_of_events_that_never_end_no_more_is_read_than_a_state_may_have():
+def test_an_endless_event_stream_is_read_no_further_than_the_length_that_a_state_may_have():
     async def ask(address):
         async with httpx.AsyncClient(trust_env=False) as client:
             fleet = Fleet([parse_address(address)], client, SystemClock())
@@ -28,7 +28,7 @@ def test_of_events_that_never_end_no_more_is_read_than_a_state_may_have():
     assert asyncio.run(sent_to(ask, "text/event-stream"))[1] < TAKEN
 
 
-def test_of_any_other_answer_without_end_no_more_is_read_than_one_may_have():
+def test_any_other_endless_answer_is_read_no_further_than_the_length_that_an_answer_may_have():
     async def ask(address):
         async with httpx.AsyncClient(trust_env=False) as client:
             app = Dashboard(Fleet([parse_address(address)], client, SystemClock()), SystemClock(), ["dash.lab"]).app

@@ -8,7 +8,7 @@ from daemon.dashboard.upstream import Listener
 
 
 @pytest.mark.parametrize("turns", range(4))
-def test_whoever_is_cancelled_while_news_come_does_not_wait_on(turns):
+def test_a_listener_that_is_cancelled_as_a_message_arrives_does_not_wait_on(turns):
     async def scene():
         listener = Listener()
         waiting = asyncio.create_task(listener.next())

@@ -48,7 +48,7 @@ async def until_its_end(reader):
 
 
 @pytest.mark.parametrize("content", [b"", PAGE, HALF_A_BODY], ids=["nothing", "half a head", "half a body"])
-def test_a_flood_of_connections_that_say_nothing_keeps_out_neither_who_comes_nor_who_listens(content):
+def test_a_flood_of_silent_connections_keeps_out_neither_new_requests_nor_open_pages(content):
     async def scenario():
         bound = bind("127.0.0.1:0")
         address = bound.getsockname()
@@ -78,7 +78,7 @@ def test_a_flood_of_connections_that_say_nothing_keeps_out_neither_who_comes_nor
         runner.run(scenario())
 
 
-def test_a_head_without_end_is_refused_also_where_it_comes_in_one_piece():
+def test_a_very_long_request_head_is_refused_even_when_it_comes_in_one_piece():
     async def scenario():
         async with served() as address:
             reader, writer = await asyncio.open_connection(*address)
@@ -90,7 +90,7 @@ def test_a_head_without_end_is_refused_also_where_it_comes_in_one_piece():
     asyncio.run(scenario())
 
 
-def test_the_small_parts_of_a_body_that_nobody_asks_for_are_not_taken_apart(monkeypatch):
+def test_the_small_chunks_of_a_body_that_no_handler_reads_are_not_parsed(monkeypatch):
     taken, take = [], h11.Connection.receive_data
     monkeypatch.setattr(h11.Connection, "receive_data", lambda conn, data: [taken.append(len(data)), take(conn, data)])
 
@@ -111,7 +111,7 @@ def test_the_small_parts_of_a_body_that_nobody_asks_for_are_not_taken_apart(monk
     [(b"", b""), (b"", PAGE), (b"", HALF_A_BODY), (PAGE + b"\r\n", PAGE)],
     ids=["nothing", "half a head", "half a body", "half a second head"],
 )
-def test_connections_on_which_no_whole_request_comes_keep_nobody_out_for_long(first, content):
+def test_connections_without_a_whole_request_are_closed_and_keep_nobody_out_for_long(first, content):
     async def scenario():
         bound = bind("127.0.0.1:0")
         address = bound.getsockname()
@@ -138,7 +138,7 @@ def test_connections_on_which_no_whole_request_comes_keep_nobody_out_for_long(fi
         runner.run(scenario())
 
 
-def test_one_far_address_has_half_of_the_places_for_pages():
+def test_one_remote_address_gets_at_most_half_of_the_places_for_pages():
     async def scenario():
         async def listen(host, method="GET"):
             connection = await asyncio.open_connection(*address)
@@ -167,7 +167,7 @@ def test_one_far_address_has_half_of_the_places_for_pages():
         runner.run(scenario())
 
 
-def test_who_does_not_read_his_answer_is_closed():
+def test_a_connection_whose_client_does_not_read_its_answer_is_closed():
     async def answer(reader, writer):
         head = await reader.readuntil(b"\r\n\r\n")
         # More than fits into the buffers of both ends.
@@ -203,7 +203,7 @@ def test_who_does_not_read_his_answer_is_closed():
 
 
 @pytest.mark.parametrize("content", [b"\x16\x03\x01\r\n\r\n", HALF_A_BODY], ids=["not HTTP", "half a body"])
-def test_what_is_not_a_whole_request_fills_no_log(caplog, content):
+def test_an_invalid_or_incomplete_request_is_not_logged(caplog, content):
     async def scenario():
         async with served() as address:
             for _ in range(20):
@@ -218,7 +218,7 @@ def test_what_is_not_a_whole_request_fills_no_log(caplog, content):
     assert [record for record in caplog.records if record.name.startswith("uvicorn")] == []
 
 
-def test_a_head_that_is_too_long_is_answered_in_a_sentence():
+def test_a_request_head_that_is_too_long_is_answered_with_a_clear_sentence():
     async def scenario():
         async with served() as address:
             reader, writer = await asyncio.open_connection(*address)
@@ -256,7 +256,7 @@ def test_an_order_that_was_given_up_is_not_sent_on_once_the_network_is_back_unle
 
 
 @pytest.mark.parametrize("name", ["auto", "stop"])
-def test_no_order_meets_the_end_of_a_connection_that_the_service_no_longer_keeps(name):
+def test_no_order_fails_because_the_service_closes_a_kept_connection(name):
     async def scenario():
         async def answer(reader, writer):
             """Keep the connection for a while, as HTTP allows, and close it while the next request is under way."""
@@ -272,7 +272,7 @@ def test_no_order_meets_the_end_of_a_connection_that_the_service_no_longer_keeps
         runner.run(scenario())
 
 
-def test_at_its_end_requests_that_wait_for_a_service_are_answered_in_a_sentence(caplog):
+def test_when_the_dashboard_ends_requests_that_wait_for_a_service_get_a_clear_answer(caplog):
     async def scenario():
         asked, ended = asyncio.Semaphore(0), asyncio.Event()
 
@@ -307,7 +307,7 @@ def test_at_its_end_requests_that_wait_for_a_service_are_answered_in_a_sentence(
     assert [record for record in caplog.records if record.name.startswith("uvicorn")] == []
 
 
-def test_however_many_browsers_ask_at_once_it_needs_no_more_threads_than_its_unit_allows():
+def test_many_browsers_at_once_take_no_more_threads_of_the_dashboard_than_its_unit_allows():
     unit = (ROOT / "deploy" / "heliocube-dashboard.service").read_text()
     allowed = int(re.search(r"^TasksMax=(\d+)$", unit, re.MULTILINE)[1])
     files = [str(path.relative_to(STATIC)) for path in STATIC.rglob("*") if path.is_file()]
@@ -342,7 +342,7 @@ async def page_told():
         return json.loads(await reader.readline())["page"]
 
 
-def test_an_open_page_hears_that_its_files_are_others_though_the_release_has_the_same_name(tmp_path, monkeypatch):
+def test_an_open_page_learns_that_its_files_have_changed_although_the_release_name_is_the_same(tmp_path, monkeypatch):
     before = asyncio.run(page_told())
     assert asyncio.run(page_told()) == before
     shutil.copytree(STATIC, tmp_path / "static")
@@ -365,7 +365,9 @@ def test_an_open_page_hears_that_its_files_are_others_though_the_release_has_the
         ),
     ],
 )
-def test_an_address_that_it_cannot_have_ends_it_with_a_sentence(heliocube, monkeypatch, listen, why):
+def test_an_address_that_cannot_be_listened_on_ends_the_dashboard_with_one_sentence(
+    heliocube, monkeypatch, listen, why
+):
     monkeypatch.setattr(socket, "socket", SocketWithoutIpv6)
     code, out, err = heliocube("dashboard", "--listen", listen)
     assert (code, out) == (2, "")

@@ -14,7 +14,7 @@ def look(time_s, a=0.0, b=0.0):
 
 
 @pytest.mark.parametrize(("axis", "name"), [("a", "A"), ("b", "B")])
-def test_a_high_current_that_lasts_two_seconds_is_told_and_ends_an_hour_later(axis, name):
+def test_a_high_motor_current_of_two_seconds_is_reported_until_an_hour_later(axis, name):
     currents = Currents(3.0)
     told = []
     for time_s, current_a in ((0.0, 3.0), (1.0, 3.1), (2.9, 3.1), (3.0, 3.1), (4.0, 0.0), (3603.0, 0.0), (3603.1, 0.0)):
@@ -25,7 +25,7 @@ def test_a_high_current_that_lasts_two_seconds_is_told_and_ends_an_hour_later(ax
     assert told[4:] == [told[3], told[3], None]
 
 
-def test_each_axis_has_its_own_sentence_and_its_own_hour():
+def test_a_high_motor_current_is_reported_for_each_axis_separately_and_for_its_own_hour():
     currents = Currents(3.0)
     for time_s in (0.0, 2.0):
         currents.update(look(time_s, a=3.1, b=3.1), None)
@@ -37,7 +37,7 @@ def test_each_axis_has_its_own_sentence_and_its_own_hour():
     assert currents.text.startswith("axis B draws more than 3 A")
 
 
-def test_one_axis_after_the_other_is_not_one_that_lasts():
+def test_high_currents_that_alternate_between_the_axes_do_not_count_as_lasting():
     currents = Currents(3.0)
     for time_s, a, b in ((0.0, 3.1, 0.0), (1.0, 0.0, 3.1), (2.0, 3.1, 0.0), (3.0, 0.0, 3.1)):
         currents.update(look(time_s, a=a, b=b), None)
@@ -62,7 +62,7 @@ def test_a_high_current_must_last_without_a_break():
     ("current_a", "stood_s", "told"),
     [(0.31, 3.1, True), (0.30, 3.1, False), (0.31, 3.0, False), (math.nan, 9.0, False)],
 )
-def test_a_current_into_a_standing_axis_is_told_once_the_motor_has_run_out(axis, name, current_a, stood_s, told):
+def test_a_current_into_a_standing_axis_is_reported_once_the_motor_has_run_out(axis, name, current_a, stood_s, told):
     currents = Currents(3.0)
     for time_s in (100.0, 102.0):
         currents.update(look(time_s, **{axis: current_a}), time_s - stood_s)
@@ -94,7 +94,7 @@ def test_a_motor_that_stays_on_is_stopped_at_once_and_again_after_ever_longer_pa
         currents.stopped(time_s)
 
 
-def test_nobody_stops_what_a_person_drives_with_the_button():
+def test_an_axis_that_a_person_drives_by_the_button_is_not_stopped_for_its_current():
     currents = Currents(3.0)
     for time_s in (10.0, 11.0, 12.0):
         currents.update(replace(look(time_s, a=0.5), button_pressed=True), 0.0)

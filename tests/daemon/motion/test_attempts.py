@@ -56,7 +56,7 @@ def test_a_stop_between_two_attempts_ends_the_move(run_rig, monkeypatch):
     run_rig(scenario)
 
 
-def test_what_moves_by_itself_between_two_attempts_is_stopped_and_gets_no_target(run_rig, monkeypatch):
+def test_an_axis_that_moves_by_itself_between_two_attempts_is_stopped_and_gets_no_target(run_rig, monkeypatch):
     async def scenario(rig):
         await quiet(rig)
         lose(rig, monkeypatch, A_PACKET, B_PACKET)
@@ -88,7 +88,7 @@ def test_a_move_that_overshoots_ends_with_stop(run_rig, monkeypatch):
     run_rig(scenario, motion={"attempts": 1}, setup=Setup(drive=AxisDrive(overshoot_mm=12.0)))
 
 
-def test_an_axis_that_went_past_its_target_is_told_although_the_next_attempt_may_arrive(run_rig):
+def test_an_axis_that_went_past_its_target_is_reported_although_the_next_attempt_may_arrive(run_rig):
     async def scenario(rig):
         await rig.until(lambda: rig.motion.last_move, 300, "the end of the move")
         told = [event.text for event in rig.of(Event) if event.subject == "positioner" and "beyond" in event.text]

@@ -34,7 +34,9 @@ async def sleep(rig):
 
 
 @pytest.mark.parametrize(("what", "ends_s"), [(stop, 0.6), (hang, 3.2), (sleep, 1.5)])
-def test_neither_axis_goes_on(run_rig, monkeypatch, what, ends_s):
+def test_a_stop_a_lost_link_or_a_sleep_between_the_targets_of_a_and_b_stops_both_axes(
+    run_rig, monkeypatch, what, ends_s
+):
     async def scenario(rig):
         sent, giving = await between(rig, monkeypatch)
         await what(rig)

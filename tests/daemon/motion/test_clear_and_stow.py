@@ -46,7 +46,7 @@ def test_a_stow_does_not_wait_for_a_clear_that_takes_its_time(ahead):
     run_motion(scenario, make=SlowToClear)
 
 
-def test_a_clear_goes_on_where_a_stow_needs_it_or_something_else_is_ordered():
+def test_a_slow_clear_goes_on_when_the_stow_needs_it_or_the_order_is_no_stow():
     async def scenario(rig):
         await asleep(rig)
         for says, stow in (({}, False), ({"was_reset": True}, True)):

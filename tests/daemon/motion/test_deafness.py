@@ -11,7 +11,7 @@ from drivers.settings import PositionerSettings
 from tests.support.hand_positioner import DEAF_S, HandPositioner, run_motion
 
 
-def test_a_positioner_that_does_not_obey_is_told_after_five_seconds_and_stopped_again_and_again():
+def test_a_positioner_that_does_not_obey_stop_is_reported_after_five_seconds_and_stopped_repeatedly():
     async def scenario(rig):
         rig.motion.order(Target(50.0, 60.0, "go"))
         await asyncio.sleep(3.0)
@@ -56,7 +56,7 @@ def test_tries_to_stop_come_at_once_and_then_ever_more_slowly():
     run_motion(scenario)
 
 
-def test_what_moves_under_a_button_is_no_deafness():
+def test_motion_under_a_pressed_button_does_not_count_as_deafness_to_stop():
     async def scenario(rig):
         rig.unit.is_deaf = True
         rig.unit.says["button_pressed"] = True
@@ -72,7 +72,7 @@ def test_what_moves_under_a_button_is_no_deafness():
     run_motion(scenario)
 
 
-def test_one_look_that_shows_motion_late_is_no_deafness():
+def test_a_single_look_that_shows_motion_late_does_not_count_as_deafness_to_stop():
     async def scenario(rig):
         rig.motion.order(Target(50.0, 60.0, "go"))
         await asyncio.sleep(3.0)
@@ -119,7 +119,7 @@ def test_a_slow_axis_whose_position_is_coarse_is_found_deaf_too():
     run_motion(scenario, expected=CoarseSettings(), make=CoarsePositioner)
 
 
-def test_a_positioner_that_has_stood_long_since_is_not_deaf():
+def test_a_standing_positioner_that_is_shaken_now_and_then_does_not_count_as_deaf_to_stop():
     async def scenario(rig):
         rig.unit.is_deaf = True
         rig.motion.freeze("ana")

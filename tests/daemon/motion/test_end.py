@@ -20,7 +20,7 @@ async def under_way(rig):
     await asyncio.sleep(3.0)
 
 
-def test_what_moves_is_stopped_and_shown_to_stand():
+def test_the_end_stops_a_moving_axis_and_waits_until_it_is_seen_to_stand():
     async def scenario(rig):
         await under_way(rig)
         start_s = rig.clock.monotonic()
@@ -34,7 +34,7 @@ def test_what_moves_is_stopped_and_shown_to_stand():
     run_motion(scenario)
 
 
-def test_what_stands_is_looked_at_once_more():
+def test_the_end_looks_once_more_at_a_standing_positioner():
     async def scenario(rig):
         await asyncio.sleep(20.1)
         start_s = rig.clock.monotonic()
@@ -53,7 +53,7 @@ class SlowPositioner(HandPositioner):
         return await super().read_telemetry()
 
 
-def test_a_stop_that_was_under_way_before_counts_with_its_last_look():
+def test_the_end_accepts_a_stop_that_was_already_under_way_with_a_look_after_it():
     async def scenario(rig):
         await rig.motion.stop()
         await asyncio.sleep(0.35)
@@ -64,7 +64,7 @@ def test_a_stop_that_was_under_way_before_counts_with_its_last_look():
     run_motion(scenario, make=SlowPositioner)
 
 
-def test_of_what_does_not_obey_the_last_look_is_told_with_its_age():
+def test_the_end_reports_the_age_of_the_last_look_at_a_positioner_that_does_not_obey():
     async def scenario(rig):
         await under_way(rig)
         rig.unit.is_deaf = True
@@ -77,7 +77,7 @@ def test_of_what_does_not_obey_the_last_look_is_told_with_its_age():
     run_motion(scenario)
 
 
-def test_a_stop_that_cannot_be_sent_is_told_with_what_was_seen_last():
+def test_the_end_reports_a_stop_that_cannot_be_sent_with_the_last_look():
     async def scenario(rig):
         await asyncio.sleep(20.0)
         rig.unit.is_lost = True
@@ -102,7 +102,7 @@ def test_a_move_that_goes_on_while_the_link_is_down_is_stopped_when_it_is_back()
     run_motion(scenario)
 
 
-def test_a_move_that_goes_on_while_the_link_is_down_for_long_is_told_as_one_that_was_not_stopped():
+def test_a_move_that_goes_on_while_the_link_is_down_for_long_is_reported_as_not_stopped():
     async def scenario(rig):
         await under_way(rig)
         rig.unit.is_lost = True
@@ -114,7 +114,7 @@ def test_a_move_that_goes_on_while_the_link_is_down_for_long_is_told_as_one_that
     run_motion(scenario)
 
 
-def test_of_what_was_never_seen_nothing_is_known():
+def test_the_end_reports_unknown_motion_of_a_positioner_that_was_never_seen():
     async def scenario(rig):
         said = await ended(rig, 0.1)
         assert said == f"{SENT}; whether anything moves is not known: look at the tracker"
@@ -122,7 +122,7 @@ def test_of_what_was_never_seen_nothing_is_known():
     run_motion(scenario, connects=False)
 
 
-def test_at_the_end_what_moves_is_halted_and_the_unit_is_closed():
+def test_at_the_end_a_moving_axis_is_halted_and_the_unit_is_closed():
     async def scenario(rig):
         await under_way(rig)
 

@@ -10,7 +10,7 @@ from tests.support.hand_positioner import asleep, run_motion
 
 
 @pytest.mark.parametrize(("after_s", "explained"), [(0.0, True), (2.0, True), (3.4, True), (4.6, False)])
-def test_a_button_explains_motion_for_four_seconds_before_it_is_seen(after_s, explained):
+def test_a_button_explains_motion_that_begins_up_to_four_seconds_after_it_was_last_seen(after_s, explained):
     async def scenario(rig):
         await asleep(rig)
         rig.unit.says["button_pressed"] = True
@@ -46,7 +46,7 @@ def test_a_button_that_the_status_shows_only_after_the_motion_explains_it():
     run_motion(scenario)
 
 
-def test_buttons_are_told_of_every_ten_minutes_at_the_most():
+def test_motion_by_a_button_is_reported_every_ten_minutes_at_most():
     async def scenario(rig):
         await asleep(rig)
         times_s = []
@@ -65,7 +65,7 @@ def test_buttons_are_told_of_every_ten_minutes_at_the_most():
 
 
 @pytest.mark.parametrize("was_before", [False, True])
-def test_a_restart_that_comes_with_the_motion_is_a_doubt_and_no_incident(was_before):
+def test_motion_that_comes_with_a_restart_of_the_unit_is_a_doubt_and_no_incident(was_before):
     async def scenario(rig):
         rig.unit.says["was_reset"] = was_before
         await asleep(rig)
@@ -79,7 +79,7 @@ def test_a_restart_that_comes_with_the_motion_is_a_doubt_and_no_incident(was_bef
 
 
 @pytest.mark.parametrize("fields", [{"autonomous": True}, {}])
-def test_a_restart_explains_neither_own_tracking_nor_what_goes_on_moving(fields):
+def test_a_restart_explains_neither_own_tracking_nor_motion_that_goes_on(fields):
     async def scenario(rig):
         await asleep(rig)
         # Between two looks, so that the same look sees restart and motion.
@@ -120,7 +120,7 @@ def test_a_reference_run_of_the_units_own_is_stopped_and_leaves_the_count_in_dou
     run_motion(scenario)
 
 
-def test_a_reference_run_of_the_units_own_that_ends_before_the_next_look_is_told_as_one():
+def test_a_reference_run_of_the_units_own_that_ends_before_the_next_look_is_reported_as_such():
     async def scenario(rig):
         await asleep(rig)
         rig.unit.says["aims_home"] = True
@@ -133,7 +133,7 @@ def test_a_reference_run_of_the_units_own_that_ends_before_the_next_look_is_told
     run_motion(scenario)
 
 
-def test_what_the_status_said_before_the_stop_is_no_run_of_its_own():
+def test_a_status_from_before_the_stop_does_not_show_a_reference_run_of_the_units_own():
     async def scenario(rig):
         await asleep(rig)
         rig.motion.freeze("ana")
@@ -149,7 +149,7 @@ def test_what_the_status_said_before_the_stop_is_no_run_of_its_own():
     run_motion(scenario)
 
 
-def test_the_bit_of_a_reference_run_says_nothing_on_the_way_of_a_move_of_ours():
+def test_the_status_bit_of_a_reference_run_is_ignored_during_an_ordered_move():
     async def scenario(rig):
         rig.motion.order(Target(30.0, 60.0, "go"))
         await asyncio.sleep(4.0)
@@ -162,7 +162,7 @@ def test_the_bit_of_a_reference_run_says_nothing_on_the_way_of_a_move_of_ours():
     run_motion(scenario)
 
 
-def test_an_inquiry_under_a_button_blocks_nothing():
+def test_motion_under_a_pressed_button_blocks_nothing_while_it_is_inquired_into():
     async def scenario(rig):
         await asleep(rig)
         rig.unit.says["button_pressed"] = True
@@ -176,7 +176,7 @@ def test_an_inquiry_under_a_button_blocks_nothing():
     run_motion(scenario)
 
 
-def test_a_reference_run_of_its_own_in_the_middle_of_a_move_is_told_as_what_was_seen():
+def test_a_reference_run_of_the_units_own_during_a_move_is_reported_as_a_wrong_destination():
     async def scenario(rig):
         rig.motion.order(Target(30.0, 60.0, "go"))
         await asyncio.sleep(3.0)
@@ -191,7 +191,7 @@ def test_a_reference_run_of_its_own_in_the_middle_of_a_move_is_told_as_what_was_
     run_motion(scenario)
 
 
-def test_what_strays_in_a_reference_run_of_ours_is_no_run_of_its_own():
+def test_an_axis_that_strays_during_an_ordered_reference_run_is_no_run_of_the_units_own():
     async def scenario(rig):
         rig.motion.home()
         await rig.until(lambda: rig.unit.sent[-1] == ("home", "a"), 5.0)

@@ -10,7 +10,7 @@ from tests.support.hand_positioner import RepeatingPositioner, asleep, run_motio
 
 
 @pytest.mark.parametrize(("a_deg", "b_deg"), [(30.0, 60.0), (0.0, 20.0)])
-def test_what_moves_without_an_order_is_stopped_told_once_and_blocks(a_deg, b_deg, caplog):
+def test_an_axis_that_moves_without_an_order_is_stopped_once_and_blocks_all_moves_with_an_alarm(a_deg, b_deg, caplog):
     async def scenario(rig):
         await asleep(rig)
         rig.unit.drive(a_deg, b_deg)
@@ -28,7 +28,7 @@ def test_what_moves_without_an_order_is_stopped_told_once_and_blocks(a_deg, b_de
     run_motion(scenario)
 
 
-def test_against_a_stop_is_said_with_the_stop_that_it_is_against():
+def test_motion_against_a_stop_is_reported_with_the_reason_of_that_stop():
     async def scenario(rig):
         await asleep(rig)
         rig.motion.freeze("ana has stopped it")
@@ -40,7 +40,7 @@ def test_against_a_stop_is_said_with_the_stop_that_it_is_against():
     run_motion(scenario)
 
 
-def test_while_it_is_found_out_what_moved_nothing_may_move_either():
+def test_no_move_is_accepted_while_unordered_motion_is_inquired_into():
     async def scenario(rig):
         await asleep(rig)
         rig.unit.status_age_s = 1.5
@@ -67,7 +67,7 @@ def test_a_jump_of_the_count_is_a_doubt_and_stops_nothing():
     run_motion(scenario)
 
 
-def test_a_jump_of_the_count_on_the_rest_of_a_way_stops_the_axes():
+def test_a_jump_of_the_count_right_after_a_move_stops_the_axes():
     async def scenario(rig):
         rig.motion.order(Target(-20.0, 60.0, "test"))
         await rig.until(lambda: rig.moves, 60.0)
@@ -107,7 +107,7 @@ def test_a_fault_that_comes_up_halts_both_axes_once():
     run_motion(scenario)
 
 
-def test_settings_that_may_move_it_are_told_once_each():
+def test_settings_by_which_the_unit_may_move_itself_are_reported_once_each():
     async def scenario(rig):
         await asleep(rig)
         for own in (("night return",), (), ("night return",), ("night return", "wind"), ("night return", "wind")):
@@ -122,7 +122,7 @@ def test_settings_that_may_move_it_are_told_once_each():
     run_motion(scenario)
 
 
-def test_a_stray_that_was_glanced_past_is_judged_from_the_last_glance_and_not_as_a_jump():
+def test_a_jump_of_the_count_by_12_deg_right_after_a_glance_is_a_doubt():
     async def scenario(rig):
         await asyncio.sleep(20.0)
         rig.unit.shows_the_same = False
@@ -133,7 +133,7 @@ def test_a_stray_that_was_glanced_past_is_judged_from_the_last_glance_and_not_as
     run_motion(scenario, make=RepeatingPositioner)
 
 
-def test_while_the_driver_takes_its_time_it_is_looked_at_and_what_strays_is_stopped():
+def test_during_a_slow_clear_the_unit_is_still_looked_at_and_a_stray_axis_is_stopped():
     async def scenario(rig):
         await asleep(rig)
         clear = rig.unit.clear_faults
@@ -155,7 +155,7 @@ def test_while_the_driver_takes_its_time_it_is_looked_at_and_what_strays_is_stop
     run_motion(scenario)
 
 
-def test_a_move_that_strays_ends_with_what_was_seen_and_one_that_a_button_explains_is_interrupted():
+def test_a_move_that_strays_ends_as_overshot_and_one_that_a_button_explains_as_interrupted():
     async def scenario(rig):
         for pressed, outcome in ((True, MoveOutcome.INTERRUPTED), (False, MoveOutcome.OVERSHOT)):
             await asleep(rig)
@@ -195,7 +195,7 @@ def test_motion_that_goes_on_while_it_is_inquired_into_is_stopped_again():
 
 
 @pytest.mark.parametrize(("age_s", "told_within_s"), [(0.0, 2.6), (1.6, 4.0), (60.0, 5.5)])
-def test_the_inquiry_ends_with_a_younger_status_or_after_four_seconds(age_s, told_within_s):
+def test_the_inquiry_into_unordered_motion_ends_with_a_newer_status_or_after_four_seconds(age_s, told_within_s):
     async def scenario(rig):
         await asleep(rig)
         rig.unit.status_age_s = age_s
@@ -209,7 +209,7 @@ def test_the_inquiry_ends_with_a_younger_status_or_after_four_seconds(age_s, tol
     run_motion(scenario)
 
 
-def test_a_call_of_the_driver_that_is_given_up_is_ended():
+def test_a_driver_call_under_way_is_cancelled_when_the_link_is_lost():
     async def scenario(rig):
         await asleep(rig)
         ended = []
@@ -230,7 +230,7 @@ def test_a_call_of_the_driver_that_is_given_up_is_ended():
     run_motion(scenario)
 
 
-def test_a_fault_of_before_the_connection_that_goes_away_by_itself_is_a_doubt():
+def test_a_fault_from_before_the_connection_that_vanishes_by_itself_is_a_doubt():
     async def scenario(rig):
         rig.unit.says["faults"] = ("a_overcurrent",)
         await rig.connected()
@@ -241,7 +241,7 @@ def test_a_fault_of_before_the_connection_that_goes_away_by_itself_is_a_doubt():
     run_motion(scenario, connects=False)
 
 
-def test_what_strays_while_the_link_is_lost_is_told_and_not_stopped_a_second_time():
+def test_unordered_motion_stays_reported_through_a_lost_link_and_is_not_stopped_a_second_time():
     async def scenario(rig):
         await asleep(rig)
         rig.unit.drive(30.0, 60.0)

@@ -52,7 +52,7 @@ async def stuck_on_its_way(rig):
 
 
 @pytest.mark.parametrize("axis", ["a", "b"])
-def test_a_count_that_slipped_is_right_again_after_two_runs(run_rig, axis):
+def test_a_count_that_slipped_is_right_again_after_two_reference_runs(run_rig, axis):
     async def scenario(rig):
         await quiet(rig)
         await slipped_on_its_way(rig, axis)
@@ -65,7 +65,7 @@ def test_a_count_that_slipped_is_right_again_after_two_runs(run_rig, axis):
 
 
 @pytest.mark.parametrize("drives", ["its own tracking", "another program"])
-def test_whatever_else_drives_an_axis_on_its_way_off_the_switch_is_stopped_and_told(run_rig, drives):
+def test_foreign_motion_of_an_axis_on_its_way_off_the_end_switch_is_stopped_and_reported(run_rig, drives):
     async def scenario(rig):
         await quiet(rig)
         await slipped_on_its_way(rig, "a")
@@ -90,7 +90,7 @@ def test_whatever_else_drives_an_axis_on_its_way_off_the_switch_is_stopped_and_t
 
 
 @pytest.mark.parametrize("offset", [0.0, 8.0])
-def test_a_switch_that_is_stuck_while_it_is_homed_on_is_never_believed(run_rig, offset):
+def test_an_end_switch_that_sticks_during_a_reference_run_is_never_believed(run_rig, offset):
     async def scenario(rig):
         await quiet(rig)
         stood = await stuck_on_its_way(rig)
@@ -108,7 +108,7 @@ def test_a_switch_that_is_stuck_while_it_is_homed_on_is_never_believed(run_rig, 
     run_rig(scenario, motion={"rehome": "operator"}, instruments={"positioner": positioner})
 
 
-def test_a_clear_that_was_given_before_the_contradiction_showed_forgives_nothing_of_it(run_rig):
+def test_a_clear_given_before_count_and_switch_contradict_does_not_forgive_the_contradiction(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.unit.power_cycle(rig.clock.monotonic())

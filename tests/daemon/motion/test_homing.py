@@ -52,7 +52,7 @@ def test_a_homing_run_that_fails_leaves_a_doubt_though_there_was_none(run_rig):
     run_rig(scenario)
 
 
-def test_a_run_that_the_driver_judges_bad_leaves_the_doubt(run_rig):
+def test_a_reference_run_that_the_driver_judges_bad_leaves_the_doubt(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.unit.power_cycle(now(rig))
@@ -219,7 +219,7 @@ def test_rehoming_that_fails_is_tried_again_after_ever_longer_pauses(run_rig, mo
     run_rig(scenario, motion={"rehome": "automatic"}, cube={"scan_every_s": 60}, safety={"scan_stale_s": 130})
 
 
-def test_nothing_is_homed_while_a_fault_is_latched(run_rig):
+def test_no_automatic_reference_run_begins_while_a_fault_is_latched(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.unit.power_cycle(now(rig))
@@ -231,7 +231,7 @@ def test_nothing_is_homed_while_a_fault_is_latched(run_rig):
     run_rig(scenario, motion={"rehome": "automatic"})
 
 
-def test_a_home_does_not_wait_for_somebody_who_switches_a_mode_off_at_the_unit(run_rig, monkeypatch):
+def test_a_reference_run_is_refused_for_good_if_a_mode_of_the_unit_cannot_be_switched_off(run_rig, monkeypatch):
     async def scenario(rig):
         await quiet(rig)
         lose(rig, monkeypatch, TRACKING_OFF_PACKET)
@@ -271,7 +271,7 @@ def test_a_homing_run_that_is_broken_off_ends_with_stop(run_rig, monkeypatch, ho
     run_rig(scenario)
 
 
-def test_a_homing_run_that_is_given_up_is_stopped_and_no_unexplained_motion(run_rig):
+def test_a_homing_run_that_is_given_up_is_stopped_and_does_not_count_as_unexplained_motion(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.motion.home()

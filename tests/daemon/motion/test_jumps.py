@@ -61,7 +61,7 @@ def strays(screens, cut):
 
 
 @pytest.mark.parametrize("jumps", [(68.0, 15.0), (8.0, 75.0), (68.0, 75.0)])
-def test_a_jump_is_told_as_one_and_never_as_motion_wherever_a_look_falls(jumps):
+def test_a_jump_of_the_count_is_reported_as_a_jump_and_never_as_motion_wherever_a_look_falls(jumps):
     screens = [*turn(8.0, 15.0) * 3, *turn(*jumps) * 4]
     changed = sum(was != now for was, now in zip((8.0, 15.0), jumps, strict=True))
     for cut in range(60):
@@ -70,7 +70,7 @@ def test_a_jump_is_told_as_one_and_never_as_motion_wherever_a_look_falls(jumps):
 
 
 @pytest.mark.parametrize("moves", [(68.5, 15.0), (68.0, 15.5)])
-def test_what_moves_right_after_a_jump_is_told(moves):
+def test_an_axis_that_moves_right_after_a_jump_of_the_count_is_reported(moves):
     screens = [*turn(8.0, 15.0) * 3, *turn(68.0, 15.0) * 2, *turn(*moves) * 2]
     for cut in range(60):
         told = strays(screens, cut)
@@ -90,7 +90,7 @@ class LatePositioner(HandPositioner):
         return replace(await super().read_telemetry(), time_monotonic_s=asked_s)
 
 
-def test_what_an_axis_turned_while_an_answer_was_awaited_is_no_jump():
+def test_motion_of_an_axis_during_a_late_answer_is_not_taken_for_a_jump_of_the_count():
     async def scenario(rig):
         rig.motion.order(Target(-40.0, 60.0, "test"))
         await rig.until(lambda: rig.moves and rig.moves[-1].outcome is MoveOutcome.ARRIVED, 120.0)
@@ -99,7 +99,7 @@ def test_what_an_axis_turned_while_an_answer_was_awaited_is_no_jump():
     run_motion(scenario, make=LatePositioner)
 
 
-def test_a_count_that_jumps_while_an_answer_is_awaited_is_one():
+def test_a_jump_of_the_count_during_a_late_answer_is_found():
     async def scenario(rig):
         rig.unit.put(40.0, 60.0)
         await rig.until(lambda: "the count jumped from A +0.0" in (rig.motion.doubt or ""))

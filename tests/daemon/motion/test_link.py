@@ -10,7 +10,7 @@ from drivers.errors import DriverHungError, LinkLostError, RefusedError
 from tests.support.hand_positioner import HandPositioner, run_motion
 
 
-def test_before_the_first_contact_nothing_is_taken():
+def test_before_the_first_contact_moves_reference_runs_and_clears_are_refused():
     async def scenario(rig):
         with pytest.raises(RefusedError, match="cannot move: no telemetry yet"):
             rig.motion.order(Target(0.0, 80.0, "storm"), stow=True)
@@ -26,7 +26,7 @@ def test_before_the_first_contact_nothing_is_taken():
     run_motion(scenario, connects=False)
 
 
-def test_a_stop_that_cannot_be_sent_is_told_and_sent_when_the_link_is_back():
+def test_a_stop_that_cannot_be_sent_raises_an_error_and_is_sent_when_the_link_is_back():
     async def scenario(rig):
         rig.unit.is_lost = True
         with pytest.raises(LinkLostError):
@@ -40,7 +40,7 @@ def test_a_stop_that_cannot_be_sent_is_told_and_sent_when_the_link_is_back():
     run_motion(scenario)
 
 
-def test_what_was_asked_before_the_link_was_lost_is_forgotten_and_a_clear_is_told():
+def test_orders_from_before_a_lost_link_are_forgotten_and_a_dropped_clear_is_reported():
     async def scenario(rig):
         rig.unit.is_lost = True
         rig.motion.order(Target(40.0, 60.0, "far"))
@@ -65,7 +65,7 @@ def test_what_was_asked_before_the_link_was_lost_is_forgotten_and_a_clear_is_tol
     ("place", "jumps"),
     [((10.7, 60.7), False), ((10.9, 60.0), True), ((9.1, 60.0), True), ((10.0, 59.1), True), ((10.0, 60.9), True)],
 )
-def test_where_it_stands_after_a_loss_is_compared_with_where_it_stood(place, jumps):
+def test_after_a_lost_link_the_pose_is_compared_with_the_pose_before_it(place, jumps):
     async def scenario(rig):
         await asyncio.sleep(10.0)
         rig.unit.is_lost = True
@@ -91,7 +91,7 @@ def test_where_it_stands_after_a_loss_is_compared_with_where_it_stood(place, jum
     run_motion(scenario, make=at_ten)
 
 
-def test_a_loss_in_the_middle_of_the_first_halt_leaves_the_place_before_to_be_compared():
+def test_a_second_loss_during_the_first_halt_leaves_the_earlier_pose_to_be_compared():
     class LostAgain(HandPositioner):
         breaks_off = False
 
@@ -117,7 +117,7 @@ def test_a_loss_in_the_middle_of_the_first_halt_leaves_the_place_before_to_be_co
     run_motion(scenario, make=LostAgain)
 
 
-def test_what_was_on_its_way_when_the_link_was_lost_may_stand_elsewhere():
+def test_an_axis_that_was_under_way_when_the_link_was_lost_may_stand_elsewhere_without_doubt():
     async def scenario(rig):
         rig.motion.order(Target(40.0, 60.0, "far"))
         await asyncio.sleep(3.0)
@@ -132,7 +132,7 @@ def test_what_was_on_its_way_when_the_link_was_lost_may_stand_elsewhere():
     run_motion(scenario)
 
 
-def test_the_first_connection_is_logged_and_a_later_one_is_told(caplog):
+def test_the_first_connection_is_logged_and_a_later_loss_and_return_are_reported(caplog):
     async def scenario(rig):
         assert not rig.told
         rig.unit.is_lost = True
@@ -150,7 +150,7 @@ def test_the_first_connection_is_logged_and_a_later_one_is_told(caplog):
     assert said.count("the positioner is connected: board, firmware 1, serial 7") == 1
 
 
-def test_a_driver_that_only_a_new_process_can_mend_ends_it_and_what_is_known_is_given_up():
+def test_a_driver_that_hangs_ends_motion_with_its_error_and_giving_up_blocks_the_positioner():
     async def scenario(rig):
         rig.unit.is_lost = True
         rig.unit.refuses["open"] = DriverHungError("hand", "hangs")

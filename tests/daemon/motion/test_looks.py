@@ -11,7 +11,7 @@ from drivers.errors import RefusedError
 from tests.support.hand_positioner import RepeatingPositioner, asleep, run_motion
 
 
-def test_it_rests_where_it_was_seen_and_no_longer_once_something_is_ordered():
+def test_the_place_of_rest_is_unknown_from_an_order_until_the_move_has_settled():
     async def scenario(rig):
         guard = rig.motion._guard
         assert (guard.rested.a_deg, guard.rested.b_deg) == (0.0, 60.0)
@@ -107,7 +107,7 @@ def test_a_pressed_button_makes_control_look_again_at_once():
     run_motion(scenario)
 
 
-def test_what_is_seen_to_repeat_itself_is_not_read_again_and_is_as_new_as_the_last_glance():
+def test_a_unit_that_repeats_itself_is_not_read_again_and_its_data_are_as_new_as_the_last_glance():
     async def scenario(rig):
         assert rig.unit.looks > 3, "what has just come to rest is read"
         await asyncio.sleep(6.0)
@@ -132,7 +132,7 @@ def test_what_is_seen_to_repeat_itself_is_not_read_again_and_is_as_new_as_the_la
     run_motion(scenario, make=RepeatingPositioner)
 
 
-def test_what_has_just_come_to_rest_or_draws_current_is_read_although_it_repeats_itself():
+def test_a_unit_that_has_just_come_to_rest_or_draws_current_is_read_although_it_repeats_itself():
     async def scenario(rig):
         await asyncio.sleep(10.0)
         rig.unit.says["button_pressed"] = True
@@ -156,7 +156,7 @@ def test_what_has_just_come_to_rest_or_draws_current_is_read_although_it_repeats
     run_motion(scenario, make=RepeatingPositioner)
 
 
-def test_what_may_yet_make_up_the_rest_of_a_move_is_read_although_it_repeats_itself():
+def test_a_unit_that_may_yet_make_up_the_rest_of_a_move_is_read_although_it_repeats_itself():
     async def scenario(rig):
         rig.motion.order(Target(10.0, 60.0, "go"))
         await rig.until(lambda: rig.moves)
@@ -168,7 +168,7 @@ def test_what_may_yet_make_up_the_rest_of_a_move_is_read_although_it_repeats_its
     run_motion(scenario, make=RepeatingPositioner)
 
 
-def test_what_is_read_after_a_glance_is_not_given_the_time_of_the_glance():
+def test_telemetry_read_after_a_glance_is_not_given_the_time_of_the_glance():
     async def scenario(rig):
         await asyncio.sleep(20.0)
         rig.unit.shows_the_same = False
@@ -186,7 +186,7 @@ def test_what_is_read_after_a_glance_is_not_given_the_time_of_the_glance():
     run_motion(scenario, make=RepeatingPositioner)
 
 
-def test_the_link_that_is_lost_takes_all_that_was_known_with_it(caplog):
+def test_after_a_lost_link_neither_telemetry_nor_a_standstill_is_known(caplog):
     async def scenario(rig):
         await asleep(rig)
         rig.unit.is_lost = True
@@ -203,7 +203,7 @@ def test_the_link_that_is_lost_takes_all_that_was_known_with_it(caplog):
         run_motion(scenario)
 
 
-def test_a_standstill_is_not_said_while_a_stop_is_on_its_way():
+def test_no_standstill_is_reported_while_a_stop_is_on_its_way():
     async def scenario(rig):
         await asleep(rig)
         rig.motion.freeze("ana")
@@ -227,7 +227,7 @@ def test_alarms_are_shown_again_only_when_something_has_changed():
     run_motion(scenario)
 
 
-def test_before_and_at_the_connection_nothing_is_said_to_stand():
+def test_before_and_at_the_connection_no_standstill_is_reported():
     async def scenario(rig):
         assert not rig.motion.resting
         assert rig.motion.stands_since_s is None
@@ -258,7 +258,7 @@ def test_poses_say_whether_something_was_ordered_to_move_or_is_being_stopped():
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_pose_is_told_for_a_change_in_either_direction(axis):
+def test_a_pose_is_recorded_for_a_change_of_either_axis_in_either_direction(axis):
     async def scenario(rig):
         await asleep(rig)
         for step in (0.07, -0.07):
@@ -273,7 +273,7 @@ def test_a_pose_is_told_for_a_change_in_either_direction(axis):
     run_motion(scenario)
 
 
-def test_it_looks_as_often_as_it_is_told():
+def test_motion_looks_at_the_unit_as_often_as_the_polling_says():
     async def scenario(rig):
         assert rig.motion.looks_every_s == 7.0
         await asyncio.sleep(10.0)

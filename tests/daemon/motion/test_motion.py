@@ -13,7 +13,7 @@ from tests.support.hand_positioner import HandPositioner, run_motion
 
 
 @pytest.mark.parametrize("target", [(-50.1, 60), (50.1, 60), (0, 14.9), (0, 90.1), (math.nan, 60), (0, math.nan)])
-def test_no_target_outside_the_limits_is_taken(target):
+def test_a_target_outside_the_limits_is_refused_even_for_a_stow(target):
     async def scenario(rig):
         sent = len(rig.unit.sent)
         with pytest.raises(ValueError, match=r"outside the limits \("):
@@ -44,7 +44,7 @@ def test_the_limits_themselves_can_be_reached(place):
         ({"button_pressed": True}, False, "a button is pressed at the unit: somebody is there"),
     ],
 )
-def test_what_the_unit_says_stands_in_the_way_of_a_move_and_of_a_stow(says, stow_goes, words):
+def test_faults_and_a_pressed_button_block_moves_and_stows_and_a_doubted_reference_only_moves(says, stow_goes, words):
     async def scenario(rig):
         rig.unit.says |= says
         await asyncio.sleep(3.0)
@@ -62,7 +62,7 @@ def test_what_the_unit_says_stands_in_the_way_of_a_move_and_of_a_stow(says, stow
     run_motion(scenario)
 
 
-def test_a_setup_that_contradicts_stands_in_the_way_of_everything():
+def test_a_setup_that_contradicts_the_configuration_blocks_moves_stows_and_reference_runs():
     async def scenario(rig):
         assert rig.motion.blocked == "A is long; B is short"
         assert rig.motion.concerns == ("A is long", "B is short")
@@ -92,7 +92,7 @@ def test_a_stow_lays_the_module_flat_first_and_another_move_turns_it_first():
     run_motion(scenario)
 
 
-def test_an_order_replaces_the_move_that_is_on_and_only_a_stow_a_reference_run():
+def test_an_order_replaces_a_move_under_way_but_only_a_stow_replaces_a_reference_run():
     async def scenario(rig):
         rig.motion.order(Target(40.0, 60.0, "far"))
         await asyncio.sleep(3.0)
@@ -117,7 +117,7 @@ def test_an_order_replaces_the_move_that_is_on_and_only_a_stow_a_reference_run()
 
 
 @pytest.mark.parametrize("takes_back", ["rest", "stop", "freeze", "home"])
-def test_an_order_that_has_not_begun_is_taken_back(takes_back):
+def test_an_order_that_has_not_begun_is_dropped_by_a_rest_a_stop_a_freeze_or_a_reference_run(takes_back):
     async def scenario(rig):
         rig.motion.order(Target(40.0, 60.0, "far"))
         assert not rig.motion.resting
@@ -138,7 +138,7 @@ def test_an_order_that_has_not_begun_is_taken_back(takes_back):
 
 
 @pytest.mark.parametrize("ends", ["rest", "stop", "freeze"])
-def test_a_reference_run_that_has_not_begun_is_taken_back_and_one_that_is_on_ends(ends):
+def test_a_rest_a_stop_or_a_freeze_drops_a_waiting_reference_run_and_ends_one_under_way(ends):
     async def scenario(rig):
         for after_s in (0.0, 5.0):
             rig.motion.home()
@@ -162,7 +162,7 @@ def test_a_reference_run_that_has_not_begun_is_taken_back_and_one_that_is_on_end
     run_motion(scenario)
 
 
-def test_while_it_is_frozen_nothing_is_taken_and_what_moves_is_stopped():
+def test_while_motion_is_frozen_orders_are_refused_and_a_move_under_way_is_stopped():
     async def scenario(rig):
         rig.motion.order(Target(40.0, 60.0, "far"))
         await asyncio.sleep(3.0)
@@ -183,7 +183,7 @@ def test_while_it_is_frozen_nothing_is_taken_and_what_moves_is_stopped():
     run_motion(scenario)
 
 
-def test_what_comes_up_after_the_order_was_taken_keeps_it_from_beginning():
+def test_a_doubt_that_comes_up_after_an_order_keeps_the_move_from_beginning():
     async def scenario(rig):
         await asyncio.sleep(20.0)
         await rig.until(lambda: rig.clock.monotonic() - rig.motion.telemetry.time_monotonic_s > 0.2)
@@ -243,7 +243,7 @@ def test_own_tracking_is_switched_off_and_the_axes_are_halted():
     run_motion(scenario, connects=False)
 
 
-def test_a_clear_forgives_what_was_shown_and_a_failed_move_with_it():
+def test_a_clear_forgives_only_the_faults_and_doubts_that_were_shown():
     async def scenario(rig):
         rig.unit.says |= {"faults": ("a_hall",), "was_reset": True}
         await asyncio.sleep(3.0)
@@ -262,7 +262,7 @@ def test_a_clear_forgives_what_was_shown_and_a_failed_move_with_it():
 
 
 @pytest.mark.parametrize(("rehome", "homes"), [("automatic", True), ("operator", False)])
-def test_a_doubt_is_homed_away_by_itself_only_where_that_is_wanted_and_allowed(rehome, homes):
+def test_an_automatic_reference_run_is_made_only_where_it_is_configured_and_allowed(rehome, homes):
     async def scenario(rig):
         rig.unit.says["was_reset"] = True
         await asyncio.sleep(20.0)
@@ -279,7 +279,7 @@ def test_a_doubt_is_homed_away_by_itself_only_where_that_is_wanted_and_allowed(r
     run_motion(scenario, rehome=rehome)
 
 
-def test_a_reference_run_ends_the_move_that_is_on_and_is_made():
+def test_a_reference_run_interrupts_the_move_under_way_and_is_made():
     async def scenario(rig):
         rig.motion.order(Target(40.0, 60.0, "far"))
         await asyncio.sleep(3.0)
@@ -293,7 +293,7 @@ def test_a_reference_run_ends_the_move_that_is_on_and_is_made():
 
 
 @pytest.mark.parametrize("asks", ["order", "home", "clear"])
-def test_what_is_asked_at_rest_begins_without_waiting_for_the_next_look(asks):
+def test_a_move_reference_run_or_clear_asked_for_at_rest_begins_before_the_next_look(asks):
     async def scenario(rig):
         await asyncio.sleep(10.0)
         await rig.until(lambda: rig.clock.monotonic() - rig.motion.telemetry.time_monotonic_s < 0.1)
@@ -320,7 +320,7 @@ def test_after_unexplained_motion_no_reference_run_is_made():
     run_motion(scenario)
 
 
-def test_a_second_restart_after_a_good_run_is_homed_at_once_and_a_run_that_was_no_good_waits():
+def test_a_restart_after_a_good_reference_run_is_homed_at_once_and_a_failed_run_is_repeated_later():
     async def scenario(rig):
         rig.motion.may_rehome = True
         for runs in (1, 2):

@@ -37,7 +37,7 @@ def follow(a=20.0, b=60.0, start=(0.0, 90.0)):
     )
 
 
-def test_a_move_has_arrived_when_it_is_there_and_still():
+def test_a_move_has_arrived_once_both_axes_stand_still_at_the_target():
     move = follow()
     assert move.judge(look(10, 90), 1)[0] is Progress.GOING
     assert move.judge(look(20.3, 60.2), 2)[0] is Progress.GOING, "there, but perhaps still moving"
@@ -45,14 +45,14 @@ def test_a_move_has_arrived_when_it_is_there_and_still():
 
 
 @pytest.mark.parametrize("pending", [2.0, 0.85, -0.45, math.nan])
-def test_an_axis_near_enough_that_the_unit_will_yet_take_up_has_not_arrived(pending):
+def test_a_move_near_its_target_has_not_arrived_while_the_unit_may_yet_drive_on_to_its_destination(pending):
     move = follow()
     assert move.judge(look(20.3, 60.2, pending=pending), 1)[0] is Progress.GOING
     assert move.judge(look(20.3, 60.2, pending=pending), 3)[0] is Progress.GOING
     assert move.judge(look(20.3, 60.2, pending=pending), 5)[0] is Progress.ARRIVED, "it never does"
 
 
-def test_what_an_axis_rests_beside_its_destination_is_not_waited_for():
+def test_an_axis_that_rests_a_little_beside_its_destination_is_not_waited_for():
     move = follow()
     move.judge(look(20.3, 60.2, pending=0.35), 1)
     assert move.judge(look(20.3, 60.2, pending=0.35), 2)[0] is Progress.ARRIVED
@@ -65,20 +65,20 @@ def test_standing_still_short_of_the_target_is_a_stall():
     assert move.judge(look(5, 90), 8) == (Progress.STALLED, "no movement for 7 s at A 5.0, B 90.0 deg")
 
 
-def test_a_stall_is_told_with_what_the_positioner_says_of_itself():
+def test_the_reason_of_a_stall_includes_the_supply_and_details_that_the_positioner_reports():
     move = follow()
     move.judge(look(5, 90), 1)
     why = move.judge(look(5, 90, supply_v=23.96, details={"mode": "tracker ok"}), 8)[1]
     assert why == "no movement for 7 s at A 5.0, B 90.0 deg; supply 24.0 V, mode tracker ok"
 
 
-def test_going_past_the_target_is_seen():
+def test_a_move_that_goes_past_its_target_has_overshot():
     move = follow()
     assert move.judge(look(21.5, 90), 1)[0] is Progress.GOING
     assert move.judge(look(21.7, 90), 2)[0] is Progress.OVERSHOT
 
 
-def test_leaving_the_limits_is_seen_even_short_of_the_target():
+def test_a_move_that_leaves_the_limits_has_overshot_even_short_of_its_target():
     move = follow(a=50, b=90)
     assert move.judge(look(30, 92), 1)[0] is Progress.OVERSHOT
 
@@ -101,7 +101,7 @@ def test_a_fault_ends_the_move_and_is_named():
     )
 
 
-def test_creeping_slower_than_agreed_runs_out_of_time():
+def test_a_move_slower_than_the_slowest_configured_speed_times_out():
     move = follow(a=20, b=90)
     verdicts = [move.judge(look(now * 0.1, 90), now)[0] for now in range(1, 70)]
     assert verdicts[-1] is Progress.TIMED_OUT

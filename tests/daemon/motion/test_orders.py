@@ -13,7 +13,7 @@ from tests.support.phases import at_rest, now, quiet, tracking, under_way
 
 @pytest.mark.parametrize("target", [(51, 60), (0, 14.9), (math.nan, 60), (0, math.inf)])
 @pytest.mark.parametrize("stow", [False, True])
-def test_motion_itself_refuses_what_is_outside_the_limits(run_rig, monkeypatch, target, stow):
+def test_motion_refuses_a_target_outside_the_limits(run_rig, monkeypatch, target, stow):
     async def scenario(rig):
         await quiet(rig)
         sent = commands_sent(rig, monkeypatch)
@@ -56,7 +56,7 @@ def test_a_stow_goes_on_when_the_reference_is_lost_on_its_way_and_an_ordinary_mo
     run_rig(scenario, motion={"deadband_deg": 30})
 
 
-def test_no_ordinary_move_is_taken_while_homing(run_rig):
+def test_no_ordinary_move_is_accepted_while_homing(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.motion.home()
@@ -94,7 +94,7 @@ def test_a_reference_run_replaces_a_move_that_was_ordered(run_rig):
 
 
 @pytest.mark.parametrize("queued", ["home", "target"])
-def test_what_was_queued_does_not_outlive_a_stop(run_rig, monkeypatch, queued):
+def test_a_queued_move_or_reference_run_does_not_outlive_a_stop(run_rig, monkeypatch, queued):
     async def scenario(rig):
         await quiet(rig)
         sent = commands_sent(rig, monkeypatch)
@@ -119,7 +119,7 @@ def test_a_stop_ends_the_move_at_once_and_not_with_its_time_limit(run_rig):
     run_rig(scenario)
 
 
-def test_a_stop_that_is_given_to_motion_itself_forgets_the_target(run_rig):
+def test_a_stop_given_to_motion_drops_a_target_that_has_not_begun(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -134,7 +134,7 @@ def test_a_stop_that_is_given_to_motion_itself_forgets_the_target(run_rig):
     run_rig(scenario)
 
 
-def test_what_was_ordered_before_a_loss_is_forgotten(run_rig, monkeypatch):
+def test_moves_ordered_before_a_lost_link_are_forgotten(run_rig, monkeypatch):
     async def scenario(rig):
         await quiet(rig)
         rig.motion.order(Target(0, 60, "test"))
@@ -152,7 +152,7 @@ def test_what_was_ordered_before_a_loss_is_forgotten(run_rig, monkeypatch):
 
 
 @pytest.mark.parametrize("when", ["at the connection", "later"])
-def test_own_tracking_is_switched_off(run_rig, monkeypatch, when):
+def test_the_own_tracking_of_the_unit_is_switched_off(run_rig, monkeypatch, when):
     async def scenario(rig):
         await quiet(rig)
         if when == "at the connection":
@@ -191,7 +191,7 @@ def test_a_target_right_after_an_arrival_waits_until_both_axes_stand(run_rig, mo
     run_rig(scenario)
 
 
-def test_an_order_that_cannot_be_carried_out_any_more_is_told_and_dropped(run_rig, monkeypatch):
+def test_an_order_that_cannot_be_carried_out_any_more_is_reported_and_dropped(run_rig, monkeypatch):
     async def scenario(rig):
         await quiet(rig)
         rig.motion.order(Target(0, 60, "test"))

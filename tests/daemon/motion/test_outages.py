@@ -72,7 +72,7 @@ async def brown_out(rig):
     [unplugged, deaf, undervoltage, stuck, flapping, storm_without_supply, tracking_by_itself, brown_out],
     ids=lambda trouble: trouble.__name__,
 )
-def test_hours_of_trouble_are_told_in_few_lines(run_rig, caplog, trouble):
+def test_hours_of_trouble_with_the_positioner_are_logged_in_few_lines(run_rig, caplog, trouble):
     async def scenario(rig):
         await quiet(rig)
         rig.motion._polling = SELDOM
@@ -91,7 +91,7 @@ def test_hours_of_trouble_are_told_in_few_lines(run_rig, caplog, trouble):
     assert len(lines) <= MOST, "\n".join(lines)
 
 
-def test_hours_of_refusals_are_told_in_few_lines(run_rig, caplog, monkeypatch):
+def test_hours_of_refused_moves_are_logged_in_few_lines(run_rig, caplog, monkeypatch):
     async def scenario(rig):
         await quiet(rig)
         rig.motion._polling = SELDOM

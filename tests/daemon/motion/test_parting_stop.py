@@ -44,7 +44,7 @@ def test_a_unit_that_rests_is_sent_nothing_when_it_falls_silent(run_rig, monkeyp
 
 
 @pytest.mark.parametrize("hangs", [True, False])
-def test_a_parting_stop_delays_no_close_and_raises_nothing(hangs):
+def test_the_stop_before_a_lost_link_is_closed_neither_delays_the_close_nor_raises_an_error(hangs):
     class Hanging(HandPositioner):
         lost_s = closed_s = None
 

@@ -34,12 +34,12 @@ def kept(run_rig, tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_switch_that_is_stuck_on_the_run_after_both_have_restarted_is_not_believed(run_rig, kept):
+def test_a_switch_stuck_on_the_reference_run_after_service_and_unit_restarted_is_not_believed(run_rig, kept):
     run_rig(homed_after_its_count_was_lost, store={"directory": kept}, motion={"rehome": "operator"})
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"a": 1e999, "b": 2.0}', '{"a": "near", "b": 2.0}'])
-def test_a_place_that_cannot_be_read_is_told_and_hinders_nothing(run_rig, kept, caplog, text):
+def test_a_kept_place_that_cannot_be_read_is_logged_and_hinders_nothing(run_rig, kept, caplog, text):
     (kept / FILE_NAME).write_text(text)
     run_rig(quiet, store={"directory": kept})
     assert f"{FILE_NAME} cannot be read" in caplog.text
@@ -78,7 +78,7 @@ def test_a_count_that_is_not_where_the_axes_rested_before_the_restart_is_in_doub
     run_rig(scenario, store={"directory": kept}, motion={"rehome": "operator"})
 
 
-def test_a_place_kept_without_a_name_is_that_of_the_one_tracker_that_is_named(run_rig, kept):
+def test_a_place_kept_without_a_tracker_name_is_taken_for_that_of_the_only_tracker(run_rig, kept):
     async def scenario(rig):
         await rig.until(lambda: rig.motion.doubt, 60, "the doubt")
         assert "it was moved by hand, or its count is lost" in rig.motion.doubt
@@ -88,7 +88,7 @@ def test_a_place_kept_without_a_name_is_that_of_the_one_tracker_that_is_named(ru
     assert not (kept / FILE_NAME).exists(), "it is not to be read again by one without a name"
 
 
-def test_of_several_trackers_nobody_knows_which_one_rested_there(run_rig, kept):
+def test_a_place_kept_without_a_tracker_name_is_dropped_when_there_are_several_trackers(run_rig, kept):
     async def scenario(rig):
         await asyncio.sleep(60)
         assert [tracker.motion.doubt for tracker in rig.service.trackers] == [None] * 2
@@ -99,13 +99,13 @@ def test_of_several_trackers_nobody_knows_which_one_rested_there(run_rig, kept):
     assert not (kept / FILE_NAME).exists()
 
 
-def test_a_simulated_positioner_that_begins_anew_is_expected_nowhere(run_rig, kept, monkeypatch):
+def test_a_simulated_positioner_that_begins_anew_is_not_compared_with_the_kept_place(run_rig, kept, monkeypatch):
     monkeypatch.setattr(ServiceRig, "begins_anew", True)
     rested_elsewhere(kept)
     run_rig(quiet, store={"directory": kept})
 
 
-def test_a_target_is_sent_after_the_place_was_forgotten(run_rig, kept, monkeypatch):
+def test_the_kept_place_is_erased_before_a_target_is_sent(run_rig, kept, monkeypatch):
     async def scenario(rig):
         move_to, found = rig.positioner.move_to, []
 
@@ -151,7 +151,7 @@ def test_a_step_too_small_to_matter_leaves_both_places_kept(run_rig, kept, step_
     run_rig(scenario, store={"directory": kept})
 
 
-def test_what_a_person_has_cleared_is_not_in_doubt_again_after_a_restart(run_rig, kept):
+def test_after_a_person_has_cleared_a_doubt_the_kept_places_are_those_of_the_telemetry(run_rig, kept):
     async def cleared(rig):
         await quiet(rig)
         await stuck_on_its_way(rig)

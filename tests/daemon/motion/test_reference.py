@@ -16,7 +16,7 @@ from drivers.interfaces import Telemetry
 from tests.support.addresses import free_port
 
 
-def test_what_two_doubts_say_is_said_once():
+def test_a_sentence_that_two_doubts_have_in_common_is_said_once():
     doubts = Doubts(StateFolder(None))
     met = "axis A met its end switch where its count was -318.56, not 0: home it again"
     doubts.doubt("count", f"{met}; the positioner has restarted")
@@ -30,7 +30,7 @@ def look(*faults, **more):
     return Telemetry(1.0, 0.0, 90.0, 50.0, 280.0, 50.0, 280.0, faults=faults, **more)
 
 
-def test_a_fault_that_vanishes_is_a_doubt_unless_we_have_cleared_it():
+def test_a_fault_that_vanishes_is_a_doubt_unless_the_service_has_cleared_it():
     doubts = Doubts(StateFolder(None))
     doubts.see(look("a_cable", "b_cable"), clearing=False)
     doubts.see(look("b_cable"), clearing=False)
@@ -42,7 +42,7 @@ def test_a_fault_that_vanishes_is_a_doubt_unless_we_have_cleared_it():
     assert doubts.texts == (text,)
 
 
-def test_what_was_noted_is_told_to_others_with_the_faults_that_have_gone_since(tmp_path):
+def test_kept_doubts_are_read_together_with_the_faults_that_have_vanished_since(tmp_path):
     folder = StateFolder(tmp_path)
     assert kept_doubts(folder, look()) == ()
     doubts = Doubts(folder)
@@ -55,7 +55,7 @@ def test_what_was_noted_is_told_to_others_with_the_faults_that_have_gone_since(t
     assert kept_doubts(folder, look("b_cable")) == (*noted, gone, NOT_FINISHED)
 
 
-def test_what_the_unit_says_of_its_count_and_its_restart_is_a_doubt():
+def test_a_restart_and_a_doubt_about_the_count_that_the_unit_reports_are_doubts_of_the_reference():
     doubts = Doubts(StateFolder(None))
     assert doubts.reference is None
     doubts.see(look(was_reset=True, reference_doubt="the count has jumped"), clearing=True)
@@ -63,7 +63,7 @@ def test_what_the_unit_says_of_its_count_and_its_restart_is_a_doubt():
     assert not doubts.vanished
 
 
-def test_only_what_was_shown_is_forgiven():
+def test_only_doubts_that_were_shown_are_forgiven():
     doubts = Doubts(StateFolder(None))
     doubts.doubt("count", "the count has jumped")
     doubts.note("motion", "B moved")
@@ -78,7 +78,7 @@ def test_only_what_was_shown_is_forgiven():
     assert doubts.texts == ("it does not obey", "the count has jumped", unseen)
 
 
-def test_all_of_it_outlives_the_service(tmp_path):
+def test_doubts_incidents_and_vanished_faults_outlive_the_service(tmp_path):
     folder = StateFolder(tmp_path)
     doubts = Doubts(folder)
     doubts.doubt("count", "the count has jumped")
@@ -90,7 +90,7 @@ def test_all_of_it_outlives_the_service(tmp_path):
     assert after.vanished
 
 
-def test_a_reference_run_that_the_service_did_not_outlive_was_not_finished(tmp_path):
+def test_a_reference_run_during_which_the_service_ended_counts_as_not_finished(tmp_path):
     folder = StateFolder(tmp_path)
     doubts = Doubts(folder)
     doubts.homing_begins()
@@ -106,7 +106,7 @@ def test_a_reference_run_that_the_service_did_not_outlive_was_not_finished(tmp_p
     assert Doubts(folder).texts == ("B moved",)
 
 
-def test_a_drive_without_a_reference_run_is_to_be_compared_and_is_not_told_to_home(tmp_path, caplog):
+def test_the_doubt_of_a_drive_without_a_reference_run_asks_to_compare_angles_and_not_to_home(tmp_path, caplog):
     (tmp_path / "motion.json").write_text("{")
     own = {"driver": "rotctld", "server": f"127.0.0.1:{free_port()}"}
     whole = {"instruments": {"positioner": own}, "store": {"directory": tmp_path}, "bridge": {"listen": "127.0.0.1:0"}}

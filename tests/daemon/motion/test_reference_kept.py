@@ -32,7 +32,7 @@ def test_clear_forgives_the_fault_that_was_shown_and_not_the_reset_behind_it(run
     run_rig(scenario)
 
 
-def test_a_reset_that_comes_after_what_was_shown_is_not_forgiven(run_rig):
+def test_a_reset_that_comes_after_the_shown_fault_is_not_forgiven_by_a_clear(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.unit.inject("a_overcurrent", now(rig))
@@ -60,7 +60,7 @@ def test_a_fault_that_nobody_was_shown_leaves_a_doubt_when_the_unit_clears_it(ru
     run_rig(scenario)
 
 
-def test_a_clear_that_was_asked_for_before_the_link_was_lost_dies_with_it(run_rig, monkeypatch):
+def test_a_clear_that_was_asked_for_before_the_link_was_lost_is_dropped_with_it(run_rig, monkeypatch):
     async def scenario(rig):
         await quiet(rig)
         rig.unit.power_cycle(now(rig))
@@ -126,7 +126,7 @@ def states(rig):
     return {alarm.name: alarm.state for alarm in rig.tracker.alarms.active}
 
 
-def test_a_second_fault_is_news_to_whoever_has_seen_the_first_and_that_it_went_is_none(run_rig):
+def test_a_second_fault_raises_an_acknowledged_alarm_again_and_the_end_of_a_fault_does_not(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.unit.inject("a_overcurrent", now(rig))
@@ -145,7 +145,7 @@ def test_a_second_fault_is_news_to_whoever_has_seen_the_first_and_that_it_went_i
     run_rig(scenario)
 
 
-def test_a_second_doubt_is_news_to_whoever_has_seen_the_first(run_rig):
+def test_a_second_doubt_raises_an_acknowledged_alarm_again(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.unit.power_cycle(now(rig))
@@ -228,7 +228,7 @@ def test_a_reference_run_of_the_units_own_is_a_doubt(run_rig):
     run_rig(scenario)
 
 
-def test_a_destination_of_a_reference_run_is_enough_for_the_doubt(run_rig):
+def test_the_destination_of_a_reference_run_of_the_units_own_is_enough_for_a_doubt(run_rig):
     async def scenario(rig):
         await quiet(rig)
         read = rig.positioner.read_telemetry

@@ -104,7 +104,7 @@ def test_a_reference_run_on_which_the_axis_stands_is_given_up_after_a_minute():
 
 
 @pytest.mark.parametrize("call", ["clear", "home"])
-def test_a_reference_run_that_is_refused_is_told_and_was_not_finished(call):
+def test_a_reference_run_that_is_refused_is_reported_and_counts_as_not_finished(call):
     async def scenario(rig):
         rig.unit.refuses[call] = RefusedError("hand", "not now")
         rig.motion.home()
@@ -138,7 +138,7 @@ def test_a_reference_run_that_is_stopped_leaves_the_doubt_that_was_there_and_no_
     run_motion(scenario)
 
 
-def test_a_clear_that_is_refused_is_told_and_forgives_nothing():
+def test_a_clear_that_is_refused_is_reported_and_forgives_nothing():
     async def scenario(rig):
         rig.unit.says["was_reset"] = True
         rig.unit.refuses["clear"] = RefusedError("hand", "not now")
@@ -156,7 +156,7 @@ def test_a_clear_that_is_refused_is_told_and_forgives_nothing():
     run_motion(scenario)
 
 
-def test_a_clear_that_waits_is_dropped_by_a_stop_and_told():
+def test_a_waiting_clear_is_dropped_by_a_stop_and_reported_as_dropped():
     async def scenario(rig):
         rig.unit.says["reference_doubt"] = "the count jumped"
         await asyncio.sleep(2.0)
@@ -173,7 +173,7 @@ def test_a_clear_that_waits_is_dropped_by_a_stop_and_told():
 
 
 @pytest.mark.parametrize("shown", [True, False])
-def test_a_clear_forgives_a_failed_move_that_was_shown(shown):
+def test_a_clear_forgives_a_failed_move_only_if_it_was_shown(shown):
     async def scenario(rig):
         rig.unit.refuses["move"] = RefusedError("hand", "not taken")
         rig.motion.order(Target(10.0, 60.0, "go"))
@@ -188,7 +188,7 @@ def test_a_clear_forgives_a_failed_move_that_was_shown(shown):
     run_motion(scenario, attempts=1)
 
 
-def test_a_doubt_that_both_runs_have_left_is_told_and_stays():
+def test_a_reference_run_of_both_axes_that_does_not_end_the_doubt_is_reported_as_failed():
     async def scenario(rig):
         rig.unit.says["reference_doubt"] = "the count jumped"
         await asyncio.sleep(2.0)
@@ -218,7 +218,7 @@ def test_the_axis_that_is_homed_may_turn():
     run_motion(scenario)
 
 
-def test_a_reference_run_after_a_move_that_was_interrupted_or_has_failed_begins_anew():
+def test_a_reference_run_after_an_interrupted_and_a_failed_move_succeeds_and_ends_the_alarm():
     async def scenario(rig):
         rig.motion.order(Target(40.0, 60.0, "go"))
         await asyncio.sleep(3.0)
@@ -237,7 +237,7 @@ def test_a_reference_run_after_a_move_that_was_interrupted_or_has_failed_begins_
     run_motion(scenario, attempts=1)
 
 
-def test_a_reference_run_that_the_service_does_not_live_to_finish_is_kept_in_mind(tmp_path):
+def test_a_reference_run_is_kept_as_not_finished_until_it_ends(tmp_path):
     async def scenario(rig):
         rig.motion.home()
         await rig.until(lambda: rig.motion.homing, 3.0)
@@ -249,7 +249,7 @@ def test_a_reference_run_that_the_service_does_not_live_to_finish_is_kept_in_min
 
 
 @pytest.mark.parametrize("ask", ["clear", "home"])
-def test_faults_that_the_unit_clears_for_us_leave_no_doubt_however_long_it_takes(ask):
+def test_faults_that_the_unit_clears_on_request_leave_no_doubt_however_long_it_takes(ask):
     async def scenario(rig):
         rig.unit.says["faults"] = ("a_hall",)
         await asyncio.sleep(2.0)
@@ -304,7 +304,7 @@ def test_the_axis_that_waits_for_its_reference_run_may_not_move():
     run_motion(scenario)
 
 
-def test_what_strayed_during_a_reference_run_stays_known_though_the_link_is_lost_at_its_halt():
+def test_stray_motion_in_a_reference_run_stays_known_even_if_the_link_is_lost_at_its_halt():
     async def scenario(rig):
         rig.motion.home()
         await rig.until(lambda: ("home", "a") in rig.unit.sent)

@@ -12,7 +12,7 @@ def retries():
     return Retries(30.0, alarms), alarms
 
 
-def test_the_pauses_grow_and_those_of_a_stow_end_at_ten_minutes():
+def test_the_pauses_after_failed_moves_grow_and_those_of_a_stow_only_up_to_ten_minutes():
     ours, _ = retries()
     assert ours.due_s(stow=True) == ours.due_s(stow=False) == -math.inf
     pauses = []
@@ -29,13 +29,13 @@ def test_the_pauses_grow_and_those_of_a_stow_end_at_ten_minutes():
     assert ours.due_s(stow=True) == 1600.0
 
 
-def test_the_first_second_fourth_and_eighth_failure_is_worth_a_warning():
+def test_the_1st_2nd_4th_8th_and_16th_failure_of_moves_in_a_row_is_worth_a_warning():
     ours, _ = retries()
     told = [ours.failed(float(count), "stalled", stow=count % 2 == 0) for count in range(1, 18)]
     assert [count for count, is_told in enumerate(told, 1) if is_told] == [1, 2, 4, 8, 16]
 
 
-def test_the_failure_is_an_alarm_until_it_is_forgotten():
+def test_a_failed_move_is_an_alarm_until_it_is_forgotten():
     ours, alarms = retries()
     ours.failed(1.0, "no movement for 7 s", stow=True)
     assert ours.text == "no movement for 7 s"
@@ -51,7 +51,7 @@ def test_the_failure_is_an_alarm_until_it_is_forgotten():
     assert ours.due_s(stow=False) == 35.0
 
 
-def test_the_third_link_lost_in_a_row_is_an_alarm_and_the_next_move_has_no_pause():
+def test_the_third_move_in_a_row_that_loses_the_link_is_an_alarm_and_the_next_has_no_pause():
     ours, alarms = retries()
     for stow in (False, True):
         ours.lost("link lost", stow=stow)

@@ -24,7 +24,7 @@ from tests.support.phases import at_rest, quiet, tracking, under_way
 
 
 @pytest.mark.parametrize("what", ["target", "own_tracking", "re_reference"])
-def test_what_moves_by_itself_is_stopped_within_2_s_and_blocks_even_a_stow(run_rig, caplog, what):
+def test_a_unit_that_moves_by_itself_is_stopped_within_2_s_and_blocks_even_a_stow(run_rig, caplog, what):
     async def scenario(rig):
         await quiet(rig)
         if what == "target":
@@ -100,7 +100,7 @@ def test_a_move_that_goes_the_wrong_way_or_elsewhere_is_stopped_and_blocks(run_r
     run_rig(scenario)
 
 
-def test_a_unit_that_does_not_hear_stop_is_told_and_stays_blocked_when_it_hears_again(run_rig, monkeypatch):
+def test_a_unit_that_does_not_hear_stop_is_reported_and_stays_blocked_when_it_hears_again(run_rig, monkeypatch):
     async def scenario(rig):
         await quiet(rig)
         rig.motion.order(Target(40, 15, "far"))
@@ -126,7 +126,7 @@ def test_a_unit_that_does_not_hear_stop_is_told_and_stays_blocked_when_it_hears_
     run_rig(scenario)
 
 
-def test_what_moves_at_the_connection_is_stopped_and_blocks_nothing(run_rig):
+def test_an_axis_that_moves_at_the_connection_is_stopped_and_blocks_nothing(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.motion.order(Target(40, 15, "far"))
@@ -142,7 +142,7 @@ def test_what_moves_at_the_connection_is_stopped_and_blocks_nothing(run_rig):
     run_rig(scenario)
 
 
-def test_a_button_at_the_unit_stops_motion_and_is_no_unexplained_motion(run_rig):
+def test_motion_by_a_button_at_the_unit_is_stopped_and_is_no_unexplained_motion(run_rig):
     async def scenario(rig):
         await quiet(rig)
         drive_b(rig, 85.0)
@@ -162,7 +162,7 @@ def test_a_button_at_the_unit_stops_motion_and_is_no_unexplained_motion(run_rig)
     assert sum("a button is pressed" in text for text in told) == 1
 
 
-def test_a_button_that_is_held_for_long_blocks_nothing_and_is_no_deafness(run_rig):
+def test_a_button_held_for_long_blocks_nothing_and_does_not_count_as_deafness_to_stop(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -200,7 +200,7 @@ def test_a_button_pressed_in_mid_move_ends_the_move(run_rig):
 
 
 @pytest.mark.parametrize("drive_of_unit", [AxisDrive(), AxisDrive(overshoot_mm=1.0), AxisDrive(speed_mm_s=1.0)])
-def test_small_and_large_moves_are_never_taken_for_unexplained(run_rig, drive_of_unit):
+def test_small_and_large_ordered_moves_are_never_taken_for_unexplained_motion(run_rig, drive_of_unit):
     async def scenario(rig):
         await quiet(rig)
         a, b = 0.0, 60.0
@@ -246,7 +246,7 @@ def test_an_arrived_tracker_that_is_moved_later_is_found(run_rig):
 
 
 @pytest.mark.parametrize("pressed", [False, True])
-def test_motion_of_its_own_that_was_seen_is_not_forgotten_with_the_link(run_rig, pressed):
+def test_motion_of_the_units_own_is_not_forgotten_with_the_link_unless_a_button_explains_it(run_rig, pressed):
     async def scenario(rig):
         await quiet(rig)
         rig.motion.order(Target(40, 60, "test"))

@@ -24,7 +24,7 @@ def times_of(rig, name):
     return at_s
 
 
-def test_the_record_of_a_move_says_whence_whither_how_long_and_why():
+def test_the_record_of_a_move_has_its_start_target_end_duration_outcome_and_reason():
     async def scenario(rig):
         before_s = rig.clock.monotonic()
         assert rig.motion.last_move is None
@@ -79,7 +79,7 @@ def test_a_refused_target_is_tried_again_after_a_second_each_time_from_rest(atte
     run_motion(scenario, attempts=attempts)
 
 
-def test_a_move_that_failed_is_taken_again_after_its_pause_and_forgotten_when_one_arrives():
+def test_a_failed_move_is_accepted_again_after_its_pause_and_forgotten_once_a_move_arrives():
     async def scenario(rig):
         rig.unit.refuses["move"] = RefusedError("hand", "not taken")
         rig.motion.order(Target(10.0, 60.0, "go"))
@@ -136,7 +136,7 @@ def test_an_axis_that_stalls_is_stopped_and_tried_again():
     ("says", "outcome"),
     [({"faults": ("a_hall",)}, MoveOutcome.STALLED), ({"reference_doubt": "a jump"}, MoveOutcome.STALLED)],
 )
-def test_what_the_unit_reports_on_the_way_ends_the_move_without_another_attempt(says, outcome):
+def test_a_fault_or_doubt_reported_during_a_move_ends_it_without_another_attempt(says, outcome):
     async def scenario(rig):
         at_s = times_of(rig, "move_to")
         rig.motion.order(Target(40.0, 60.0, "go"))
@@ -165,7 +165,7 @@ def test_a_stow_goes_on_with_the_reference_in_doubt():
 @pytest.mark.parametrize(("restarts", "stow", "clears"), [
     (True, True, True), (False, True, False), (True, False, False),
 ])  # fmt: skip
-def test_a_stow_that_a_restarted_unit_refuses_clears_its_mark_first_and_nothing_else_does(restarts, stow, clears):
+def test_only_a_stow_that_a_restarted_unit_refuses_clears_the_mark_of_the_restart_first(restarts, stow, clears):
     async def scenario(rig):
         move_to = rig.unit.move_to
 
@@ -236,7 +236,7 @@ def test_a_button_on_the_way_interrupts_the_move_and_stops_it():
     run_motion(scenario)
 
 
-def test_an_axis_that_a_refused_order_has_sent_off_is_halted_and_is_no_stray():
+def test_an_axis_set_going_by_a_refused_order_is_halted_and_is_no_unexplained_motion():
     async def scenario(rig):
         async def half_taken(_a_deg, _b_deg, *, first="a"):
             rig.unit.drive(0.0, 20.0)
@@ -254,7 +254,7 @@ def test_an_axis_that_a_refused_order_has_sent_off_is_halted_and_is_no_stray():
     run_motion(scenario)
 
 
-def test_what_strays_between_two_attempts_is_stopped_and_ends_the_move():
+def test_an_axis_that_strays_between_two_attempts_is_stopped_and_ends_the_move():
     async def scenario(rig):
         at_s = times_of(rig, "move_to")
         rig.unit.refuses["move"] = RefusedError("hand", "not taken")
@@ -302,7 +302,7 @@ def test_a_failed_move_is_logged_as_a_warning_the_first_second_and_fourth_time(c
     assert levels == [logging.WARNING, logging.WARNING, logging.DEBUG, logging.WARNING]
 
 
-def test_a_link_that_is_lost_while_the_target_is_sent_leaves_no_doubt_where_it_went_on():
+def test_an_axis_that_goes_on_after_the_link_is_lost_while_its_target_is_sent_leaves_no_doubt():
     async def scenario(rig):
         async def half_sent(a_deg, b_deg, *, first="a"):
             rig.unit.drive(a_deg, b_deg)

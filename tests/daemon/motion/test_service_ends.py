@@ -35,7 +35,7 @@ def test_at_the_end_motion_that_nobody_ordered_is_stopped_too(run_rig, caplog):
     assert not moves
 
 
-def test_at_the_end_a_move_of_ours_is_stopped_and_shown(run_rig, caplog):
+def test_at_the_end_an_ordered_move_is_stopped_and_seen_to_stand(run_rig, caplog):
     async def act(rig):
         rig.motion.order(Target(40, 15, "far"))
         await asyncio.sleep(3)
@@ -59,7 +59,7 @@ def test_at_the_end_control_does_not_order_a_long_stow_again(run_rig, caplog):
     assert not moves
 
 
-def test_at_the_end_no_new_move_is_taken(run_rig, caplog):
+def test_at_the_end_no_new_move_is_accepted(run_rig, caplog):
     async def act(rig):
         async def orders():
             while not refused:
@@ -85,7 +85,7 @@ def test_at_the_end_no_new_move_is_taken(run_rig, caplog):
     ("trouble", "words"),
     [("deaf", "stop was sent, and no telemetry has shown the axes standing since"), ("unplug", "could not be sent")],
 )
-def test_at_the_end_nothing_is_said_to_stand_that_was_not_seen_to(run_rig, caplog, trouble, words):
+def test_at_the_end_axes_not_seen_to_stand_are_reported_as_not_known_to_be_stopped(run_rig, caplog, trouble, words):
     async def act(rig):
         rig.motion.order(Target(40, 15, "far"))
         await asyncio.sleep(2)
@@ -103,7 +103,7 @@ def test_at_the_end_nothing_is_said_to_stand_that_was_not_seen_to(run_rig, caplo
     assert "look at the tracker" in said
 
 
-def test_at_the_end_a_driver_that_never_answers_does_not_keep_the_service(run_rig, caplog):
+def test_at_the_end_a_driver_that_never_answers_does_not_keep_the_service_from_ending(run_rig, caplog):
     async def act(rig):
         rig.positioner.stop = lambda: asyncio.sleep(1e6)
         rig.end_s = rig.clock.monotonic()

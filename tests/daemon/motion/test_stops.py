@@ -13,7 +13,7 @@ from tests.support.phases import quiet, under_way
 
 @pytest.mark.parametrize("wish", ["stop", "stow", "hold", "goto"])
 @pytest.mark.parametrize("after_s", [0.0, 0.03, 0.1, 0.3, 0.6])
-def test_what_is_asked_while_the_link_comes_back_is_what_happens(run_rig, wish, after_s):
+def test_an_order_given_while_the_link_comes_back_is_carried_out_or_refused(run_rig, wish, after_s):
     async def scenario(rig):
         await quiet(rig)
         rig.motion.order(Target(40, 15, "far"))
@@ -62,7 +62,7 @@ def test_overcurrent_on_one_axis_stops_the_other(run_rig):
     run_rig(scenario, setup=Setup(synchronous=True))
 
 
-def test_the_axis_that_waits_for_its_turn_does_not_start_when_the_other_one_fails_at_rest(run_rig, monkeypatch):
+def test_a_fault_of_one_axis_at_rest_sends_a_stop_once(run_rig, monkeypatch):
     async def scenario(rig):
         await quiet(rig)
         sent = commands_sent(rig, monkeypatch)
@@ -76,7 +76,7 @@ def test_the_axis_that_waits_for_its_turn_does_not_start_when_the_other_one_fail
     run_rig(scenario)
 
 
-def test_while_frozen_nothing_is_ordered_and_what_moves_is_stopped(run_rig):
+def test_while_motion_is_frozen_orders_are_refused_and_axes_that_move_are_stopped(run_rig):
     async def scenario(rig):
         await under_way(rig)
         await rig.control.stop("Ann works there")
@@ -110,7 +110,7 @@ def test_freezing_sends_a_stop_even_to_axes_that_seem_to_stand(run_rig, monkeypa
 
 
 @pytest.mark.parametrize("busy", ["clear", "home", "queued home", "queued target"])
-def test_a_stop_is_never_lost_in_what_goes_on(run_rig, busy):
+def test_a_stop_is_never_lost_in_a_clear_a_reference_run_or_a_queued_order(run_rig, busy):
     async def scenario(rig):
         await quiet(rig)
         rig.control.hold("so that control orders nothing")

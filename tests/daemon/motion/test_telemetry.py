@@ -12,7 +12,7 @@ from tests.support.motion import alarms, drive_b, show
 from tests.support.phases import now, quiet
 
 
-def test_a_unit_that_contradicts_the_configuration_moves_nothing(run_rig):
+def test_a_positioner_whose_setup_contradicts_the_configuration_is_not_moved(run_rig):
     conflict = "field 74 (holder) says 39.6 mm and the configuration 0: correct instruments.positioner.a_axis"
 
     async def scenario(rig):
@@ -34,7 +34,7 @@ def test_a_unit_that_contradicts_the_configuration_moves_nothing(run_rig):
     run_rig(scenario)
 
 
-def test_poses_at_rest_are_told_every_5_s_and_motion_at_once(run_rig):
+def test_poses_at_rest_are_recorded_every_5_s_and_motion_at_once(run_rig):
     async def scenario(rig):
         await quiet(rig)
         before = len(rig.of(Pose))
@@ -47,7 +47,7 @@ def test_poses_at_rest_are_told_every_5_s_and_motion_at_once(run_rig):
     run_rig(scenario)
 
 
-def test_what_rests_and_says_so_is_read_seldom_and_still_known_by_the_last_half_second(run_rig):
+def test_a_resting_positioner_is_read_seldom_although_its_telemetry_is_never_older_than_0_6_s(run_rig):
     async def scenario(rig):
         await quiet(rig)
         await asyncio.sleep(10)

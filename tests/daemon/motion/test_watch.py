@@ -11,7 +11,7 @@ def look(time_s, b, to_b):
     return Telemetry(time_s, 0.0, b / 3, 50.0, b, 50.0, to_b)
 
 
-def test_what_an_axis_makes_up_after_its_arrival_is_no_part_of_the_next_way():
+def test_a_distance_that_an_axis_makes_up_after_arrival_is_no_part_of_its_next_move():
     watch = Watch(PositionerSettings(position_unit="mm"))
     watch.rest(look(0, 280.0, 280.0))
     watch.expect(look(1, 280.0, 282.0))
@@ -46,7 +46,7 @@ def test_a_standstill_is_shown_by_a_second_look_a_quarter_of_a_second_later():
 
 @pytest.mark.parametrize("axis", ["a", "b"])
 @pytest.mark.parametrize(("way", "stands"), [(0.14, True), (-0.14, True), (0.16, False), (-0.16, False)])
-def test_what_shakes_stands_and_what_goes_further_does_not(axis, way, stands):
+def test_an_axis_that_shakes_by_less_than_its_jitter_stands_and_one_that_goes_further_does_not(axis, way, stands):
     watch, start = resting(), {"a": 50.0, "b": 280.0}[axis]
     watch.update(at(5.0, **{axis: start + way}))
     assert (watch.stands_since_s == 0.0) == stands
@@ -56,7 +56,7 @@ def test_what_shakes_stands_and_what_goes_further_does_not(axis, way, stands):
     assert watch.same_place(one, other) == stands
 
 
-def test_rest_at_the_same_place_lasts_from_its_beginning_and_at_another_anew():
+def test_rest_at_the_same_place_counts_from_its_beginning_and_at_another_place_anew():
     watch = resting(at(5.0))
     watch.rest(at(7.0, b=280.1))
     assert watch.stands_since_s == 5.0
@@ -68,7 +68,7 @@ def test_rest_at_the_same_place_lasts_from_its_beginning_and_at_another_anew():
 
 @pytest.mark.parametrize("axis", ["a", "b"])
 @pytest.mark.parametrize("way", [0.39, -0.39, 0.41, -0.41])
-def test_an_axis_that_leaves_its_place_of_rest_is_told_however_slowly(axis, way):
+def test_an_axis_that_leaves_its_place_of_rest_is_reported_however_slowly_it_goes(axis, way):
     start = {"a": 50.0, "b": 280.0}[axis]
     at_once, slowly = resting(), resting()
     stray = at_once.update(at(4.0, **{axis: start + way}))
@@ -80,7 +80,7 @@ def test_an_axis_that_leaves_its_place_of_rest_is_told_however_slowly(axis, way)
         assert stray.text == f"{axis.upper()} moved from {start / 10:+.1f} to {(start + way) / 10:+.1f} deg"
 
 
-def test_a_way_is_judged_from_the_place_of_rest_and_not_from_where_the_wind_shook_it_to():
+def test_a_move_is_judged_from_the_place_of_rest_and_not_from_where_the_wind_shook_the_axis():
     watch = resting()
     assert watch.update(at(1.0, b=280.3)) is None
     watch.expect(at(2.0, b=280.3, to_b=100.0))
@@ -88,7 +88,7 @@ def test_a_way_is_judged_from_the_place_of_rest_and_not_from_where_the_wind_shoo
     assert watch.update(at(4.0, b=280.5, to_b=100.0)).text.startswith("B moves away from where it was sent")
 
 
-def test_before_anything_has_rested_nothing_strays():
+def test_no_motion_is_reported_before_the_axes_have_rested():
     watch = Watch(PositionerSettings(position_unit="mm"))
     assert watch.update(at(0.0)) is None
     assert watch.update(at(1.0, b=290.0)) is None
@@ -134,7 +134,7 @@ def test_a_drive_that_counts_no_angles_is_judged_by_its_count():
 
 
 @pytest.mark.parametrize(("unit", "most"), [("mm", 0.15), ("deg", 0.035), ("impulse", 2.0)])
-def test_each_unit_has_its_own_jitter(unit, most):
+def test_each_position_unit_has_its_own_jitter(unit, most):
     assert jitter(PositionerSettings(position_unit=unit)) == most
 
 
@@ -160,19 +160,19 @@ def test_an_expected_move_may_go_where_it_was_sent_and_stop_on_its_way():
     (at(2.0, b=279.5, to_b=290.0), "B moves away from where it was sent, B moved from +28.0 to +27.9 deg"),
     (at(2.0, a=49.0, to_a=50.0, to_b=290.0), "A moves away from where it was sent, A moved from +5.0 to +4.9 deg"),
 ])  # fmt: skip
-def test_a_move_to_elsewhere_or_the_wrong_way_is_told(look, told):
+def test_a_move_to_elsewhere_or_the_wrong_way_is_reported(look, told):
     stray = under_way().update(look)
     assert (stray.text, stray.jump) == (told, False)
 
 
-def test_a_move_that_turns_back_is_told():
+def test_a_move_that_turns_back_is_reported():
     watch = under_way()
     assert watch.update(at(2.0, b=284.0, to_b=290.0)) is None
     assert watch.update(at(3.0, b=283.7, to_b=290.0)) is None
     assert "moves away" in watch.update(at(4.0, b=283.5, to_b=290.0)).text
 
 
-def test_what_is_left_of_a_move_may_be_made_up_for_ten_seconds():
+def test_an_axis_may_make_up_the_rest_of_its_move_for_ten_seconds_after_arrival():
     watch = under_way()
     watch.update(at(2.0, b=289.0, to_b=290.0))
     watch.arrived(at(3.0, b=289.0, to_b=290.0))
@@ -203,7 +203,7 @@ def test_the_axis_that_is_homed_may_go_anywhere_and_the_other_nowhere():
     assert other.update(at(3.0, a=51.0, b=0.0)) is not None
 
 
-def test_an_axis_that_shoots_past_its_end_does_not_move_away():
+def test_an_axis_that_overshoots_its_target_is_not_reported_as_moving_away():
     watch = under_way()
     assert watch.update(at(2.0, b=289.9, to_b=290.0)) is None
     assert watch.update(at(3.0, b=292.0, to_b=290.0)) is None

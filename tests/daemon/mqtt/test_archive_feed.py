@@ -101,7 +101,7 @@ DEEP = b"[" * 100_000
         b'{"run":"RUN","refused":1}', b"\xff",
     ],
 )  # fmt: skip
-def test_what_is_no_answer_of_an_archive_is_a_trouble_until_one_comes(tmp_path, payload):
+def test_a_message_that_is_no_archive_answer_is_reported_until_a_valid_answer_comes(tmp_path, payload):
     async def scenario():
         link, run = HandLink(), origin()
         service = Service(tmp_path, link)
@@ -117,7 +117,7 @@ def test_what_is_no_answer_of_an_archive_is_a_trouble_until_one_comes(tmp_path, 
 
 
 @pytest.mark.parametrize("through", [-1, 1, 2**63 - 1, 2**63])
-def test_an_archive_cannot_confirm_what_it_was_not_sent(tmp_path, through):
+def test_a_confirmation_of_records_that_were_not_sent_is_ignored_and_the_page_is_sent_again(tmp_path, through):
     async def scenario():
         link, run = HandLink(), origin()
         service = Service(tmp_path, link)
@@ -131,7 +131,7 @@ def test_an_archive_cannot_confirm_what_it_was_not_sent(tmp_path, through):
 
 
 @pytest.mark.parametrize("through", [-2, 2**53, 2**63])
-def test_a_kept_number_that_no_record_has_is_not_believed(tmp_path, through, caplog):
+def test_a_saved_record_number_that_no_record_has_is_ignored_and_all_records_are_sent_again(tmp_path, through, caplog):
     async def scenario():
         link, run = HandLink(), origin()
         service = Service(tmp_path, link)
@@ -144,7 +144,7 @@ def test_a_kept_number_that_no_record_has_is_not_believed(tmp_path, through, cap
     virtual(scenario)
 
 
-def test_a_refusal_in_letters_that_no_file_can_hold_is_shown(tmp_path):
+def test_an_archive_refusal_with_unencodable_characters_is_shown_escaped(tmp_path):
     async def scenario():
         link, run = HandLink(), origin()
         service = Service(tmp_path, link)
@@ -157,7 +157,7 @@ def test_a_refusal_in_letters_that_no_file_can_hold_is_shown(tmp_path):
     virtual(scenario)
 
 
-def test_a_refusal_that_lasts_is_an_alarm_that_says_why(tmp_path):
+def test_records_that_the_archive_refuses_for_an_hour_raise_an_alarm_with_the_reason(tmp_path):
     async def scenario():
         link, run = HandLink(), origin()
         service = Service(tmp_path, link)
@@ -175,7 +175,7 @@ def test_a_refusal_that_lasts_is_an_alarm_that_says_why(tmp_path):
     virtual(scenario)
 
 
-def test_the_records_of_a_store_that_has_begun_anew_are_sent_too(tmp_path):
+def test_the_archive_also_gets_the_records_of_a_store_that_was_begun_anew(tmp_path):
     async def scenario():
         link, late = HandLink(), origin()
         service = Service(tmp_path, link)
@@ -191,7 +191,7 @@ def test_the_records_of_a_store_that_has_begun_anew_are_sent_too(tmp_path):
     virtual(scenario)
 
 
-def test_a_store_that_cannot_be_read_has_not_been_confirmed(tmp_path):
+def test_time_with_an_unreadable_store_counts_towards_the_hour_before_the_archive_alarm(tmp_path):
     async def scenario():
         link = HandLink()
         service = Service(tmp_path, link)
@@ -215,7 +215,7 @@ def test_a_store_that_cannot_be_read_has_not_been_confirmed(tmp_path):
         "time = x'00'", "time = 1e10", "time = -1", "number = x'00'", "number = 'many'",
     ],
 )  # fmt: skip
-def test_a_damaged_record_is_told_and_stays_in_the_store_and_all_others_go_on(tmp_path, damage):
+def test_damaged_records_are_reported_and_stay_in_the_store_and_all_others_are_sent(tmp_path, damage):
     async def scenario():
         link, run, later = HandLink(), origin(), origin()
         service = Service(tmp_path, link)
@@ -237,7 +237,7 @@ def test_a_damaged_record_is_told_and_stays_in_the_store_and_all_others_go_on(tm
 
 
 @pytest.mark.parametrize("damage", ["site = x'00'", "latitude_deg = 'north'", "started = 1e18"])
-def test_a_run_that_nothing_sound_is_known_of_is_told_and_all_others_go_on(tmp_path, damage):
+def test_a_run_with_a_damaged_entry_is_reported_and_the_records_of_other_runs_are_sent(tmp_path, damage):
     async def scenario():
         link, later = HandLink(), origin()
         service = Service(tmp_path, link)
@@ -265,7 +265,7 @@ def rubbish(path):
     path.write_bytes(whole)
 
 
-def test_a_store_that_is_damaged_further_on_is_told_and_ends_nothing(tmp_path):
+def test_a_store_damaged_in_the_middle_is_reported_and_raises_the_alarm_and_the_feed_goes_on(tmp_path):
     async def scenario():
         link = HandLink()
         service = Service(tmp_path, link)
@@ -281,7 +281,7 @@ def test_a_store_that_is_damaged_further_on_is_told_and_ends_nothing(tmp_path):
     virtual(scenario)
 
 
-def test_an_hour_without_an_archive_is_an_alarm_and_the_records_wait_where_they_are(tmp_path, free_udp_port):
+def test_an_hour_without_an_archive_raises_an_alarm_and_the_records_stay_in_the_store(tmp_path, free_udp_port):
     async def scenario():
         clock = LoopClock(asyncio.get_running_loop().time, T0)
         # No broker listens there.
@@ -320,7 +320,7 @@ def test_a_page_is_no_longer_than_the_broker_takes_except_for_a_single_record(tm
 
 
 @needs_mosquitto
-def test_what_is_longer_than_the_broker_takes_is_shown_and_costs_no_connection(tmp_path, make_broker):
+def test_a_message_longer_than_the_broker_accepts_is_reported_and_does_not_end_the_connection(tmp_path, make_broker):
     async def scenario():
         broker = make_broker(most_bytes=5000).start()
         sender = Sender(tmp_path / "store", broker.port)
@@ -337,7 +337,7 @@ def test_what_is_longer_than_the_broker_takes_is_shown_and_costs_no_connection(t
 
 
 @needs_mosquitto
-def test_a_broker_that_ends_the_connection_at_a_page_and_does_not_say_why_gets_shorter_ones(tmp_path, make_broker):
+def test_a_broker_that_ends_the_connection_at_a_page_without_a_reason_gets_shorter_pages(tmp_path, make_broker):
     async def scenario():
         broker = make_broker(unsaid_most_bytes=5000).start()
         sender = Sender(tmp_path / "store", broker.port, speed=SPEED)
@@ -355,7 +355,7 @@ def test_a_broker_that_ends_the_connection_at_a_page_and_does_not_say_why_gets_s
 
 
 @needs_mosquitto
-def test_an_end_of_the_connection_at_a_short_message_shortens_no_pages(tmp_path, make_broker):
+def test_a_connection_that_ends_at_a_short_message_does_not_shorten_the_archive_pages(tmp_path, make_broker):
     async def scenario():
         broker = make_broker(unsaid_most_bytes=300).start()
         sender = Sender(tmp_path / "store", broker.port, speed=SPEED)

@@ -41,7 +41,7 @@ def start(broker, tmp_path, processes):
 
 
 @needs_mosquitto
-def test_what_was_ordered_before_the_broker_gave_up_a_service_that_stood_still_is_not_done_when_it_goes_on(
+def test_a_service_that_resumes_obeys_only_dated_commands_and_stops_sent_while_it_was_suspended(
     broker, start, processes
 ):
     async def scenario():
@@ -66,7 +66,7 @@ def test_what_was_ordered_before_the_broker_gave_up_a_service_that_stood_still_i
     asyncio.run(scenario())
 
 
-def test_it_is_true_after_a_crash_a_restart_and_a_clean_stop(broker, tmp_path, start, processes):
+def test_the_availability_topic_is_right_after_a_crash_a_restart_and_a_clean_stop(broker, tmp_path, start, processes):
     async def found_late():
         async with observer(broker.port, STATUS) as late:
             await late.until(STATUS)

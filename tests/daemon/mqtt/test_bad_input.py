@@ -52,7 +52,9 @@ async def is_told_once_and_tracks(rig, log_lines, sentence, mode=Mode.TRACKING):
         ({"name": "a/b"}, "mqtt.name: 'a/b' is more than one level of a topic; so there is no link"),
     ],
 )
-def test_a_link_that_cannot_be_is_told_once_and_the_service_tracks_on(scaled, log_lines, mqtt, sentence):
+def test_an_mqtt_link_that_cannot_be_made_is_reported_once_and_the_service_goes_on_tracking(
+    scaled, log_lines, mqtt, sentence
+):
     async def scenario():
         rig = broker_rig(1, mqtt=mqtt)
         async with serving(rig):
@@ -70,7 +72,9 @@ def test_a_link_that_cannot_be_is_told_once_and_the_service_tracks_on(scaled, lo
         ("broker.key", "has no certificates in PEM form"),
     ],
 )
-def test_a_wrong_authority_is_told_once_and_the_service_tracks_on(make_broker, scaled, log_lines, file, sentence):
+def test_a_wrong_certificate_authority_is_reported_once_and_the_service_goes_on_tracking(
+    make_broker, scaled, log_lines, file, sentence
+):
     broker = make_broker(tls=True).start()
 
     async def scenario():
@@ -93,7 +97,7 @@ def test_a_wrong_authority_is_told_once_and_the_service_tracks_on(make_broker, s
         ),
     ],
 )
-def test_a_certificate_that_is_out_of_date_or_of_another_name_is_not_laid_to_the_authority(
+def test_a_broker_certificate_that_is_out_of_date_or_for_another_name_is_reported_as_such(
     make_broker, scaled, certificate, mqtt, sentence
 ):
     broker = make_broker(tls=True, certificate=certificate).start()
@@ -114,7 +118,9 @@ def test_a_certificate_that_is_out_of_date_or_of_another_name_is_not_laid_to_the
         ("max_qos 0", "takes no messages of QoS 1, and the service needs them"),
     ],
 )
-def test_a_broker_that_cannot_do_what_the_service_needs_is_said_to_lack_it(make_broker, scaled, setting, sentence):
+def test_a_broker_without_retained_messages_or_qos_1_is_reported_as_lacking_them(
+    make_broker, scaled, setting, sentence
+):
     broker = make_broker(setting=setting).start()
 
     async def scenario():
@@ -126,7 +132,7 @@ def test_a_broker_that_cannot_do_what_the_service_needs_is_said_to_lack_it(make_
     scaled(scenario)
 
 
-def test_a_wrong_discovery_prefix_costs_home_assistant_only(broker, scaled, log_lines):
+def test_a_wrong_discovery_prefix_is_reported_once_and_affects_only_home_assistant(broker, scaled, log_lines):
     async def scenario():
         rig = broker_rig(broker.port, mqtt={"discovery_prefix": "ha/+"})
         async with observer(broker.port) as lab, serving(rig):
@@ -140,7 +146,7 @@ def test_a_wrong_discovery_prefix_costs_home_assistant_only(broker, scaled, log_
     scaled(scenario)
 
 
-def test_a_wrong_topic_of_the_bridge_costs_its_scans_only(broker, scaled, log_lines):
+def test_with_a_wrong_bridge_topic_only_the_scans_over_the_broker_are_lost(broker, scaled, log_lines):
     bridge = {"transport": "mqtt", "topic": "a/#", "insecure": False, "key_file": "bridge.key"}
 
     async def scenario():
@@ -166,7 +172,7 @@ def test_a_wrong_topic_of_the_bridge_costs_its_scans_only(broker, scaled, log_li
         ),
     ],
 )
-def test_a_safety_input_that_cannot_be_heard_is_unsafe_after_its_time_limit_and_not_before(
+def test_an_unusable_safety_input_stows_the_tracker_after_its_time_limit_and_not_before(
     broker, scaled, log_lines, inputs, sentence
 ):
     async def scenario():
@@ -194,7 +200,7 @@ def test_a_safety_input_that_cannot_be_heard_is_unsafe_after_its_time_limit_and_
 
 
 @pytest.mark.system
-def test_the_program_starts_with_wrong_topics_and_says_so_in_api_and_status_and_check_lists_them(broker, tmp_path):
+def test_the_program_starts_with_wrong_topics_and_state_status_log_and_config_check_report_them(broker, tmp_path):
     config = tmp_path / "heliocube.toml"
     config.write_text(
         f"[bridge]\nlisten = '127.0.0.1:0'\n[api]\nlisten = '127.0.0.1:{free_port()}'\n"
@@ -239,7 +245,7 @@ def test_the_program_starts_with_wrong_topics_and_says_so_in_api_and_status_and_
     assert 'mqtt.safe.json_path = "a.": must be names with full stops between' in checked.stderr
 
 
-def test_the_check_lists_wrong_topics_together_with_everything_else(tmp_path):
+def test_config_check_lists_wrong_topics_together_with_all_other_problems(tmp_path):
     path = tmp_path / "heliocube.toml"
     path.write_text("[site]\nlatitude_deg = 95\n[mqtt]\nprefix = 'a/#'\n[law]\nname = 'mu'\n")
     with pytest.raises(ConfigError) as caught:

@@ -19,7 +19,7 @@ def broker_rig(port, role, mqtt=(), **bridge):
     return BrokerRig(asyncio.get_running_loop(), settings, SPEED, role)
 
 
-def test_trackers_follow_a_cube_over_the_broker_and_refuse_what_was_sent_before(broker, scaled):
+def test_trackers_follow_a_cube_over_the_broker_and_refuse_repeated_forged_or_malformed_messages(broker, scaled):
     async def scenario():
         cube, tracker = broker_rig(broker.port, Role.CUBE), broker_rig(broker.port, Role.TRACKER)
         field = broker_rig(broker.port, Role.TRACKER, mqtt={"name": "field"})
@@ -52,7 +52,7 @@ def test_trackers_follow_a_cube_over_the_broker_and_refuse_what_was_sent_before(
     scaled(scenario)
 
 
-def test_a_retained_scan_is_not_taken(broker, scaled):
+def test_a_tracker_ignores_a_retained_scan(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             async with serving(broker_rig(broker.port, Role.CUBE)):
@@ -68,7 +68,7 @@ def test_a_retained_scan_is_not_taken(broker, scaled):
     scaled(scenario)
 
 
-def test_a_tracker_beside_its_cube_needs_no_broker_to_hear_it(broker, scaled):
+def test_a_tracker_in_the_same_process_as_its_cube_gets_scans_without_a_broker(broker, scaled):
     broker.kill()
 
     async def scenario():
@@ -96,7 +96,7 @@ def test_a_tracker_beside_its_cube_needs_no_broker_to_hear_it(broker, scaled):
         ("[mqtt]\nenabled = true\n[mqtt.wind]\ntopic = 'w/#'", 'mqtt.wind.topic = "w/#": must be a topic without'),
     ],
 )
-def test_a_setting_that_cannot_work_is_one_sentence_with_the_remedy(tmp_path, text, part):
+def test_config_check_refuses_an_unusable_mqtt_setting_in_one_sentence_with_the_remedy(tmp_path, text, part):
     path = tmp_path / "heliocube.toml"
     path.write_text(text)
     with pytest.raises(ConfigError) as caught:

@@ -26,7 +26,7 @@ def broker_rig(port, **mqtt):
     return BrokerRig(asyncio.get_running_loop(), settings_for(port, mqtt=mqtt), SPEED)
 
 
-def test_to_clear_a_retained_command_is_no_command(broker, scaled):
+def test_an_empty_message_as_sent_to_clear_a_retained_command_is_refused_and_changes_nothing(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             rig = broker_rig(broker.port)
@@ -97,7 +97,7 @@ def test_a_flood_of_commands_is_answered_and_logged_within_bounds_and_a_stop_amo
     scaled(scenario)
 
 
-def test_answers_do_not_push_out_telemetry_and_keep_their_place_among_it():
+def test_queued_replies_do_not_push_out_telemetry_and_keep_their_place_among_it():
     async def scenario():
         outbox = Outbox(10)
         for number in range(10):
@@ -153,7 +153,7 @@ class Given:
         return None
 
 
-def test_a_command_with_a_time_is_taken_once_and_within_its_time():
+def test_a_dated_command_is_accepted_only_once_and_only_within_30_s_of_its_time():
     given = Given()
     given.clock.now_s += 100.0
     assert given.refusal(off_s=-29.0) is None
@@ -166,7 +166,7 @@ def test_a_command_with_a_time_is_taken_once_and_within_its_time():
     assert "behind" in given.refusal(off_s=-89.0), "what is forgotten is too old by then"
 
 
-def test_two_commands_of_one_second_without_an_id_are_not_the_same_one():
+def test_different_commands_with_the_same_time_and_no_id_are_not_taken_for_repeats():
     given = Given()
     given.clock.now_s += 100.0
     for name in ("hold", "stow", "maintenance"):
@@ -174,7 +174,7 @@ def test_two_commands_of_one_second_without_an_id_are_not_the_same_one():
     assert "has been given before" in given.refusal("stow", identifier=None)
 
 
-def test_where_dates_are_required_a_command_without_one_is_refused_but_a_stop_never_is():
+def test_when_dates_are_required_a_command_without_id_or_time_is_refused_but_a_stop_never_is():
     given = Given(dated_commands=True)
     given.clock.now_s += 100.0
     for dated, identifier in ((False, None), (True, None), (False, "1")):
@@ -184,7 +184,7 @@ def test_where_dates_are_required_a_command_without_one_is_refused_but_a_stop_ne
     assert given.refusal() is None
 
 
-def test_after_a_restart_what_was_given_before_it_is_refused():
+def test_a_command_dated_before_the_service_began_to_listen_is_refused():
     given = Given()
     given.clock.now_s += 5.0
     assert "before this service began to listen" in given.refusal(off_s=-6.0)
@@ -192,7 +192,7 @@ def test_after_a_restart_what_was_given_before_it_is_refused():
 
 
 @pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
-def test_a_clock_that_is_set_after_the_start_costs_no_command_and_what_is_from_before_the_start_stays_refused(step_s):
+def test_after_the_clock_is_set_new_commands_are_accepted_and_those_before_the_start_stay_refused(step_s):
     given = Given()
     given.clock.now_s += 10.0
     given.clock.ahead_s += step_s
@@ -200,7 +200,7 @@ def test_a_clock_that_is_set_after_the_start_costs_no_command_and_what_is_from_b
     assert "before this service began to listen" in given.refusal(off_s=-11.0)
 
 
-def test_a_command_that_a_clock_set_back_makes_new_again_has_been_given_before():
+def test_a_repeated_command_that_looks_new_after_the_clock_was_set_back_is_refused():
     given = Given(dated_commands=True)
     given.clock.now_s += 2000.0
     assert given.refusal() is None
@@ -210,7 +210,7 @@ def test_a_command_that_a_clock_set_back_makes_new_again_has_been_given_before()
     assert "has been given before" in given.refusal()
 
 
-def test_dated_commands_that_flood_take_no_memory_without_end():
+def test_in_a_flood_of_dated_commands_4096_are_accepted_and_others_refused_until_these_expire():
     given = Given(command_age_s=60.0)
     answers = [given.refusal(identifier=str(number)) for number in range(4200)]
     assert answers.count(None) == 4096
@@ -219,7 +219,7 @@ def test_dated_commands_that_flood_take_no_memory_without_end():
     assert given.refusal(identifier="again") is None
 
 
-def test_dated_wishes_that_flood_leave_room_for_what_makes_things_safe():
+def test_a_flood_of_dated_auto_commands_leaves_room_for_stow_maintenance_and_stop():
     given = Given(dated_commands=True)
     given.clock.now_s += 100.0
     assert "ask again later" in [given.refusal("auto", identifier=str(number)) for number in range(4100)][-1]
@@ -227,7 +227,7 @@ def test_dated_wishes_that_flood_leave_room_for_what_makes_things_safe():
     assert "has been given before" in given.refusal("stow", identifier="7"), "a date is of one command alone"
 
 
-def test_a_command_that_is_refused_because_others_are_carried_out_may_be_given_again_with_its_date():
+def test_a_dated_command_refused_while_others_are_carried_out_may_be_sent_again_with_the_same_date():
     class Slow:
         """Carries a command out only when it is set free."""
 
@@ -264,17 +264,17 @@ def test_a_command_that_is_refused_because_others_are_carried_out_may_be_given_a
 
 
 @pytest.mark.parametrize("time", ["yesterday", "2022-10-14T10:20:00", "9" * 100, "0001-01-01T00:00:00"])
-def test_a_time_that_is_none_is_one_sentence(time):
+def test_a_command_time_that_is_not_iso_8601_with_a_zone_is_refused_in_one_sentence(time):
     with pytest.raises(CommandError, match="ISO 8601 with its zone"):
         parse("stow", json.dumps({"time": time}).encode(), "MQTT")
 
 
-def test_a_time_is_no_part_of_a_command_over_http():
+def test_a_command_over_http_with_a_time_is_refused():
     with pytest.raises(CommandError, match="may have only"):
         parse("stow", b'{"time": "2022-10-14T10:20:00Z"}', "HTTP")
 
 
-def test_a_stop_is_carried_out_however_many_wait_for_their_answers(run_rig):
+def test_a_stop_is_carried_out_however_many_commands_wait_for_their_replies(run_rig):
     async def scenario(rig):
         await tracking(rig)
         replies = []

@@ -12,7 +12,7 @@ from daemon.mqtt.connection import Connection, ConnectionLostError
 from tests.support import PATIENCE_S
 
 
-def test_a_name_server_that_does_not_answer_holds_up_no_end(monkeypatch):
+def test_opening_a_connection_can_be_cancelled_while_the_name_server_does_not_answer(monkeypatch):
     asked, answers = threading.Event(), threading.Event()
 
     def hangs(*_, **__):
@@ -41,7 +41,7 @@ def test_a_name_server_that_does_not_answer_holds_up_no_end(monkeypatch):
 
 @pytest.mark.live
 @pytest.mark.parametrize("modern", [True, False])
-def test_a_broker_is_told_how_long_a_message_may_be_and_a_longer_one_is_not_read(modern):
+def test_an_mqtt_5_broker_is_told_the_longest_message_and_a_longer_one_is_not_read(modern):
     said = []
 
     async def broker(reader, writer):

@@ -26,11 +26,11 @@ def document(**what):
 
 
 @pytest.mark.parametrize("what", [{}, {"commands": False}, {"tracker": False}, {"simulated": False}])
-def test_the_document_is_of_the_form_that_home_assistant_documents(what):
+def test_the_discovery_document_has_the_form_that_home_assistant_documents(what):
     assert home_assistant.faults(TOPIC, document(**what)) == []
 
 
-def test_the_document_has_every_kind_of_entity_with_names_of_their_own():
+def test_the_discovery_document_has_every_kind_of_entity_with_unique_names():
     components = document()["components"]
     names = [component["unique_id"] for component in components.values()]
     assert len(set(names)) == len(names)
@@ -77,18 +77,18 @@ def test_the_document_has_every_kind_of_entity_with_names_of_their_own():
         (lambda d: d.pop("state_topic"), "dropped.state_topic is missing"),
     ],
 )
-def test_the_check_of_the_form_finds_what_home_assistant_would_refuse(change, part):
+def test_the_checker_of_discovery_documents_finds_faults_that_home_assistant_would_refuse(change, part):
     found = document()
     change(found)
     assert part in "\n".join(home_assistant.faults(TOPIC, found))
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-def test_a_simulation_bears_its_name(simulated):
+def test_the_device_name_says_simulated_only_in_a_simulation(simulated):
     assert ("SIMULATED" in document(simulated=simulated)["device"]["name"]) is simulated
 
 
-def test_without_commands_or_without_a_tracker_their_entities_are_removed_and_not_forgotten():
+def test_without_commands_or_without_a_tracker_their_entities_are_listed_as_removed():
     all_of_them = document()["components"]
     without = document(commands=False)["components"]
     assert set(without) == set(all_of_them)
@@ -102,7 +102,7 @@ def test_without_commands_or_without_a_tracker_their_entities_are_removed_and_no
     assert cube["irradiance_east"]["device_class"] == "irradiance"
 
 
-def test_it_appears_by_itself_and_vanishes_when_it_is_switched_off(broker, scaled):
+def test_the_home_assistant_device_appears_by_itself_and_vanishes_when_discovery_is_off(broker, scaled):
     topic = "homeassistant/device/heliocube_tracker/config"
 
     async def scenario():
@@ -119,7 +119,7 @@ def test_it_appears_by_itself_and_vanishes_when_it_is_switched_off(broker, scale
     scaled(scenario)
 
 
-def test_every_template_finds_its_value_in_the_state_and_every_button_is_a_command(broker, scaled):
+def test_every_home_assistant_template_finds_its_value_in_the_state_and_buttons_send_commands(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             rig = BrokerRig(asyncio.get_running_loop(), settings_for(broker.port), SPEED)
@@ -187,7 +187,7 @@ MANY = [{"name": "cube-face", "state": "raised", "text": f"{number} more"} for n
     ([{**ALARMS[0], "text": "a" * 300}, *ALARMS[1:]], "a" * 220 + "; also cube-face, over: move-failed"),
     ([{**ALARMS[0], "text": "a" * 300}, *MANY], "a" * 242 + "; and 12 more"),
 ])  # fmt: skip
-def test_the_text_of_the_alarms_has_all_of_them_as_far_as_home_assistant_has_room(alarms, shown):
+def test_the_alarm_text_lists_all_alarms_as_far_as_255_characters_of_home_assistant_allow(alarms, shown):
     assert _rendered(document()["components"]["alarm_text"], {"alarms": alarms}) == shown
     assert len(shown) <= 255
 
@@ -197,7 +197,7 @@ def test_the_text_of_the_alarms_has_all_of_them_as_far_as_home_assistant_has_roo
     ("acknowledged", 0, ("ON", "OFF")),
     ("cleared", 1, ("OFF", "ON")),
 ])  # fmt: skip
-def test_the_two_sensors_of_alarms_tell_each_of_the_states_that_an_alarm_has(state, waiting, shown):
+def test_the_two_alarm_sensors_together_show_each_state_of_an_alarm(state, waiting, shown):
     components, found = document()["components"], {"alarms": [{**ALARMS[0], "state": state}], "unacknowledged": waiting}
     assert tuple(_rendered(components[name], found) for name in ("alarm", "unacknowledged")) == shown
 
@@ -212,13 +212,13 @@ def test_the_two_sensors_of_alarms_tell_each_of_the_states_that_an_alarm_has(sta
     ("fault", None, "auto"),
     ("tracking", None, "auto"),
 ])  # fmt: skip
-def test_the_command_is_what_a_person_asked_for_also_while_a_fault_stands_in_its_way(mode, wish, shown):
+def test_the_command_entity_shows_what_a_person_asked_for_even_while_a_fault_prevents_it(mode, wish, shown):
     wishes = {name: {"why": "x"} if name == wish else None for name in Wishes.model_fields}
     state = {"mode": {"name": mode}, "wishes": wishes}
     assert _rendered(document()["components"]["command"], state) == shown
 
 
-def test_an_angle_of_nothing_has_no_sign():
+def test_an_angle_of_zero_is_shown_without_a_sign():
     state = {"tracker": {"pose": {"a_deg": -0.0, "b_deg": 90.0, "stale": False}}}
     assert str(_rendered(document()["components"]["angle_a"], state)) == "0.0"
 
@@ -226,7 +226,7 @@ def test_an_angle_of_nothing_has_no_sign():
 @pytest.mark.parametrize(
     ("moving", "homing", "shown"), [(False, False, "OFF"), (True, False, "ON"), (False, True, "ON")]
 )
-def test_it_moves_during_a_reference_run_too(moving, homing, shown):
+def test_the_moving_sensor_is_also_on_during_a_reference_run(moving, homing, shown):
     state = {"tracker": {"moving": moving, "homing": homing}}
     assert _rendered(document()["components"]["moving"], state) == shown
 

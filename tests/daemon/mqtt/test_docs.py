@@ -14,12 +14,12 @@ ROWS = dict(re.findall(r"(?m)^\| `(\w+)` \| .* \| (\d \| \w+) \| [^|]* \|$", PAG
 
 
 @pytest.mark.parametrize("kind", sorted(telemetry._MANNERS))
-def test_each_record_has_its_row_with_quality_of_service_and_retain(kind):
+def test_docs_mqtt_md_has_a_row_with_the_right_qos_and_retain_for_each_record(kind):
     qos, retain = telemetry._MANNERS[kind]
     assert ROWS[kind] == f"{qos} | {'yes' if retain else 'no'}"
 
 
-def test_no_topic_is_left_out_and_none_is_named_that_is_not_there():
+def test_docs_mqtt_md_names_all_topics_and_no_others():
     kinds = {name.removesuffix("s") for name, _ in COLUMNS.values()}
     assert set(telemetry._MANNERS) == kinds
     assert set(ROWS) == kinds | {"status", "state", "reply", "records"}

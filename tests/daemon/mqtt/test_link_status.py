@@ -25,7 +25,7 @@ def seen_of(rig):
     return {name: float(value) for name, value in values.items()}, shown.getvalue()
 
 
-def test_metrics_and_status_tell_of_link_queue_losses_and_safety_inputs(broker, scaled):
+def test_metrics_and_status_show_the_mqtt_link_its_queue_its_losses_and_the_safety_inputs(broker, scaled):
     inputs = {"wind": {"topic": "weather"}, "safe": {"topic": "weather", "json_path": "ok", "stale_s": 3600}}
 
     async def scenario():
@@ -90,7 +90,9 @@ def test_wind_and_safety_may_come_on_one_topic(broker, scaled):
     scaled(scenario)
 
 
-def test_a_message_that_a_handler_cannot_take_is_told_once_and_costs_the_others_nothing(broker, scaled, log_lines):
+def test_a_message_that_one_handler_fails_on_is_reported_once_and_other_handlers_still_get_it(
+    broker, scaled, log_lines
+):
     async def scenario():
         rig = BrokerRig(asyncio.get_running_loop(), settings_for(broker.port), SPEED)
         heard = []

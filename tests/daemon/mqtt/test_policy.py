@@ -120,7 +120,7 @@ def delays_after(lifetimes_s):
         return runner.run(scenario())
 
 
-def test_the_delay_grows_with_jitter_to_a_minute_when_the_broker_ends_young_connections():
+def test_the_reconnect_delay_grows_with_jitter_to_a_minute_when_the_broker_ends_young_connections():
     delays_s = delays_after([5.0] * 10)
     for count, delay_s in enumerate(delays_s):
         longest_s = min(2.0**count, 60.0)
@@ -129,13 +129,13 @@ def test_the_delay_grows_with_jitter_to_a_minute_when_the_broker_ends_young_conn
 
 
 @pytest.mark.parametrize(("lifetime_s", "short"), [(25.0, False), (35.0, True)])
-def test_the_delay_is_short_again_only_after_30_s_of_health(lifetime_s, short):
+def test_the_reconnect_delay_is_short_again_only_after_a_connection_has_worked_for_30_s(lifetime_s, short):
     *_, last_s = delays_after([5.0] * 5 + [lifetime_s, 5.0])
     assert (last_s <= 1.5) is short
     assert last_s >= (0.8 if short else 25.0)
 
 
-def test_hours_without_a_broker_cost_no_memory_and_few_lines(caplog):
+def test_hours_without_a_broker_use_bounded_memory_and_few_log_lines(caplog):
     caplog.set_level(logging.INFO, "heliocube")
     bound = bound_socket()
     port = bound.getsockname()[1]
@@ -171,7 +171,7 @@ def test_hours_without_a_broker_cost_no_memory_and_few_lines(caplog):
     assert f"nothing listens at 127.0.0.1:{port}" in lines[0]
 
 
-def test_a_failure_that_nobody_has_foreseen_is_a_lost_link_and_told_once(caplog):
+def test_an_unforeseen_failure_counts_as_a_lost_link_and_is_logged_once(caplog):
     caplog.set_level(logging.INFO, "heliocube")
 
     async def scenario():
@@ -192,7 +192,7 @@ def test_a_failure_that_nobody_has_foreseen_is_a_lost_link_and_told_once(caplog)
     assert line.startswith("the MQTT broker is down: broker..lan:1 cannot be used: Unicode")
 
 
-def test_control_decides_in_the_same_rhythm_for_hours_with_and_without_a_broker(caplog):
+def test_control_decides_in_the_same_rhythm_with_a_dead_broker_as_without_mqtt(caplog):
     caplog.set_level(logging.INFO, "heliocube.mqtt")
     bound = bound_socket()
     port = bound.getsockname()[1]
@@ -220,14 +220,14 @@ def test_control_decides_in_the_same_rhythm_for_hours_with_and_without_a_broker(
     assert 1 <= sum(record.name == "heliocube.mqtt" for record in caplog.records) <= 10
 
 
-def test_a_link_that_comes_and_goes_is_told_as_few_outages(caplog):
+def test_a_link_that_comes_and_goes_is_logged_as_few_outages(caplog):
     caplog.set_level(logging.INFO, "heliocube")
     delays_after([40.0] * 30)
     lines = [record.getMessage() for record in caplog.records if record.levelno >= logging.INFO]
     assert 2 <= len(lines) <= 10
 
 
-def test_a_link_that_holds_again_after_coming_and_going_is_told_as_steady(caplog):
+def test_a_link_that_lasts_after_coming_and_going_is_reported_once_as_steady_again(caplog):
     caplog.set_level(logging.INFO, "heliocube")
     bound, bus, told = bound_socket(), Bus(), []
     bus.subscribe(lambda record: told.append(record.text))
@@ -252,7 +252,7 @@ def test_a_link_that_holds_again_after_coming_and_going_is_told_as_steady(caplog
     assert sum("is steady" in text for text in told) == 1
 
 
-def test_nothing_that_the_broker_sends_is_lost_however_much_comes_at_once():
+def test_no_message_from_the_broker_is_lost_when_20000_come_at_once():
     topic, heard, many = "heliocube/tracker/command/hold", [], 20_000
     bound = bound_socket()
 

@@ -45,7 +45,7 @@ def said(payload, **marks):
 of_unknown_age = pytest.mark.parametrize("mark", ["retained", "overdue"])
 
 
-def test_wind_stows_from_the_threshold_and_releases_below_another_after_the_minimum_stay():
+def test_wind_stows_at_the_upper_threshold_and_releases_below_the_lower_after_the_minimum_stay():
     readings, stow, _, woken = wind()
     readings.take(said("14.9"))
     assert stow.reason(0.0) is None
@@ -63,7 +63,7 @@ def test_wind_stows_from_the_threshold_and_releases_below_another_after_the_mini
     assert stow.reason(1805.0) is None
 
 
-def test_a_gust_between_two_looks_is_not_missed():
+def test_a_gust_between_two_checks_of_the_wind_is_not_missed():
     readings, stow, _, _ = wind()
     for speed in ("3", "22", "3"):
         readings.take(said(speed))
@@ -87,7 +87,7 @@ def test_a_gust_between_two_looks_is_not_missed():
         (b"1" * 70_000, "longer"),
     ],
 )
-def test_a_garbled_wind_is_one_sentence_and_counts_as_silence(payload, part):
+def test_a_garbled_wind_message_is_reported_in_one_sentence_and_counts_as_silence(payload, part):
     readings, stow, told, _ = wind()
     assert stow.reason(0.0) is None
     for now_s in range(5, 305, 5):
@@ -107,7 +107,7 @@ def test_a_garbled_wind_is_one_sentence_and_counts_as_silence(payload, part):
         ("sensors.1.v", '{"sensors": [{"v": 1}, {"v": "21.5"}]}', 21.5),
     ],
 )
-def test_a_path_finds_its_value(path, payload, speed):
+def test_the_wind_input_reads_the_value_at_its_json_path(path, payload, speed):
     readings, _, _, _ = wind(json_path=path)
     readings.take(said(payload))
     assert readings.strongest_since_last_read() == speed
@@ -117,7 +117,7 @@ def test_a_path_finds_its_value(path, payload, speed):
     "payload",
     ['{"wind": {}}', '{"wind": 3}', "[]", "3", "{", '{"wind": {"speed": 30, "speed": 3}}', '{"a": 1, "a": 1}'],
 )
-def test_a_path_that_finds_nothing_is_one_sentence(payload):
+def test_a_wind_message_without_a_clear_value_at_the_json_path_is_reported_in_one_sentence(payload):
     readings, _, told, _ = wind(json_path="wind.speed")
     readings.take(said(payload))
     assert readings.strongest_since_last_read() is None
@@ -126,14 +126,14 @@ def test_a_path_that_finds_nothing_is_one_sentence(payload):
 
 
 @pytest.mark.parametrize(("unit", "told"), [("km/h", "54"), ("kn", "29.1576674"), ("kt", "29.1576674")])
-def test_units_are_converted(unit, told):
+def test_wind_speeds_in_km_h_or_knots_are_converted_to_m_s(unit, told):
     readings, _, _, _ = wind(unit=unit)
     readings.take(said(told))
     assert readings.strongest_since_last_read() == pytest.approx(15.0)
 
 
 @of_unknown_age
-def test_a_retained_calm_proves_nothing_and_a_retained_storm_stows(mark):
+def test_a_retained_or_overdue_calm_wind_message_is_ignored_but_a_stormy_one_stows(mark):
     readings, stow, _, _ = wind()
     readings.take(said("2", **{mark: True}))
     assert readings.strongest_since_last_read() is None
@@ -142,7 +142,7 @@ def test_a_retained_calm_proves_nothing_and_a_retained_storm_stows(mark):
 
 
 @of_unknown_age
-def test_only_a_fresh_word_shows_that_the_wind_sensor_lives(mark):
+def test_only_a_fresh_message_shows_that_the_wind_sensor_works(mark):
     readings, _, _, _ = wind()
     readings.take(said("30", **{mark: True}))
     assert readings.heard_s is None
@@ -151,14 +151,14 @@ def test_only_a_fresh_word_shows_that_the_wind_sensor_lives(mark):
 
 
 @pytest.mark.parametrize("speed", ["0", "0.5"])
-def test_still_air_and_a_breath_are_readings_of_their_own(speed):
+def test_wind_speeds_of_0_and_0_5_m_s_are_valid_readings(speed):
     readings, _, told, _ = wind()
     readings.take(said(speed))
     assert readings.strongest_since_last_read() == float(speed)
     assert not told.now
 
 
-def test_a_message_of_64_kib_is_the_longest():
+def test_a_wind_message_of_64_kib_is_accepted_and_a_longer_one_refused():
     readings, _, told, _ = wind()
     readings.take(said(b"3".rjust(65_536)))
     assert readings.strongest_since_last_read() == 3.0
@@ -175,7 +175,7 @@ def safe(heard_s=0.0, **settings):
     )
 
 
-def test_unsafe_stows_at_once_and_safe_releases_after_the_minimum_stay():
+def test_an_unsafe_message_stows_at_once_and_safe_ones_release_after_the_minimum_stay():
     source, _, woken = safe(stow_at_least_s=60.0)
     source.take(said("safe"))
     assert source.reason(0.0) is None
@@ -192,14 +192,14 @@ def test_unsafe_stows_at_once_and_safe_releases_after_the_minimum_stay():
     assert source.reason(566.0) is None
 
 
-def test_a_short_unsafe_between_two_looks_is_not_missed():
+def test_a_short_unsafe_message_between_two_checks_is_not_missed():
     source, _, _ = safe()
     for word in ("safe", "unsafe", "safe"):
         source.take(said(word))
     assert source.reason(0.0) is not None
 
 
-def test_a_safe_that_was_taken_back_between_two_looks_releases_nothing():
+def test_a_safe_message_that_unsafe_follows_before_the_next_check_releases_nothing():
     source, _, _ = safe(stow_at_least_s=60.0)
     for word in ("safe", "unsafe"):
         source.take(said(word))
@@ -209,7 +209,7 @@ def test_a_safe_that_was_taken_back_between_two_looks_releases_nothing():
     assert source.reason(100.0) is not None, "it has been safe for no minute yet"
 
 
-def test_the_minimum_stay_goes_on_between_two_words_and_ends_with_one():
+def test_the_minimum_stay_runs_on_between_safe_messages_and_ends_only_with_one():
     source, _, _ = safe(stow_at_least_s=60.0)
     assert not source.stowing
     source.take(said("unsafe"))
@@ -224,13 +224,13 @@ def test_the_minimum_stay_goes_on_between_two_words_and_ends_with_one():
     assert source.reason(66.0) is None
 
 
-def test_one_who_is_silent_after_a_restart_releases_nothing_however_late_the_first_look():
+def test_a_safe_input_that_is_silent_after_a_restart_releases_nothing_even_at_a_late_first_check():
     source, _, _ = safe(stow_at_least_s=60.0)
     source.resume("stowed before the restart", 0.0)
     assert source.reason(100.0) is not None
 
 
-def test_a_word_that_can_be_read_ends_the_trouble_and_has_an_age():
+def test_a_readable_safe_message_ends_the_reported_trouble_and_sets_the_age():
     source, told, _ = safe(heard_s=40.0)
     source.take(said("perhaps"))
     assert told.now
@@ -241,7 +241,7 @@ def test_a_word_that_can_be_read_ends_the_trouble_and_has_an_age():
 
 
 @pytest.mark.parametrize("noise", [None, b"", b"Safe", b"perhaps", b'{"x": 1}', b"null"])
-def test_silence_and_noise_are_unsafe_after_the_time_limit(noise):
+def test_silence_or_unreadable_messages_on_the_safe_input_stow_after_the_time_limit(noise):
     source, told, _ = safe(stale_s=100.0)
     source.take(said("safe"))
     assert source.reason(0.0) is None
@@ -254,7 +254,7 @@ def test_silence_and_noise_are_unsafe_after_the_time_limit(noise):
 
 
 @of_unknown_age
-def test_one_who_never_says_a_word_is_unsafe_after_the_time_limit_and_a_retained_safe_is_no_word(mark):
+def test_a_safe_input_with_only_retained_or_overdue_messages_stows_after_the_time_limit(mark):
     source, _, _ = safe(stale_s=100.0)
     assert source.reason(0.0) is None
     source.take(said("safe", **{mark: True}))
@@ -262,13 +262,13 @@ def test_one_who_never_says_a_word_is_unsafe_after_the_time_limit_and_a_retained
     assert source.reason(101.0) is not None
 
 
-def test_truth_values_and_numbers_are_words():
+def test_a_json_truth_value_can_be_the_word_for_unsafe():
     source, _, _ = safe(json_path="ok", safe="true", unsafe="false")
     source.take(said('{"ok": false}'))
     assert source.reason(0.0) == "lab/safe says false"
 
 
-def test_a_storm_on_the_broker_stows_the_tracker_and_a_bad_sensor_is_shown(broker, scaled):
+def test_a_storm_reported_over_mqtt_stows_the_tracker_and_an_unusable_wind_message_is_shown(broker, scaled):
     async def scenario():
         inputs = {"wind": {"topic": "weather/roof", "json_path": "wind.speed"}, "safe": {"topic": "dome/safe"}}
         async with observer(broker.port) as lab:
@@ -287,7 +287,7 @@ def test_a_storm_on_the_broker_stows_the_tracker_and_a_bad_sensor_is_shown(broke
     scaled(scenario)
 
 
-def test_a_word_that_stowed_before_a_restart_counts_from_its_first_safe():
+def test_a_stow_resumed_after_a_restart_lasts_its_minimum_stay_from_the_first_safe_message():
     source, _, _ = safe(stow_at_least_s=60.0)
     source.resume("stowed before the restart", 0.0)
     for now_s in range(0, 200, 5):

@@ -17,7 +17,7 @@ def broker_rig(port, **sections):
     return BrokerRig(asyncio.get_running_loop(), settings_for(port, **sections), SPEED)
 
 
-def test_state_scans_decisions_poses_and_events_come_out_marked_as_simulated(broker, scaled):
+def test_state_scans_decisions_poses_and_modes_are_published_marked_as_simulated(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             rig = broker_rig(broker.port)
@@ -36,7 +36,7 @@ def test_state_scans_decisions_poses_and_events_come_out_marked_as_simulated(bro
     scaled(scenario)
 
 
-def test_one_who_comes_late_finds_availability_state_and_the_last_of_what_lasts(broker, scaled):
+def test_a_late_subscriber_finds_availability_state_pose_decision_and_mode_retained(broker, scaled):
     async def scenario():
         rig = broker_rig(broker.port)
         async with serving(rig):
@@ -53,7 +53,7 @@ def test_one_who_comes_late_finds_availability_state_and_the_last_of_what_lasts(
     scaled(scenario)
 
 
-def test_commands_are_answered_and_obey_the_guard_of_every_other_way(broker, scaled):
+def test_mqtt_commands_are_answered_and_obey_the_same_rules_as_commands_by_other_ways(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             rig = broker_rig(broker.port)
@@ -113,7 +113,7 @@ def test_commands_are_answered_and_obey_the_guard_of_every_other_way(broker, sca
     scaled(scenario)
 
 
-def test_a_retained_command_is_ignored_and_says_so(broker, scaled):
+def test_a_retained_command_is_ignored_and_the_reply_says_so(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             await lab.say(f"{BASE}/command/stow", {"why": "long ago"}, retain=True)
@@ -127,7 +127,7 @@ def test_a_retained_command_is_ignored_and_says_so(broker, scaled):
     scaled(scenario)
 
 
-def test_with_commands_switched_off_nobody_moves_the_tracker(broker, scaled):
+def test_with_mqtt_commands_switched_off_a_command_neither_stows_the_tracker_nor_gets_a_reply(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             rig = broker_rig(broker.port, mqtt={"commands": False})
@@ -141,7 +141,7 @@ def test_with_commands_switched_off_nobody_moves_the_tracker(broker, scaled):
     scaled(scenario)
 
 
-def test_a_killed_broker_costs_no_control_and_the_truth_is_back_with_it(broker, scaled):
+def test_tracking_goes_on_after_the_broker_is_killed_and_status_and_state_are_right_on_its_return(broker, scaled):
     async def scenario():
         rig = broker_rig(broker.port, mqtt={"queue_messages": 10})
         async with serving(rig):
@@ -164,7 +164,7 @@ def test_a_killed_broker_costs_no_control_and_the_truth_is_back_with_it(broker, 
     scaled(scenario)
 
 
-def test_what_lasts_is_true_after_an_outage_that_filled_the_queue_and_cost_the_broker_its_memory(broker, scaled):
+def test_retained_messages_are_right_after_an_outage_that_filled_the_queue_and_emptied_the_broker(broker, scaled):
     async def scenario():
         rig = broker_rig(broker.port, mqtt={"queue_messages": 10})
         async with serving(rig):
@@ -182,7 +182,7 @@ def test_what_lasts_is_true_after_an_outage_that_filled_the_queue_and_cost_the_b
     scaled(scenario)
 
 
-def test_an_offline_that_is_not_true_is_corrected(broker, scaled):
+def test_a_false_offline_status_on_the_broker_is_corrected(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             rig = broker_rig(broker.port)
@@ -195,7 +195,7 @@ def test_an_offline_that_is_not_true_is_corrected(broker, scaled):
     scaled(scenario)
 
 
-def test_a_hung_broker_is_noticed_and_let_go(broker, scaled):
+def test_a_hung_broker_is_noticed_and_the_service_goes_on_and_reconnects(broker, scaled):
     async def scenario():
         rig = broker_rig(broker.port)
         async with serving(rig):
@@ -253,7 +253,9 @@ def test_the_service_stops_in_time_although_the_broker_hangs(broker, scaled):
 
 @needs_mosquitto
 @pytest.mark.parametrize("file", ["svc:wrong", None])
-def test_a_wrong_password_is_one_sentence_and_the_service_tracks_on(make_broker, scaled, tmp_path, file):
+def test_a_wrong_or_missing_password_is_reported_in_one_sentence_and_the_service_goes_on_tracking(
+    make_broker, scaled, tmp_path, file
+):
     broker = make_broker(users={"svc": "secret"}).start()
     credentials = None
     if file is not None:
@@ -275,7 +277,7 @@ def test_a_wrong_password_is_one_sentence_and_the_service_tracks_on(make_broker,
     scaled(scenario)
 
 
-def test_a_password_that_others_can_read_keeps_the_link_down_and_the_service_tracks_on(broker, scaled, tmp_path):
+def test_a_password_file_that_others_can_read_keeps_the_link_down_while_the_service_tracks(broker, scaled, tmp_path):
     credentials = tmp_path / "credentials"
     credentials.write_text("svc:secret")
     credentials.chmod(0o644)
@@ -290,7 +292,7 @@ def test_a_password_that_others_can_read_keeps_the_link_down_and_the_service_tra
 
 
 @needs_mosquitto
-def test_a_topic_that_the_access_list_forbids_is_one_sentence(make_broker, scaled, tmp_path):
+def test_a_topic_that_the_access_list_forbids_is_reported_in_one_sentence(make_broker, scaled, tmp_path):
     broker = make_broker(users={"svc": "secret"}, acl="user svc\ntopic read lab/#\n").start()
     credentials = tmp_path / "credentials"
     credentials.write_text("svc:secret")
@@ -314,7 +316,7 @@ def test_a_topic_that_the_access_list_forbids_is_one_sentence(make_broker, scale
 
 
 @needs_mosquitto
-def test_tls_with_the_right_authority_and_certificate_connects_and_a_wrong_one_is_one_sentence(make_broker, scaled):
+def test_tls_connects_with_the_right_authority_and_certificate_and_reports_wrong_ones(make_broker, scaled):
     broker = make_broker(tls=True).start()
     own = {"certificate_file": CERTIFICATES / "client.pem", "certificate_key_file": CERTIFICATES / "client.key"}
 
@@ -338,7 +340,7 @@ def test_tls_with_the_right_authority_and_certificate_connects_and_a_wrong_one_i
 
 
 @needs_mosquitto
-def test_two_services_with_one_client_id_do_not_throw_each_other_out_without_end(broker, scaled, log_lines):
+def test_two_services_with_the_same_client_id_do_not_endlessly_disconnect_each_other(broker, scaled, log_lines):
     async def scenario():
         first, second = (broker_rig(broker.port, mqtt={"client_id": "same", "name": name}) for name in ("one", "two"))
         async with observer(broker.port) as lab:

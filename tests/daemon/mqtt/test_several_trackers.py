@@ -46,7 +46,7 @@ def test_each_tracker_has_its_own_topics_commands_and_device(broker, scaled):
     scaled(scenario)
 
 
-def test_lines_of_the_log_about_a_link_say_whose_it_is(broker, scaled, caplog):
+def test_log_lines_about_an_mqtt_link_name_its_tracker(broker, scaled, caplog):
     caplog.set_level(logging.INFO, "heliocube")
     wind, lines = {"wind": {"topic": "lab/wind"}}, []
     handler = logging.Handler()
@@ -69,7 +69,7 @@ def test_lines_of_the_log_about_a_link_say_whose_it_is(broker, scaled, caplog):
         assert {line.rpartition(" ")[2] for line in lines if text in line} == {"tracker=east", "tracker=west"}
 
 
-def test_one_message_stops_every_tracker_and_each_stays_until_its_own_auto(broker, scaled):
+def test_one_stop_message_stops_every_tracker_and_each_stays_stopped_until_its_own_auto(broker, scaled):
     settings = settings_for(broker.port, tracker=[{"name": name} for name in ("east", "west", "north")])
 
     async def scenario():
@@ -93,7 +93,7 @@ def test_one_message_stops_every_tracker_and_each_stays_until_its_own_auto(broke
     scaled(scenario)
 
 
-def test_a_stop_for_one_that_names_another_stops_both_since_nobody_can_tell_which_was_meant(broker, scaled):
+def test_a_stop_on_the_topic_of_one_tracker_that_names_another_tracker_stops_both(broker, scaled):
     settings = settings_for(broker.port, tracker=[{"name": "east"}, {"name": "west"}])
 
     async def scenario():

@@ -9,7 +9,7 @@ def rig_of(broker, **mqtt):
     return BrokerRig(asyncio.get_running_loop(), settings_for(broker.port, mqtt=mqtt), SPEED)
 
 
-def test_two_names_that_differ_in_a_dash_and_a_slash_are_two_clients(broker, scaled):
+def test_services_whose_prefix_and_name_differ_in_a_dash_and_a_slash_are_two_clients(broker, scaled):
     async def scenario():
         first, second = rig_of(broker, prefix="lab/roof", name="a"), rig_of(broker, prefix="lab", name="roof-a")
         async with serving(first, second):

@@ -28,7 +28,7 @@ def test_quiet_hours_may_go_over_midnight(begin, end, quiet, loud):
 
 
 @pytest.mark.slow
-def test_in_quiet_hours_only_critical_ones_are_told_the_others_together_afterwards(lab, told):
+def test_in_quiet_hours_only_critical_alarms_are_sent_and_the_others_together_afterwards(lab, told):
     async def scenario(step):
         lab.alarms = [lab.alarm("clock")]
         await step()
@@ -47,7 +47,7 @@ def test_in_quiet_hours_only_critical_ones_are_told_the_others_together_afterwar
 
 
 @pytest.mark.slow
-def test_what_comes_and_goes_is_gathered_into_one_message(lab, told):
+def test_alarms_that_come_and_go_beyond_the_hourly_limit_are_gathered_into_one_message(lab, told):
     async def scenario(step):
         for number in range(12):
             lab.alarms = [lab.alarm("clock", raised=f"2026-06-21T12:00:{number:02}.000Z")] if number % 2 == 0 else []
@@ -60,7 +60,7 @@ def test_what_comes_and_goes_is_gathered_into_one_message(lab, told):
 
 
 @pytest.mark.slow
-def test_a_critical_one_does_not_wait_for_what_others_have_used_up(lab, told):
+def test_critical_alarms_have_an_hourly_limit_of_their_own_beside_that_of_the_other_alarms(lab, told):
     async def scenario(step):
         for number in range(4):
             lab.alarms = [lab.alarm("clock", raised=f"2026-06-21T12:00:{number:02}.000Z")] if number % 2 == 0 else []
@@ -100,7 +100,7 @@ def test_the_next_message_says_how_many_changes_were_lost_while_too_many_waited(
 @pytest.mark.slow
 @pytest.mark.parametrize("place", ["Europe/Paris"], indirect=True)
 @pytest.mark.usefixtures("place")
-def test_in_the_morning_an_alarm_that_came_and_went_says_when_by_the_clock_on_the_wall(lab, told):
+def test_after_quiet_hours_an_alarm_that_came_and_went_is_sent_with_its_local_time(lab, told):
     async def scenario(step):
         lab.alarms = [lab.alarm("clock")]
         await step()
@@ -118,7 +118,7 @@ def test_in_the_morning_an_alarm_that_came_and_went_says_when_by_the_clock_on_th
 
 
 @pytest.mark.slow
-def test_of_many_changes_the_first_say_everything_and_the_others_name_and_time_within_900_letters(lab, told):
+def test_of_many_changes_the_first_come_in_full_and_the_others_as_name_and_time_in_900_characters(lab, told):
     async def scenario(step):
         lab.alarms = [lab.alarm("clock") | {"tracker": f"row-{number}"} for number in range(6)]
         await step()

@@ -129,7 +129,7 @@ class Way:
         return True
 
 
-def test_it_looks_every_so_many_seconds_until_it_is_ended():
+def test_the_courier_polls_at_its_interval_until_it_is_cancelled():
     looked_s = []
 
     async def scenario():
@@ -185,7 +185,7 @@ def told(lab, tmp_path):
     return run
 
 
-def test_an_alarm_is_told_once_with_effect_remedy_and_link_and_its_end_too(lab, told):
+def test_an_alarm_is_sent_once_with_effect_remedy_and_link_and_its_end_is_sent_too(lab, told):
     async def scenario(step):
         await step()
         assert lab.told == []
@@ -215,7 +215,7 @@ def test_an_alarm_is_told_once_with_effect_remedy_and_link_and_its_end_too(lab, 
     told(scenario, dashboard="https://tracker.lab/")
 
 
-def test_a_latched_one_is_over_once_and_says_that_somebody_has_to_look(lab, told):
+def test_the_end_of_a_latched_alarm_is_sent_once_and_names_the_command_that_acknowledges_it(lab, told):
     async def scenario(step):
         lab.alarms = [lab.alarm("move-failed")]
         await step()
@@ -230,7 +230,7 @@ def test_a_latched_one_is_over_once_and_says_that_somebody_has_to_look(lab, told
     told(scenario)
 
 
-def test_maintenance_is_no_end_of_an_alarm_and_what_lasts_through_it_is_not_told_anew(lab, told):
+def test_maintenance_does_not_end_an_alarm_and_an_alarm_that_outlasts_it_is_not_sent_again(lab, told):
     async def scenario(step):
         cube = lab.alarm("cube-face") | {"tracker": None}
         lab.alarms = [lab.alarm(), lab.alarm("move-failed"), lab.alarm("reference"), cube]
@@ -254,7 +254,7 @@ def test_maintenance_is_no_end_of_an_alarm_and_what_lasts_through_it_is_not_told
     told(scenario)
 
 
-def test_what_somebody_has_seen_already_and_what_is_not_severe_enough_is_not_told(lab, told):
+def test_acknowledged_alarms_and_alarms_that_are_not_severe_enough_are_not_sent(lab, told):
     async def scenario(step):
         lab.alarms = [lab.alarm(state="acknowledged", by="ana"), lab.alarm("day-budget")]
         await step()
@@ -263,7 +263,7 @@ def test_what_somebody_has_seen_already_and_what_is_not_severe_enough_is_not_tol
     told(scenario)
 
 
-def test_what_is_not_taken_is_tried_again_and_nothing_is_told_twice(lab, told):
+def test_a_notice_that_was_not_delivered_is_sent_again_later_and_never_twice(lab, told):
     async def scenario(step):
         lab.alarms, lab.taking = [lab.alarm()], False
         await step()
@@ -277,7 +277,7 @@ def test_what_is_not_taken_is_tried_again_and_nothing_is_told_twice(lab, told):
     told(scenario)
 
 
-def test_what_is_too_long_for_a_way_is_told_in_parts_critical_ones_first(lab, told):
+def test_notices_too_long_for_a_recipient_are_sent_in_parts_with_critical_alarms_first(lab, told):
     async def scenario(step):
         rows = [lab.alarm("clock") | {"tracker": f"row-{number}"} for number in range(10)]
         lab.alarms, lab.longest = rows, 600
@@ -293,7 +293,9 @@ def test_what_is_too_long_for_a_way_is_told_in_parts_critical_ones_first(lab, to
     told(scenario)
 
 
-def test_a_way_that_fails_as_nobody_expected_is_logged_and_costs_no_other(lab, told, monkeypatch, caplog):
+def test_an_unexpected_failure_of_a_recipients_plugin_is_logged_and_the_notice_is_sent_again(
+    lab, told, monkeypatch, caplog
+):
     send = NotifyJSON.send
 
     def fails_at_first(way, *arguments, **named):
@@ -313,7 +315,7 @@ def test_a_way_that_fails_as_nobody_expected_is_logged_and_costs_no_other(lab, t
     told(scenario)
 
 
-def test_a_way_whose_own_code_raises_is_told_as_down_once_and_as_back(lab, caplog):
+def test_a_recipient_whose_own_code_raises_is_logged_once_as_down_and_then_as_back(lab, caplog):
     caplog.set_level("INFO")
 
     class Raising(Way):
@@ -338,7 +340,7 @@ def test_a_way_whose_own_code_raises_is_told_as_down_once_and_as_back(lab, caplo
     asyncio.run(scenario())
 
 
-def test_a_way_that_takes_its_time_keeps_neither_the_next_round_nor_the_others_waiting(lab):
+def test_a_slow_recipient_delays_neither_the_next_round_nor_the_other_recipients(lab):
     async def scenario():
         slow, quick = Way("slow"), Way("quick")
         slow.free.clear()
@@ -356,7 +358,7 @@ def test_a_way_that_takes_its_time_keeps_neither_the_next_round_nor_the_others_w
     asyncio.run(scenario())
 
 
-def test_the_heart_beats_while_it_works(lab, told):
+def test_the_heartbeat_is_sent_at_its_interval_while_the_courier_works(lab, told):
     async def scenario(step):
         for _ in range(7):
             await step()
@@ -365,7 +367,7 @@ def test_the_heart_beats_while_it_works(lab, told):
     told(scenario, heartbeat=f"http://{lab.address}/beat", heartbeat_every_s=30.0)
 
 
-def test_a_heartbeat_that_cannot_even_be_tried_is_told_once_until_it_works(lab, told, monkeypatch, caplog):
+def test_a_heartbeat_that_cannot_even_be_tried_is_logged_once_until_it_works(lab, told, monkeypatch, caplog):
     monkeypatch.setenv("HTTP_PROXY", "foo://proxy:1")
 
     async def scenario(step):

@@ -11,7 +11,7 @@ from daemon.notify.courier import Courier, beat
 from tests.support.endless import TAKEN, sent_to
 
 
-def test_of_a_state_without_end_no_more_is_read_than_a_state_may_have():
+def test_of_an_endless_state_answer_no_more_is_read_than_the_longest_state():
     async def ask(address):
         async with httpx.AsyncClient(trust_env=False) as client:
             courier = Courier(NotifySettings(), [parse_address(address)], [], SystemClock(), client)
@@ -20,7 +20,7 @@ def test_of_a_state_without_end_no_more_is_read_than_a_state_may_have():
     assert asyncio.run(sent_to(ask))[1] < TAKEN
 
 
-def test_of_the_answer_to_a_heartbeat_nothing_is_read():
+def test_an_endless_answer_to_a_heartbeat_is_not_read():
     async def ask(address):
         return await beat(f"http://{address}/beat")
 

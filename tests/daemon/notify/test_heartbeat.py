@@ -44,12 +44,14 @@ def told_of_server(certificate):
         ("ca.pem", None, "it does not speak TLS there: is https right?"),
     ],
 )
-def test_a_certificate_that_is_not_accepted_is_told_as_such(monkeypatch, trusted, certificate, trouble):
+def test_each_failure_of_the_heartbeat_over_https_is_reported_with_its_own_cause(
+    monkeypatch, trusted, certificate, trouble
+):
     monkeypatch.setenv("SSL_CERT_FILE", str(CERTIFICATES / trusted))
     assert told_of_server(certificate) == trouble
 
 
-def test_a_name_that_is_not_known_and_a_port_where_nothing_listens_are_told_apart():
+def test_the_heartbeat_reports_an_unknown_host_name_and_a_port_where_nothing_listens_differently():
     assert asyncio.run(beat("http://nowhere.invalid/ping")) == "its name cannot be resolved"
     assert asyncio.run(beat(f"http://127.0.0.1:{free_port()}/ping")) == "nothing listens there"
     # Where localhost has two addresses, both are tried.

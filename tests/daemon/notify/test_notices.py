@@ -6,7 +6,7 @@ from daemon.notify.notices import ServiceWatch
 
 
 @pytest.mark.parametrize("rest", [{}, {"alarms": [{"name": "x"}]}, {"alarms": [{"name": "x", "tracker": None}]}])
-def test_an_answer_that_cannot_be_used_names_nobody(rest):
+def test_the_notice_of_a_failing_service_ignores_the_site_name_in_an_unusable_answer(rest):
     watch = ServiceWatch("127.0.0.1:20572", 120.0, "warning", None, 0.0)
     with pytest.raises(KeyError):
         watch.answered({"site": {"name": "a stranger"}, "simulated": False, "trackers": {}, **rest}, 10.0)
@@ -25,13 +25,13 @@ def test_the_remedy_for_a_silent_service_names_the_unit_of_its_role(role, unit):
     assert f"'systemctl status {unit}" in notice.body
 
 
-def test_the_remedy_names_both_units_where_the_role_is_not_known():
+def test_the_remedy_for_a_silent_service_of_unknown_role_names_both_units():
     watch = ServiceWatch("127.0.0.1:20572", 30.0, "warning", None, 0.0)
     (notice,) = watch.failed("nothing listens there", 60.0)
     assert "'systemctl status heliocube-tracker heliocube-cube'" in notice.body
 
 
-def test_a_latched_alarm_that_came_and_went_between_two_looks_is_told_and_so_is_its_next_time():
+def test_a_latched_alarm_that_came_and_went_between_two_polls_is_reported_each_time():
     def look(*alarms, mode="tracking"):
         now.append(now[-1] + 10.0)
         state = {"site": {"name": "roof"}, "simulated": False, "trackers": {"tracker": {"mode": {"name": mode}}}}
@@ -64,7 +64,7 @@ def test_a_latched_alarm_that_came_and_went_between_two_looks_is_told_and_so_is_
     assert look() == []
 
 
-def test_of_one_of_several_trackers_it_names_the_command_with_the_tracker():
+def test_with_several_trackers_the_notice_names_the_acknowledge_command_with_the_tracker():
     alarm = {"name": "move-failed", "tracker": "east", "text": "A stalled", "severity": "critical", "latched": True}
     alarm |= {"state": "raised", "raised_at": "2026-06-21T12:00:01Z", "acknowledged_at": None, "effect": "it stands"}
     state = {
@@ -79,7 +79,7 @@ def test_of_one_of_several_trackers_it_names_the_command_with_the_tracker():
     assert "'heliocube alarms ack move-failed --tracker east'" in notice.body
 
 
-def test_the_end_of_an_alarm_has_its_time_zone_as_it_is_written():
+def test_the_notice_of_an_ended_alarm_gives_its_time_with_the_time_zone():
     alarm = {"name": "clock", "tracker": None, "text": "the clock was set", "severity": "warning", "latched": False}
     alarm |= {"state": "raised", "raised_at": "2026-06-21T12:00:01Z", "acknowledged_at": None}
     state = {"site": {"name": "roof"}, "simulated": False, "trackers": {}}

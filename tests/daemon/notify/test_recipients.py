@@ -30,7 +30,7 @@ pytestmark = pytest.mark.slow
         ("json://a/\n", 0o644, "is open to others than its owner and its group's readers: run chmod 640"),
     ],
 )
-def test_a_file_that_names_nobody_is_refused_without_what_is_secret(tmp_path, content, mode, sentence):
+def test_an_unusable_people_file_is_refused_without_showing_its_secrets(tmp_path, content, mode, sentence):
     people = tmp_path / "people"
     if content is not None:
         people.write_text(content)
@@ -41,7 +41,7 @@ def test_a_file_that_names_nobody_is_refused_without_what_is_secret(tmp_path, co
     assert "secret" not in str(refused.value)
 
 
-def test_a_try_says_of_each_way_and_of_the_heartbeat_what_came_of_it(lab, tmp_path):
+def test_the_notification_test_reports_the_outcome_for_each_recipient_and_the_heartbeat(lab, tmp_path):
     people = tmp_path / "people"
     people.write_text(f"ntfy://{lab.address}/roof\njson://user:secret@127.0.0.1:1/\n")
     people.chmod(0o640)
@@ -54,7 +54,7 @@ def test_a_try_says_of_each_way_and_of_the_heartbeat_what_came_of_it(lab, tmp_pa
 
 
 @pytest.mark.parametrize("kind", ["ntfy", "json"])
-def test_a_server_that_has_moved_has_taken_nothing_whatever_page_stands_where_it_leads(lab, tmp_path, kind):
+def test_a_server_that_redirects_has_not_taken_the_notice_even_if_the_redirect_target_answers(lab, tmp_path, kind):
     lab.moved_to = "/sign-in"
     people = tmp_path / "people"
     people.write_text(f"{kind}://{lab.address}/roof\n")
@@ -63,7 +63,7 @@ def test_a_server_that_has_moved_has_taken_nothing_whatever_page_stands_where_it
     assert asyncio.run(recipient.tell(Notice("a title", "a body", "warning"))) is False
 
 
-def test_a_try_that_does_not_reach_everybody_ends_with_4(lab, tmp_path):
+def test_the_notification_test_ends_with_4_unless_it_reaches_every_recipient(lab, tmp_path):
     config, people = tmp_path / "notify.toml", tmp_path / "people"
     config.write_text("[notify]\npeople_file = 'people'\n")
     people.touch(0o600)
@@ -109,7 +109,7 @@ def named(folder, *addresses):
     return recipients_of(people)
 
 
-def test_ways_that_hang_keep_neither_others_nor_the_end_of_the_process_waiting(hung, lab, tmp_path):
+def test_recipients_that_hang_delay_neither_other_recipients_nor_the_end_of_the_event_loop(hung, lab, tmp_path):
     *stuck, good = named(tmp_path, *(f"hang://{n}" for n in range(10)), f"json://{lab.address}/json")
 
     async def scenario():
@@ -123,7 +123,9 @@ def test_ways_that_hang_keep_neither_others_nor_the_end_of_the_process_waiting(h
     assert (hung.calls, hung.taken) == (10, 0)
 
 
-def test_a_way_that_hangs_is_told_and_gets_no_more_before_it_has_returned(hung, tmp_path, monkeypatch, caplog):
+def test_a_recipient_that_hangs_is_logged_and_gets_no_other_notice_before_it_has_returned(
+    hung, tmp_path, monkeypatch, caplog
+):
     monkeypatch.setattr(recipients, "_TAKEN_WITHIN_S", 0.05)
     (stuck,) = named(tmp_path, "hang://roof")
     notice = Notice("a title", "a text", "warning")

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.slow
 ROOF = '{"site": {"name": "roof"}, "simulated": true, "trackers": {}'
 
 
-def test_a_service_that_is_silent_is_told_once_and_its_return_too(lab, told):
+def test_a_silent_service_is_reported_once_and_its_return_is_reported_too(lab, told):
     async def scenario(step):
         await step()
         lab.up = False
@@ -55,7 +55,7 @@ def test_a_service_that_is_silent_is_told_once_and_its_return_too(lab, told):
     ],
     ids=range(8),
 )
-def test_what_answers_in_the_place_of_the_service_is_told_like_silence(lab, told, page):
+def test_another_program_that_answers_in_place_of_the_service_is_reported_like_silence(lab, told, page):
     async def scenario(step):
         lab.instead = page.encode()
         for _ in range(15):
@@ -68,7 +68,7 @@ def test_what_answers_in_the_place_of_the_service_is_told_like_silence(lab, told
     told(scenario)
 
 
-def test_an_answer_without_an_end_is_told_like_silence():
+def test_an_endless_answer_of_a_service_is_reported_like_silence():
     class Endless(httpx.AsyncByteStream):
         async def __aiter__(self):
             while True:
@@ -90,7 +90,7 @@ def test_an_answer_without_an_end_is_told_like_silence():
         runner.run(scenario())
 
 
-def test_services_are_not_asked_so_seldom_that_the_service_manager_takes_the_pause_for_an_end():
+def test_the_longest_poll_interval_stays_below_half_the_watchdog_time_of_the_systemd_unit():
     unit = (Path(__file__).parents[3] / "deploy" / "heliocube-notify.service").read_text()
     watchdog_s = float(re.search(r"^WatchdogSec=(\d+)$", unit, re.MULTILINE)[1])
     assert NotifySettings(poll_every_s=120.0).poll_every_s < watchdog_s / 2
@@ -98,7 +98,7 @@ def test_services_are_not_asked_so_seldom_that_the_service_manager_takes_the_pau
         NotifySettings(poll_every_s=watchdog_s)
 
 
-def test_what_ended_while_nobody_was_there_to_tell_it_is_told_as_over_after_the_start(lab, told):
+def test_an_alarm_that_ended_while_the_courier_was_not_running_is_sent_as_over_after_the_start(lab, told):
     async def before(step):
         lab.alarms = [lab.alarm(), lab.alarm("clock"), lab.alarm("move-failed")]
         await step()
@@ -120,7 +120,7 @@ def test_what_ended_while_nobody_was_there_to_tell_it_is_told_as_over_after_the_
     ]
 
 
-def test_a_service_that_was_silent_before_a_restart_and_answers_now_is_told_as_back(lab, told):
+def test_a_service_silent_before_a_restart_of_the_courier_is_reported_as_back_when_it_answers(lab, told):
     async def before(step):
         lab.up = False
         for _ in range(15):
@@ -136,7 +136,7 @@ def test_a_service_that_was_silent_before_a_restart_and_answers_now_is_told_as_b
     assert lab.titles[1:] == ["heliocube roof SIMULATED: answers again"]
 
 
-def test_what_is_no_list_of_what_was_told_is_logged_and_costs_no_alarm(lab, told, tmp_path, caplog):
+def test_an_unreadable_record_of_sent_notices_is_logged_and_alarms_are_still_sent(lab, told, tmp_path, caplog):
     (tmp_path / "told.json").write_text("{")
 
     async def scenario(step):

@@ -4,7 +4,7 @@ from daemon.base.state import StateFolder
 from daemon.notify.told import FILE_NAME, ToldFile, ToldService
 
 
-def test_what_has_not_changed_is_not_written_again(tmp_path):
+def test_the_record_of_sent_notices_is_written_only_when_it_has_changed(tmp_path):
     file, kept = ToldFile(StateFolder(tmp_path)), tmp_path / FILE_NAME
     services = {"127.0.0.1:20572": ToldService()}
     file.save(services)

@@ -53,7 +53,7 @@ async def most_of_an_hour(rig):
     )
 
 
-def test_under_an_even_sky_what_would_lie_flat_gains_over_what_follows_the_sun_and_moves_nothing(run_rig):
+def test_under_an_overcast_sky_a_flat_shadow_law_gains_over_chronometric_and_moves_nothing(run_rig):
     async def scenario(rig):
         await most_of_an_hour(rig)
         own, shadow = state_json(rig.see(Recent()))["received"], seen(rig)
@@ -71,7 +71,7 @@ def test_under_an_even_sky_what_would_lie_flat_gains_over_what_follows_the_sun_a
     assert rig.truth().b_deg < 60.0
 
 
-def test_two_laws_that_say_the_same_gain_nothing_over_each_other(run_rig):
+def test_a_shadow_law_that_agrees_with_the_active_law_shows_no_gain(run_rig):
     async def scenario(rig):
         await most_of_an_hour(rig)
         shadow = seen(rig)
@@ -81,7 +81,7 @@ def test_two_laws_that_say_the_same_gain_nothing_over_each_other(run_rig):
     run_rig(scenario, law={"driver": "chronometric", "shadow": "sun-vector"})
 
 
-def test_its_moves_are_to_last_until_sunset_too(run_rig):
+def test_the_moves_per_day_of_the_shadow_law_are_also_spread_until_sunset(run_rig):
     async def scenario(rig):
         await most_of_an_hour(rig)
         # At ten o'clock half of the six moves are due, and the fourth at 10:55.
@@ -91,7 +91,7 @@ def test_its_moves_are_to_last_until_sunset_too(run_rig):
     run_rig(scenario, law=law, motion=motion, **SELDOM)
 
 
-def test_where_a_person_holds_the_tracker_the_one_in_the_shadow_stands_beside_it(run_rig):
+def test_while_a_person_holds_the_tracker_the_shadow_law_does_not_move_and_gains_nothing(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 120)
         await asyncio.sleep(60)
@@ -105,7 +105,7 @@ def test_where_a_person_holds_the_tracker_the_one_in_the_shadow_stands_beside_it
     run_rig(scenario, law={"driver": "chronometric", "shadow": "flat"}, weather=OVERCAST)
 
 
-def test_a_night_tells_what_the_day_was_worth(run_rig):
+def test_a_night_event_reports_what_the_shadow_law_would_have_received_that_day(run_rig):
     async def scenario(rig):
         await until_known(rig, 900)
         await rig.until(lambda: told(rig), 12 * 3600, "solar midnight", every_s=60.0)
@@ -118,7 +118,7 @@ def test_a_night_tells_what_the_day_was_worth(run_rig):
     assert text.endswith(" h of readings")
 
 
-def test_moves_without_the_cube_past_midnight_are_those_of_the_new_day_and_of_both_laws(run_rig):
+def test_moves_without_the_cube_after_midnight_count_for_the_new_day_and_for_both_laws(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 120)
         await asyncio.sleep(2400)
@@ -147,7 +147,7 @@ def test_moves_without_the_cube_past_midnight_are_those_of_the_new_day_and_of_bo
     run_rig(scenario, law=law, weather=Flickering(), start="2022-10-12T15:00", **SELDOM)
 
 
-def test_a_law_in_the_shadow_that_raises_is_left_out_and_the_tracker_goes_on(run_rig, monkeypatch):
+def test_a_shadow_law_that_raises_is_reported_once_and_the_tracker_goes_on(run_rig, monkeypatch):
     def fails(*_):
         raise RuntimeError("no such sky")
 
@@ -167,7 +167,7 @@ def test_a_law_in_the_shadow_that_raises_is_left_out_and_the_tracker_goes_on(run
 
 
 @pytest.mark.parametrize("name", ["learned", "relearn", "to_dict"])
-def test_a_law_in_the_shadow_fails_alone_whatever_it_is_asked(run_rig, monkeypatch, name):
+def test_a_shadow_law_that_raises_while_learning_or_being_saved_does_not_stop_tracking(run_rig, monkeypatch, name):
     def fails(*_):
         raise RuntimeError("no such sky")
 
@@ -184,7 +184,7 @@ def test_a_law_in_the_shadow_fails_alone_whatever_it_is_asked(run_rig, monkeypat
     assert len(told(rig)) == 1
 
 
-def test_what_it_has_learned_and_moved_outlives_a_restart(run_rig, tmp_path):
+def test_what_the_shadow_law_has_learned_moved_and_received_is_saved_in_the_store_folder(run_rig, tmp_path):
     law = {"driver": "chronometric", "shadow": "optimal", "albedo": 0.35}
 
     async def scenario(rig):
@@ -197,7 +197,7 @@ def test_what_it_has_learned_and_moved_outlives_a_restart(run_rig, tmp_path):
     assert 0 < json.loads((tmp_path / "shadow-optimal-received.json").read_text())["known_s"] < math.inf
 
 
-def test_a_start_with_a_clock_of_years_ago_forgets_nothing_of_the_day_it_is_set_to(run_rig, tmp_path):
+def test_a_start_with_a_clock_years_behind_forgets_nothing_of_the_day_it_is_later_set_to(run_rig, tmp_path):
     files = ("received.json", "shadow-chronometric-received.json", "shadow-chronometric-day.json")
 
     def kept():
@@ -225,7 +225,7 @@ def test_a_start_with_a_clock_of_years_ago_forgets_nothing_of_the_day_it_is_set_
 
 
 @pytest.mark.parametrize("name", ["mu-prime", "nought"])
-def test_the_law_in_the_shadow_is_an_installed_one_and_another(tmp_path, name):
+def test_a_shadow_law_that_is_not_installed_or_is_the_active_law_is_refused(tmp_path, name):
     file = tmp_path / "heliocube.toml"
     file.write_text(f"[law]\nshadow = '{name}'\n")
     with pytest.raises(UserError) as refused:

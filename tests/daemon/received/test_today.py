@@ -50,7 +50,7 @@ def even(diffuse_w_m2):
     return (vertical, vertical, vertical, diffuse_w_m2)
 
 
-def test_under_an_even_sky_lying_flat_is_the_best_and_the_sun_s_direction_receives_less():
+def test_under_a_uniform_sky_lying_flat_receives_most_and_pointing_at_the_sun_less():
     found = feed(today(), even(200.0), 3600)
     to_sun = sun_direction(NOON_S + 1800, *SITE)
     a_deg, b_deg = angles_within(to_sun, Limits())
@@ -64,7 +64,7 @@ def test_under_an_even_sky_lying_flat_is_the_best_and_the_sun_s_direction_receiv
     assert found.gain > 0.15
 
 
-def test_where_the_pose_or_two_faces_are_not_known_nothing_counts():
+def test_scans_without_a_known_pose_or_with_two_faces_missing_are_not_counted():
     counted = today()
     assert feed(counted, even(200.0), 600, where=None).known_s == 0.0
     assert feed(counted, even(200.0), 600, begin_s=605, bad=(0, 1)).known_s == 0.0
@@ -72,13 +72,13 @@ def test_where_the_pose_or_two_faces_are_not_known_nothing_counts():
     assert feed(counted, even(200.0), 600, begin_s=1210).since_utc_s == pytest.approx(NOON_S + 1205, abs=6)
 
 
-def test_a_gap_stands_for_nothing():
+def test_a_gap_between_scans_is_not_counted():
     counted = today()
     feed(counted, even(200.0), 600)
     assert feed(counted, even(200.0), 600, begin_s=4000).known_s == 1200
 
 
-def test_a_cube_that_is_read_once_a_minute_counts_whether_a_scan_is_late_or_early():
+def test_scans_once_a_minute_are_counted_even_when_slightly_late_or_early():
     counted = today()
     for number, off_s in enumerate([0.0, 0.02, -0.01, 0.0, 0.01] * 6):
         at_s = 60.0 * number + off_s
@@ -86,7 +86,7 @@ def test_a_cube_that_is_read_once_a_minute_counts_whether_a_scan_is_late_or_earl
     assert counted.today.known_s == pytest.approx(29 * 60.0, abs=61.0)
 
 
-def test_it_outlives_a_restart_and_ends_with_the_solar_day(tmp_path):
+def test_the_energy_received_today_outlives_a_restart_and_starts_anew_with_the_solar_day(tmp_path):
     folder = StateFolder(tmp_path)
     before = feed(today(tmp_path), even(200.0), 3600)
     again = ReceivedToday(Site(*SITE), Limits(), lambda: 0.2, folder, NOON_S + 3700)
@@ -95,7 +95,7 @@ def test_it_outlives_a_restart_and_ends_with_the_solar_day(tmp_path):
     assert feed(again, even(200.0), 600, begin_s=float(DAY_S)).known_s == 600
 
 
-def test_many_trackers_book_the_day_that_has_ended_one_after_the_other(tmp_path):
+def test_each_of_many_trackers_saves_the_ended_day_at_its_own_time_and_not_at_the_scan(tmp_path):
     """If all trackers booked at one scan, 500 of them would hold up the loop for half a second."""
     wait_s = 60.0 * 5 / 10
 
@@ -124,14 +124,14 @@ def test_many_trackers_book_the_day_that_has_ended_one_after_the_other(tmp_path)
 
 # No calendar goes as far as the second time: it could be kept and never be shown.
 @pytest.mark.parametrize("more", ['"known_s": -3', '"known_s": 3, "since_utc_s": 1e18'])
-def test_a_file_that_cannot_be_read_is_said_and_counted_anew(tmp_path, caplog, more):
+def test_an_unusable_received_json_is_logged_and_counting_starts_from_zero(tmp_path, caplog, more):
     (tmp_path / "received.json").write_text(f'{{"day": 1, {more}}}')
     assert today(tmp_path).today.known_s == 0.0
     assert "counted from zero again" in caplog.text
 
 
 @pytest.mark.parametrize(("law", "least", "most"), [("chronometric", -0.01, 0.005), ("flat", -0.9, -0.1)])
-def test_the_state_has_it_by_the_rig_s_own_faces(run_rig, law, least, most):
+def test_the_state_shows_the_gain_over_chronometric_from_the_readings_of_the_faces(run_rig, law, least, most):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 120)
         await rig.until(lambda: rig.service.trackers[0].received.today.known_s >= 3000, 4000, "most of an hour")
@@ -144,7 +144,7 @@ def test_the_state_has_it_by_the_rig_s_own_faces(run_rig, law, least, most):
     run_rig(scenario, law={"name": law}, weather=HandWeather(dni=700, dhi=90), **fewer)
 
 
-def test_what_was_received_on_another_day_is_not_shown_as_today_s_while_no_scan_comes(run_rig, tmp_path):
+def test_energy_received_on_another_day_is_not_shown_as_of_today_before_the_first_scan(run_rig, tmp_path):
     yesterday = {"day": 19_000, "since_utc_s": 19_000.4 * DAY_S, "known_s": 3600.0, "actual_kwh_m2": 0.7}
     for name in ("received.json", "shadow-flat-received.json"):
         (tmp_path / name).write_text(json.dumps(yesterday))

@@ -46,7 +46,7 @@ def ask_by_network(_tmp_path, ports):
 
 
 @pytest.mark.parametrize("ask", [ask_on_the_line, ask_by_network])
-def test_a_weather_file_that_has_ended_under_a_bench_ends_it_in_a_sentence(tmp_path, caplog, ask):
+def test_a_bench_whose_weather_file_has_ended_ends_with_one_clear_sentence(tmp_path, caplog, ask):
     weather = weather_at(tmp_path, "10:00", "10:01", "10:02")
     settings = Settings.model_validate({"instruments": {"cube": {"driver": "modbus-pyranometers"}}})
     leave = []
@@ -94,7 +94,7 @@ def on_a_bench(tmp_path, work, driver="multiplexed", weather=None, at_utc_s=NOON
     return asyncio.run(act())
 
 
-def test_the_truth_in_a_gap_of_the_weather_lacks_the_light_alone(tmp_path):
+def test_the_bench_state_in_a_gap_of_the_weather_lacks_only_the_light(tmp_path):
     weather = weather_at(tmp_path, "10:00", "10:01", "13:00", "13:01")
     state = on_a_bench(
         tmp_path, lambda ask, _ports: ask("state"), weather=weather, at_utc_s=weather.start_utc_s + 3600.0
@@ -110,7 +110,9 @@ def test_the_truth_in_a_gap_of_the_weather_lacks_the_light_alone(tmp_path):
 @pytest.mark.parametrize(
     ("device", "driver", "port"), [("cube", "modbus-pyranometers", "modbus"), ("server", "multiplexed", "ni_server")]
 )
-def test_what_cannot_be_plugged_in_because_its_port_was_taken_is_told(tmp_path, caplog, device, driver, port):
+def test_a_bench_device_that_cannot_be_replugged_because_its_port_is_in_use_is_reported(
+    tmp_path, caplog, device, driver, port
+):
     def work(ask, ports):
         ask("unplug", device)
         with socket.create_server(("127.0.0.1", getattr(ports, port))):
@@ -128,7 +130,7 @@ def test_what_cannot_be_plugged_in_because_its_port_was_taken_is_told(tmp_path, 
 
 
 @pytest.mark.parametrize("device", ["voltmeter", "load", "positioner"])
-def test_a_name_that_an_instrument_cannot_send_is_refused(tmp_path, device):
+def test_an_identity_that_an_instrument_cannot_send_is_refused_by_the_bench(tmp_path, device):
     def work(ask, _ports):
         for name in ("KEITHLEY \u20ac", "KEITHLEY\n"):
             with pytest.raises(BenchError, match=r"^identity: "):
@@ -138,7 +140,7 @@ def test_a_name_that_an_instrument_cannot_send_is_refused(tmp_path, device):
     on_a_bench(tmp_path, work)
 
 
-def test_what_a_labjack_does_not_have_is_refused(tmp_path):
+def test_pyranometer_status_and_mode_are_refused_for_a_labjack_which_has_neither(tmp_path):
     def work(ask, _ports):
         for what in ("status", "mode"):
             with pytest.raises(BenchError, match=rf"^pyranometer: a T7 has no {what}"):
@@ -149,7 +151,7 @@ def test_what_a_labjack_does_not_have_is_refused(tmp_path):
     assert [each["silent"] for each in on_a_bench(tmp_path, work, "labjack")] == [True]
 
 
-def test_a_plug_whose_name_was_taken_by_a_file_stays_out_and_leaves_the_file(tmp_path, caplog):
+def test_a_bench_device_whose_port_name_a_file_has_taken_stays_unplugged_and_leaves_the_file(tmp_path, caplog):
     file = tmp_path / "voltmeter"
 
     def work(ask, _ports):

@@ -54,7 +54,7 @@ def test_only_daylight_in_long_gaps_is_missing(gaps):
     assert missing.size == 76
 
 
-def test_what_is_missing_is_counted_and_told(gaps):
+def test_missing_daylight_and_impossible_values_in_the_weather_are_counted_and_reported(gaps):
     weather = load_weather(gaps)
     impossible, gap, *_ = weather_notes(weather, SITE)
     assert "has 1 impossible value, taken as missing; first in line 308: dhi 13949" in impossible
@@ -95,7 +95,7 @@ def test_a_comparison_measures_nothing_while_the_weather_is_missing(gaps):
 
 
 @pytest.mark.parametrize("bridged", [True, False])
-def test_a_voltmeter_on_the_bench_overflows_while_the_weather_is_missing(gaps, bridged):
+def test_the_cube_voltage_on_the_bench_overflows_in_a_long_weather_gap_and_not_in_a_bridged_one(gaps, bridged):
     at_s = MIDNIGHT + (7.5 if bridged else 11.5) * 3600
     weather = load_weather(gaps)
     clock = LoopClock(lambda: 0.0, at_s)
@@ -105,7 +105,7 @@ def test_a_voltmeter_on_the_bench_overflows_while_the_weather_is_missing(gaps, b
         assert np.isfinite(switch.output_voltage(1.0)) == bridged, face
 
 
-def test_what_lies_outside_the_file_by_day_is_refused(gaps):
+def test_a_daytime_outside_the_weather_file_is_refused_and_one_in_its_gap_unless_gaps_are_allowed(gaps):
     for begin_h, end_h in ((1.0, 10.0), (12.5, 21.5)):
         build_weather(settings_under(gaps), MIDNIGHT + begin_h * 3600, MIDNIGHT + end_h * 3600, with_gaps=True)
     for end_s in (math.inf, 1e12):

@@ -54,7 +54,7 @@ class Bus:
         return "\n".join(self.said)
 
 
-def test_it_lists_who_answers():
+def test_the_probe_lists_the_sensors_that_answer_with_address_make_and_face():
     bus = Bus(
         SimulatedSmp(1, 101, bright),
         SimulatedHukseflux(3, 103, bright),
@@ -68,20 +68,20 @@ def test_it_lists_who_answers():
     assert len(bus.said) == 4
 
 
-def test_it_knows_the_make_that_is_configured():
+def test_the_probe_reads_a_sensor_of_the_configured_make():
     bus = Bus(SimulatedApogee(2, 0, bright), make="apogee")
     assert "address 2: Apogee SP-500: 321.00 W/m2; configured as the south face" in bus.run(
         lambda probe: probe.report(range(1, 4), clear=False)
     )
 
 
-def test_two_of_one_address_and_nobody_at_all():
+def test_two_sensors_of_one_address_and_an_empty_line_are_each_reported_with_a_likely_cause():
     bus = Bus(SimulatedSmp(1, 101, bright), SimulatedSmp(1, 102, bright))
     assert "garbage: are there two" in bus.run(lambda probe: probe.report(range(1, 3), clear=False))
     assert "A and B the right way round" in Bus().run(lambda probe: probe.report(range(1, 3), clear=False))
 
 
-def test_whom_a_gateway_does_not_reach_is_not_there():
+def test_addresses_that_a_gateway_does_not_reach_are_not_listed():
     bus = Bus(SimulatedSmp(1, 101, bright))
     bus.path = Gateway
     said = bus.run(lambda probe: probe.report(range(1, 6), clear=False))
@@ -165,7 +165,7 @@ def test_four_new_sensors_get_their_addresses_one_at_a_time():
 
 
 @pytest.mark.parametrize("answers", [{"first": "no"}, {"second": "9"}])
-def test_nothing_is_written_unless_it_was_said_twice(answers):
+def test_no_address_is_written_unless_it_was_confirmed_twice(answers):
     new = SimulatedHukseflux(9, 101, bright)
     bus = Bus(make="hukseflux")
     bus.run(lambda probe: probe.set_addresses(Person(bus, [[new], [], [], []], **answers), range(1, 11)))
@@ -187,7 +187,7 @@ def test_a_sensor_that_is_silent_when_its_address_is_written_is_named():
         bus.run(lambda probe: probe.set_addresses(person, range(1, 9)))
 
 
-def test_two_on_the_line_at_once_are_sent_back():
+def test_with_two_new_sensors_on_the_line_at_once_no_address_is_written():
     new = [SimulatedHukseflux(5, 101, bright), SimulatedHukseflux(6, 102, bright)]
     bus = Bus(make="hukseflux")
     said = bus.run(lambda probe: probe.set_addresses(Person(bus, [new, [], [], [], []]), range(1, 9)))
@@ -208,7 +208,7 @@ USED = {"register_number": 2, "number_type": "int16", "address_register": 9}
         [SimulatedHukseflux(5, 101, bright), SimulatedHukseflux(5, 102, bright)],
     ],
 )
-def test_two_of_one_address_on_the_line_at_once_are_sent_back(new):
+def test_with_two_sensors_of_one_address_on_the_line_at_once_no_new_address_is_offered(new):
     bus = Bus(make="map", map=USED)
     person = Person(bus, [new, [], [], [], []])
     said = bus.run(lambda probe: probe.set_addresses(person, range(1, 9)))
@@ -221,13 +221,13 @@ def test_two_of_one_address_on_the_line_at_once_are_sent_back(new):
     ("sensor", "make", "why"),
     [(SimulatedSmp(9, 101, bright), "smp", "Smart Explorer"), (SimulatedApogee(9, 0, bright), "apogee", "calibration")],
 )
-def test_where_no_register_is_for_that_nothing_is_written(sensor, make, why):
+def test_for_a_make_without_an_address_register_the_probe_says_why_it_sets_no_address(sensor, make, why):
     bus = Bus(make=make)
     said = bus.run(lambda probe: probe.set_addresses(Person(bus, [[sensor], [], [], []]), range(1, 11)))
     assert why in said
 
 
-def test_wrong_options_are_one_sentence():
+def test_a_wrong_address_range_or_another_cube_driver_is_refused_in_one_sentence():
     with pytest.raises(UserError, match="1 to 247"):
         unit_range("0-300")
     with pytest.raises(UserError, match='only the cube "modbus-pyranometers"'):

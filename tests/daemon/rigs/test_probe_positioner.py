@@ -28,7 +28,7 @@ async def probed(host, say, tap=no_tap, **sections):
 
 
 @pytest.mark.parametrize("for_good", [False, True])
-def test_a_target_that_is_not_taken_is_ordered_again_and_that_is_told(positioner_host, for_good):
+def test_a_target_that_the_positioner_does_not_take_is_ordered_again_and_that_is_reported(positioner_host, for_good):
     said = []
 
     def told(text):
@@ -57,7 +57,7 @@ def test_a_target_that_is_not_taken_is_ordered_again_and_that_is_told(positioner
         assert [len(told(f"  {axis} to ")) for axis in "AB"] == [2, 2]
 
 
-def test_limits_too_narrow_for_the_move_are_told_before_anything_moves(positioner_host):
+def test_limits_too_narrow_for_the_test_move_are_reported_before_anything_moves(positioner_host):
     said = []
 
     async def scene():
@@ -93,7 +93,9 @@ KEPT = [
 
 
 @pytest.mark.parametrize(("name", "content", "words"), KEPT)
-def test_what_the_service_would_not_move_for_is_not_moved(positioner_host, tmp_path, name, content, words):
+def test_the_probe_does_not_move_when_saved_state_would_keep_the_service_from_moving(
+    positioner_host, tmp_path, name, content, words
+):
     (tmp_path / name).write_text(json.dumps(content))
     kept = {file: file.read_bytes() for file in tmp_path.iterdir()}
     received = []
@@ -134,7 +136,7 @@ def test_an_axis_that_still_moves_when_its_time_is_over_is_stopped_and_not_sent_
 
 
 @pytest.mark.parametrize("when", ["before", "on the way"])
-def test_nothing_more_is_moved_once_a_button_is_pressed_at_the_unit(positioner_host, when):
+def test_the_probe_moves_nothing_more_once_a_button_is_pressed_at_the_positioner(positioner_host, when):
     said, stands, told = [], [], Counter()
 
     def tap(direction, data):

@@ -35,7 +35,7 @@ def load(tmp_path):
     return load_text
 
 
-def test_a_rig_has_what_its_role_needs_and_no_wind_and_is_not_simulated(load):
+def test_a_real_rig_has_the_instruments_of_its_role_and_no_wind_sensor_and_is_not_simulated(load):
     settings = load(REAL)
     assert settings.real
     for role, present in ((Role.BOTH, (1, 1)), (Role.CUBE, (1, 0)), (Role.TRACKER, (0, 1))):
@@ -45,7 +45,7 @@ def test_a_rig_has_what_its_role_needs_and_no_wind_and_is_not_simulated(load):
         assert rig.clock_lasts
 
 
-def test_a_clock_that_is_a_bench_s_does_not_last(load):
+def test_the_clock_of_a_bench_is_not_taken_to_go_on_over_restarts(load):
     settings = load(REAL.replace('kind = "real"', 'kind = "real"\nbench = true'))
     assert not build_real_rig(settings, Role.BOTH, LoopClock(lambda: 0.0, 1.7e9)).clock_lasts
 
@@ -56,7 +56,7 @@ def test_a_rig_at_a_bench_is_marked_as_simulated(load):
     assert build_real_rig(settings, Role.BOTH, SystemClock()).simulated
 
 
-def test_a_role_asks_for_the_addresses_that_it_needs_and_no_others(load):
+def test_a_role_requires_the_instrument_addresses_that_it_needs_and_no_others(load):
     settings = load('[instruments]\nkind = "real"\n')
     with pytest.raises(UserError, match=r"instruments.voltmeter.resource is missing"):
         build_real_rig(settings, Role.CUBE, SystemClock())
@@ -74,7 +74,7 @@ def test_a_role_asks_for_the_addresses_that_it_needs_and_no_others(load):
         ("multiplexer.digital_port", ["Dev1", "Dev1/port0/line0", "/port0"]),
     ],
 )
-def test_a_name_that_changes_with_the_next_replug_or_is_none_is_refused_with_the_remedy(load, key, names):
+def test_an_instrument_address_that_changes_when_replugged_or_is_invalid_is_refused_with_the_remedy(load, key, names):
     section, name = key.split(".")
     for value in names:
         with pytest.raises(ConfigError) as caught:
@@ -91,13 +91,13 @@ def test_a_name_that_changes_with_the_next_replug_or_is_none_is_refused_with_the
         ("multiplexer.server", ["192.168.1.30:31763", "daq-pc.lab:31763", "[fd00::5]:31763"]),
     ],
 )
-def test_names_that_last_are_taken(load, key, names):
+def test_instrument_addresses_that_stay_the_same_when_replugged_are_accepted(load, key, names):
     section, name = key.split(".")
     for value in names:
         load(f'[instruments.{section}]\n{name} = "{value}"\n')
 
 
-def test_keys_that_do_not_go_together_are_named(load):
+def test_settings_that_do_not_go_together_are_refused_by_name(load):
     mistakes = {
         "[cube.east]\nchannel = 9\n": "cube.east.channel = 9: is not among the inputs",
         "[instruments.multiplexer]\nenable_line = 1\n": "instruments.multiplexer.enable_line = 1: is used by",
@@ -110,7 +110,7 @@ def test_keys_that_do_not_go_together_are_named(load):
         assert problem.startswith(start)
 
 
-def test_an_axis_of_which_the_file_names_some_keys_keeps_its_own_others(load):
+def test_an_axis_with_only_some_keys_in_the_file_keeps_its_own_defaults_for_the_others(load):
     positioner = load("[instruments.positioner.b_axis]\narm_1_mm = 310.0\n").instruments.positioner
     assert (positioner.b_axis.arm_1_mm, positioner.b_axis.low_deg, positioner.b_axis.apex_deg) == (310.0, 13.0, 37.5)
     assert positioner.a_axis.low_deg == -52.0
@@ -124,7 +124,9 @@ def test_an_axis_of_which_the_file_names_some_keys_keeps_its_own_others(load):
         ([], "instruments.voltmeter.resource is missing"),
     ],
 )
-def test_what_cannot_be_done_with_real_instruments_ends_with_one_sentence_and_2(tmp_path, arguments, sentence):
+def test_run_with_wrong_options_or_a_missing_address_of_real_instruments_ends_with_a_sentence_and_2(
+    tmp_path, arguments, sentence
+):
     (tmp_path / "heliocube.toml").write_text('[instruments]\nkind = "real"\n')
     done = subprocess.run(
         [str(HELIOCUBE), "run", "--config", str(tmp_path / "heliocube.toml"), *arguments],
@@ -139,7 +141,7 @@ def test_what_cannot_be_done_with_real_instruments_ends_with_one_sentence_and_2(
     assert "SIMULATED" not in done.stderr + done.stdout
 
 
-def test_a_service_on_the_roof_has_no_simulator_in_it_and_none_of_the_libraries_of_studies(tmp_path):
+def test_a_service_with_real_instruments_imports_neither_simulators_nor_libraries_of_the_studies(tmp_path):
     file = tmp_path / "heliocube.toml"
     file.write_text(REAL + '[bridge]\ninsecure = true\nlisten = "127.0.0.1:0"\n[api]\nlisten = "127.0.0.1:0"\n')
     done = subprocess.run(

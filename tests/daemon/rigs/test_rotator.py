@@ -63,7 +63,7 @@ async def until_tracked(rig):
     [{}, {"azimuth_min_deg": -180.0, "azimuth_max_deg": 450.0}, {"azimuth_min_deg": -180.0, "azimuth_max_deg": 180.0}],
     ids=["its stop in the north", "more than a turn", "its stop in the south"],
 )
-def test_the_service_tracks_with_it(run_rotator, positioner):
+def test_the_service_tracks_with_a_rotator_of_any_azimuth_range(run_rotator, positioner):
     async def scenario(rig):
         await until_tracked(rig)
         assert rig.motion.identity.simulated
@@ -72,7 +72,7 @@ def test_the_service_tracks_with_it(run_rotator, positioner):
     run_rotator(scenario, positioner=positioner)
 
 
-def test_a_turn_around_its_stop_takes_its_time_and_is_no_fault(run_rotator):
+def test_a_long_turn_of_the_rotator_around_its_azimuth_stop_arrives_and_raises_no_alarm(run_rotator):
     async def scenario(rig):
         await until_tracked(rig)
         for a_deg in (5.0, -5.0):
@@ -87,7 +87,7 @@ def test_a_turn_around_its_stop_takes_its_time_and_is_no_fault(run_rotator):
     run_rotator(scenario, positioner={"azimuth_min_deg": -180.0, "azimuth_max_deg": 180.0})
 
 
-def test_one_that_rests_a_little_beyond_its_end_has_not_gone_to_the_other_one(run_rotator):
+def test_a_rotator_resting_just_beyond_one_azimuth_end_is_not_taken_to_be_at_the_other_end(run_rotator):
     async def scenario(rig):
         await until_tracked(rig)
         await rig.operator.goto(0.0, 45.0, "look")
@@ -106,7 +106,7 @@ def test_one_that_rests_a_little_beyond_its_end_has_not_gone_to_the_other_one(ru
     run_rotator(scenario, positioner={"azimuth_min_deg": -180.0, "azimuth_max_deg": 180.0})
 
 
-def test_strong_wind_lays_it_flat_without_turning_it(run_rotator):
+def test_strong_wind_stows_the_rotator_flat_without_turning_its_azimuth(run_rotator):
     async def scenario(rig):
         await until_tracked(rig)
         azimuth_deg = rig.rotator.position(rig.clock.monotonic())[0]
@@ -138,7 +138,7 @@ def test_a_person_s_stop_ends_a_move_at_once_and_only_auto_ends_the_stop(run_rot
 
 
 @pytest.mark.parametrize("how", ["cable", "hangs", "gone"])
-def test_a_loss_in_the_middle_of_a_move_ends_in_a_stop_a_look_and_a_new_target(run_rotator, how):
+def test_a_rotator_lost_in_mid_move_is_stopped_when_it_is_back_and_gets_a_new_target(run_rotator, how):
     def lose(rig, lost):
         if how == "cable":
             rig.cables.positioner.link_up = not lost
@@ -175,7 +175,7 @@ def test_a_loss_in_the_middle_of_a_move_ends_in_a_stop_a_look_and_a_new_target(r
     run_rotator(scenario)
 
 
-def test_another_client_s_order_is_stopped_reported_and_blocks(run_rotator):
+def test_a_move_ordered_by_another_rotctld_client_is_stopped_reported_and_ends_in_fault(run_rotator):
     async def scenario(rig):
         await until_tracked(rig)
         await rig.until(lambda: rig.motion.resting, 30, "rest")
@@ -188,7 +188,7 @@ def test_another_client_s_order_is_stopped_reported_and_blocks(run_rotator):
     run_rotator(scenario)
 
 
-def test_a_rotator_that_takes_every_order_and_does_not_move_is_found_out_by_its_position(run_rotator):
+def test_a_rotator_that_accepts_orders_without_moving_is_detected_by_its_position(run_rotator):
     async def scenario(rig):
         await until_tracked(rig)
         rig.rotator.faults.add("deaf")
@@ -201,7 +201,7 @@ def test_a_rotator_that_takes_every_order_and_does_not_move_is_found_out_by_its_
     run_rotator(scenario)
 
 
-def test_one_that_does_not_obey_stop_raises_the_alarm(run_rotator):
+def test_a_rotator_that_does_not_obey_a_stop_raises_the_deaf_to_stop_alarm(run_rotator):
     async def scenario(rig):
         await until_tracked(rig)
         await rig.operator.goto(45.0, 80.0, "look")
@@ -225,7 +225,7 @@ def rigs_slow(turns):
     )
 
 
-def test_one_without_a_stop_is_sent_to_where_it_is(run_rotator):
+def test_a_rotator_without_a_stop_command_is_stopped_by_a_target_at_its_own_position(run_rotator):
     async def scenario(rig):
         await until_tracked(rig)
         rig.rotator.faults.add("stopless")
@@ -241,7 +241,7 @@ def test_one_without_a_stop_is_sent_to_where_it_is(run_rotator):
     run_rotator(scenario)
 
 
-def test_one_that_cannot_be_stowed_moves_nowhere_and_says_why_in_a_sentence(run_rotator):
+def test_a_rotator_that_cannot_reach_the_stow_position_is_never_moved_and_an_alarm_says_why(run_rotator):
     async def scenario(rig):
         # No range is set, so rotctld's own counts; wanting to stow changes nothing.
         await rig.until_mode(Mode.FAULT, 30)
@@ -264,7 +264,7 @@ def test_one_that_cannot_be_stowed_moves_nowhere_and_says_why_in_a_sentence(run_
         run_rotator(scenario)
 
 
-def test_a_place_that_it_does_not_reach_is_a_failed_move_and_no_more(run_rotator):
+def test_a_target_beyond_the_reach_of_the_rotator_is_reported_as_a_failed_move(run_rotator):
     async def scenario(rig):
         await until_tracked(rig)
         await rig.operator.goto(0.0, 20.0, "look")
@@ -275,7 +275,7 @@ def test_a_place_that_it_does_not_reach_is_a_failed_move_and_no_more(run_rotator
     run_rotator(scenario, positioner={"elevation_min_deg": 25.0}, safety={"snow_b_deg": 30.0})
 
 
-def test_whole_degrees_are_neither_motion_nor_a_stall(run_rotator):
+def test_a_rotator_that_reports_whole_degrees_raises_no_alarm_of_motion_or_stall(run_rotator):
     async def scenario(rig):
         rig.rotator.step_deg = 1.0
         await until_tracked(rig)
@@ -291,7 +291,7 @@ def test_whole_degrees_are_neither_motion_nor_a_stall(run_rotator):
     run_rotator(scenario, positioner={"resolution_deg": 1.0}, motion={"tolerance_deg": 2.0})
 
 
-def test_a_rotator_that_stands_elsewhere_after_the_loss_waits_for_a_person(run_rotator):
+def test_a_rotator_found_elsewhere_after_a_lost_link_waits_for_a_person_to_clear_it(run_rotator):
     async def scenario(rig):
         await until_tracked(rig)
         await rig.until(lambda: rig.motion.resting, 30, "rest")
@@ -313,7 +313,7 @@ def test_a_rotator_that_stands_elsewhere_after_the_loss_waits_for_a_person(run_r
     run_rotator(scenario)
 
 
-def test_a_jump_of_a_count_that_no_reference_run_restores_names_what_can_be_done(run_rotator):
+def test_the_alarm_for_a_jump_of_the_rotators_position_names_a_remedy_without_a_reference_run(run_rotator):
     async def scenario(rig):
         await until_tracked(rig)
         await rig.until(lambda: rig.motion.resting, 30, "rest")
@@ -327,7 +327,7 @@ def test_a_jump_of_a_count_that_no_reference_run_restores_names_what_can_be_done
 
 
 @pytest.mark.parametrize("is_turned", [False, True])
-def test_a_rotator_that_was_lost_in_mid_move_is_doubted_only_off_the_way_of_its_move(run_rotator, is_turned):
+def test_a_rotator_lost_in_mid_move_is_in_doubt_only_when_found_off_the_path_of_its_move(run_rotator, is_turned):
     async def scenario(rig):
         await until_tracked(rig)
         await rig.operator.goto(45.0, 80.0, "look")
@@ -356,7 +356,7 @@ def test_a_rotator_that_was_lost_in_mid_move_is_doubted_only_off_the_way_of_its_
         ("modell = 1", "there is no such key; did you mean instruments.positioner.model?"),
     ],
 )
-def test_a_mistake_in_the_file_is_a_sentence_of_the_check(tmp_path, text, sentence):
+def test_a_mistake_in_the_rotator_settings_is_refused_with_a_clear_sentence(tmp_path, text, sentence):
     file = tmp_path / "heliocube.toml"
     file.write_text(f"[instruments.positioner]\ndriver = 'rotctld'\n{text}\n")
     with pytest.raises(ConfigError) as caught:

@@ -41,7 +41,7 @@ def settings_of(geometry):
 
 
 @pytest.mark.parametrize("geometry", GEOMETRIES.values(), ids=GEOMETRIES)
-def test_it_moves_and_arrives_with_any_geometry(geometry):
+def test_the_simulated_positioner_moves_and_arrives_with_any_geometry(geometry):
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         clock = LoopClock(runner.get_loop().time, 1.7e9)
         truth, positioner = build_simulated_positioner(settings_of(geometry), clock)
@@ -64,7 +64,7 @@ def test_it_moves_and_arrives_with_any_geometry(geometry):
 
 
 @pytest.mark.parametrize("geometry", GEOMETRIES.values(), ids=GEOMETRIES)
-def test_the_service_tracks_with_it(run_rig, geometry):
+def test_the_service_tracks_with_a_simulated_positioner_of_any_geometry(run_rig, geometry):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 300)
         await rig.until(lambda: rig.of(Move), 400, "the end of a move")
@@ -74,13 +74,13 @@ def test_the_service_tracks_with_it(run_rig, geometry):
 
 
 @pytest.mark.parametrize("geometry", GEOMETRIES.values(), ids=GEOMETRIES)
-def test_a_count_that_slips_is_wrong_by_more_than_anybody_may_believe(geometry):
+def test_an_injected_slip_of_the_count_is_larger_than_the_tolerance_of_a_reference(geometry):
     unit = build_unit(settings_of(geometry), LoopClock(lambda: 0.0, 1.7e9))
     unit.inject("a_slip", 0.0)
     assert abs(unit.shown_deg("a", 0.0) - unit.truth(0.0).a_deg) > REFERENCE_DEG
 
 
-def test_the_fastest_actuators_that_may_be_set_turn_no_axis_so_fast_that_its_count_seems_to_jump(run_rig):
+def test_moves_with_the_fastest_allowed_actuators_arrive_and_are_not_taken_for_a_jump_of_the_count(run_rig):
     (fastest,) = (
         bound.le for bound in SimulationSettings.model_fields["motor_speed_mm_s"].metadata if isinstance(bound, Le)
     )
@@ -96,13 +96,13 @@ def test_the_fastest_actuators_that_may_be_set_turn_no_axis_so_fast_that_its_cou
     run_rig(scenario, simulation={"motor_speed_mm_s": fastest})
 
 
-def test_a_triangle_that_opens_too_far_is_refused_in_either_sense():
+def test_an_axis_geometry_whose_triangle_opens_too_far_is_refused_in_either_sense():
     for sense, apex_deg in (("raises", 140.0), ("lowers", 60.0)):
         with pytest.raises(ValueError, match=r"b_axis\.apex_deg makes no triangle at some angle from 13 to 90 deg"):
             settings_of({"b_axis": {"sense": sense, "apex_deg": apex_deg}})
 
 
-def test_a_geometry_that_cannot_be_is_one_sentence():
+def test_a_geometry_that_cannot_be_simulated_is_refused_in_one_sentence():
     clock = LoopClock(lambda: 0.0, 1.7e9)
     settings = settings_of({"position_unit": "deg"})
     # The check of a file refuses such a drive: so it is put in here.

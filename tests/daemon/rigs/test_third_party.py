@@ -125,7 +125,7 @@ def file(tmp_path):
     return path
 
 
-def test_its_law_points_its_positioner_on_the_simulated_rig(package, file, tmp_path):
+def test_a_third_party_law_points_a_third_party_positioner_on_the_simulated_rig(package, file, tmp_path):
     settings = check_file(file)
     out = tmp_path / "out"
     start = datetime(2022, 10, 12, 10, 0, tzinfo=UTC)
@@ -142,7 +142,7 @@ def test_its_law_points_its_positioner_on_the_simulated_rig(package, file, tmp_p
 
 
 @pytest.mark.parametrize("faces", [1, 4])
-def test_a_law_may_ask_for_one_face_and_for_all(package, file, tmp_path, faces):
+def test_a_third_party_law_may_need_one_face_or_all_four(package, file, tmp_path, faces):
     law = tmp_path / "site" / "acme_law.py"
     asking = f"        self.faces_needed = {faces}\n        self._direction ="
     law.write_text(LAW.replace("        self._direction =", asking))
@@ -150,20 +150,20 @@ def test_a_law_may_ask_for_one_face_and_for_all(package, file, tmp_path, faces):
 
 
 @pytest.mark.parametrize("wrong", ["faces_needed = 0", "faces_needed = 5", "decide_every_s = float('nan')"])
-def test_a_law_that_asks_for_what_there_is_not_is_refused_at_the_start(package, file, tmp_path, wrong):
+def test_a_law_that_asks_for_0_or_5_faces_or_no_valid_interval_is_refused_at_the_start(package, file, tmp_path, wrong):
     law = tmp_path / "site" / "acme_law.py"
     law.write_text(LAW.replace("        self._direction =", f"        self.{wrong}\n        self._direction ="))
     with pytest.raises(UserError, match=r"law\.driver: the law bearing asks for"):
         build_pointing(check_file(file), 0.0, StateFolder(None))
 
 
-def test_its_driver_says_what_it_misses(package, file):
+def test_a_third_party_driver_reports_its_missing_settings_in_its_own_words(package, file):
     settings = check_file(file)
     with pytest.raises(UserError, match="serial_number is missing"):
         build_positioner(settings, SystemClock())
 
 
-def test_a_driver_that_cannot_simulate_its_unit_is_refused_with_what_to_do(package, file, tmp_path):
+def test_a_driver_that_cannot_simulate_its_unit_is_refused_on_a_simulated_rig_with_the_remedy(package, file, tmp_path):
     module = tmp_path / "site" / "acme_turntable.py"
     module.write_text(module.read_text().replace("def simulate(", "def simulated("))
     with pytest.raises(UserError, match=r'"turntable" cannot be simulated .*: set instruments\.positioner\.driver to'):
@@ -198,14 +198,14 @@ def test_a_driver_that_cannot_simulate_its_unit_is_refused_with_what_to_do(packa
         ),
     ],
 )
-def test_mistakes_in_its_sections_are_told_as_in_ours(package, tmp_path, text, line):
+def test_mistakes_in_third_party_settings_are_reported_like_those_in_built_in_settings(package, tmp_path, text, line):
     (tmp_path / "wrong.toml").write_text(text + "\n")
     with pytest.raises(ConfigError) as caught:
         check_file(tmp_path / "wrong.toml")
     assert caught.value.problems == (line,)
 
 
-def test_with_another_positioner_ours_is_not_imported(package, file, tmp_path):
+def test_with_a_third_party_positioner_the_built_in_drivers_are_not_imported(package, file, tmp_path):
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path;"
         "from daemon.config.file import load_settings; load_settings(Path(sys.argv[2]));"

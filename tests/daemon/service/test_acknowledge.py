@@ -21,7 +21,7 @@ async def blown(rig, call_http):
     await rig.until(lambda: rig.tracker.alarms.active, 6, "the alarm")
 
 
-def test_an_acknowledged_alarm_says_by_whom_and_nothing_moves_by_it(serve):
+def test_an_acknowledged_alarm_shows_by_whom_and_acknowledging_moves_nothing(serve):
     async def scenario(rig, call_http):
         await blown(rig, call_http)
         before = rig.truth()
@@ -48,7 +48,7 @@ def test_an_acknowledged_alarm_says_by_whom_and_nothing_moves_by_it(serve):
     serve(scenario)
 
 
-def test_what_is_over_is_acknowledged_again_with_the_answer_who_it_was_until_it_is_raised_anew(serve):
+def test_acknowledging_an_ended_alarm_again_answers_who_did_so_first_until_it_is_raised_anew(serve):
     async def scenario(rig, call_http):
         await under_way(rig)
         alarms = rig.tracker.alarms
@@ -70,7 +70,7 @@ def test_what_is_over_is_acknowledged_again_with_the_answer_who_it_was_until_it_
     serve(scenario)
 
 
-def test_without_a_name_all_are_meant_those_of_the_cube_too(serve):
+def test_acknowledging_without_a_name_covers_all_alarms_including_those_of_the_cube(serve):
     async def scenario(rig, call_http):
         await blown(rig, call_http)
         rig.service.cube_alarms.set("store-down", "the disk is full")
@@ -91,7 +91,9 @@ def test_without_a_name_all_are_meant_those_of_the_cube_too(serve):
         ({"alarm": 3}, 400, '"alarm" must be one line of text with at most 200 letters'),
     ],
 )
-def test_what_cannot_be_acknowledged_is_one_sentence_of_the_status_that_the_page_says(serve, body, status, sentence):
+def test_an_impossible_acknowledgement_is_refused_in_one_sentence_with_the_documented_status(
+    serve, body, status, sentence
+):
     (row,) = (line for line in (DOCS / "api.md").read_text().splitlines() if line.startswith(f"| {status} |"))
     on_the_page = {"reference": "an alarm that is not shown", "tea": "an alarm or a tracker that does not exist"}
     assert on_the_page.get(body.get("alarm"), "") in row
@@ -111,7 +113,9 @@ def test_what_cannot_be_acknowledged_is_one_sentence_of_the_status_that_the_page
         ("voltmeter", Mode.FALLBACK, 600, "no-readings", 400),
     ],
 )
-def test_what_does_not_work_for_long_is_an_alarm_until_it_does(run_rig, cable, mode, quiet_s, name, within_s):
+def test_a_positioner_or_voltmeter_that_is_lost_for_long_raises_an_alarm_until_it_is_back(
+    run_rig, cable, mode, quiet_s, name, within_s
+):
     async def scenario(rig):
         def alarmed():
             return name in {alarm.name for alarm in rig.tracker.alarms.active}
@@ -129,7 +133,7 @@ def test_what_does_not_work_for_long_is_an_alarm_until_it_does(run_rig, cable, m
 
 
 @pytest.mark.parametrize("name", ["positioner-down", "clock"])
-def test_what_shows_only_after_minutes_stays_acknowledged_over_a_restart(run_rig, tmp_path, name):
+def test_an_alarm_that_is_raised_only_after_minutes_stays_acknowledged_over_a_restart(run_rig, tmp_path, name):
     async def scenario(rig):
         rig.cables.positioner.link_up = name != "positioner-down"
         rig.synchronised = name != "clock"
@@ -145,7 +149,7 @@ def test_what_shows_only_after_minutes_stays_acknowledged_over_a_restart(run_rig
     assert acknowledged_s[0] == acknowledged_s[1]
 
 
-def test_whoever_clears_has_looked_at_what_waits_for_a_person_and_at_nothing_else(serve):
+def test_clear_acknowledges_the_ended_alarms_that_wait_for_a_person_and_no_others(serve):
     async def scenario(rig, call_http):
         await under_way(rig)
         alarms = rig.tracker.alarms

@@ -21,7 +21,7 @@ LINK = LinkStatus("broker:1883", True, 0.0, None, 1, 0, 0, 0, 0, None, (), (WIND
 
 
 @pytest.mark.parametrize("step_s", [3600.0, -3600.0, 86400.0, -86400.0])
-def test_a_step_of_the_clock_moves_nothing_and_changes_no_rhythm(run_rig, step_s):
+def test_a_step_of_the_clock_causes_no_move_and_does_not_change_the_rhythm_of_decisions(run_rig, step_s):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -41,7 +41,7 @@ def test_a_step_of_the_clock_moves_nothing_and_changes_no_rhythm(run_rig, step_s
 
 
 @pytest.mark.parametrize("set_back_s", [0.0, 7200.0])
-def test_a_sleep_of_the_machine_is_told_and_is_no_doubt_of_its_clock_nor_hides_one(run_rig, set_back_s):
+def test_a_sleep_of_the_machine_is_reported_and_only_a_clock_set_back_in_it_raises_the_clock_alarm(run_rig, set_back_s):
     async def scenario(rig):
         await tracking(rig)
         rig.clock.slept_s, rig.clock.step_s = 7200.0, -set_back_s
@@ -54,7 +54,7 @@ def test_a_sleep_of_the_machine_is_told_and_is_no_doubt_of_its_clock_nor_hides_o
     run_rig(scenario)
 
 
-def test_the_ages_that_people_read_have_a_sleep_of_the_machine_in_them(run_rig):
+def test_the_ages_in_the_state_include_a_sleep_of_the_machine(run_rig):
     def ages_s(rig, recent):
         state = state_json(rig.see(recent, links={"tracker": LINK}))
         faces = [face["age_s"] for face in state["scan"]["faces"].values()]
@@ -83,7 +83,7 @@ def test_the_ages_that_people_read_have_a_sleep_of_the_machine_in_them(run_rig):
     run_rig(scenario)
 
 
-def test_a_cube_on_a_machine_of_its_own_tells_of_its_clock(run_rig):
+def test_a_cube_on_its_own_machine_raises_a_clock_alarm_after_a_step_until_it_is_synchronised(run_rig):
     async def scenario(rig):
         await asyncio.sleep(100)
         rig.clock.step_s = 7200.0
@@ -97,7 +97,7 @@ def test_a_cube_on_a_machine_of_its_own_tells_of_its_clock(run_rig):
     run_rig(scenario, role=Role.CUBE, bridge=no_way, mqtt={"enabled": True, "host": "127.0.0.1"})
 
 
-def test_the_dark_is_not_learned_from_a_day_that_a_wrong_clock_calls_a_night(run_rig):
+def test_the_dark_correction_does_not_learn_from_daytime_that_a_wrong_clock_calls_night(run_rig):
     async def scenario(rig):
         await asyncio.sleep(300)
         before = rig.control.state.scan.zenith.irradiance_w_m2
@@ -132,7 +132,7 @@ WRONG_START = (
 
 
 @pytest.mark.parametrize("lasts", [True, False])
-def test_a_start_before_the_last_one_is_a_clock_in_doubt_and_the_start_after_it_is_believed(
+def test_a_start_dated_before_the_last_one_puts_a_lasting_clock_in_doubt_but_not_at_the_next_start(
     run_rig, tmp_path, monkeypatch, lasts
 ):
     """So starts a machine without a clock battery until the network is there. Simulated time may begin at will."""
@@ -164,7 +164,7 @@ def test_a_start_before_the_last_one_is_a_clock_in_doubt_and_the_start_after_it_
 
 
 @pytest.mark.parametrize("step_s", [3600.0, 12 * 3600.0])
-def test_curves_go_on_by_a_clock_in_doubt_and_say_that_their_time_may_be_wrong(run_rig, step_s):
+def test_iv_curves_go_on_while_the_clock_is_in_doubt_and_are_marked_as_of_uncertain_time(run_rig, step_s):
     def begun_since(rig, begin_s):
         return [curve for curve in rig.of(IvCurve) if curve.time_monotonic_s > begin_s]
 

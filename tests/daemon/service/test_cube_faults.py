@@ -20,7 +20,7 @@ from tests.support.rig import SITE, HandWeather
 
 
 @pytest.mark.parametrize("instrument", ["multiplexer", "voltmeter"])
-def test_without_the_cube_the_tracker_follows_the_sun_and_comes_back(run_rig, instrument):
+def test_without_the_cube_the_tracker_follows_the_sun_and_tracks_again_when_the_cube_is_back(run_rig, instrument):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -42,7 +42,7 @@ def test_without_the_cube_the_tracker_follows_the_sun_and_comes_back(run_rig, in
 
 
 @pytest.mark.parametrize("asked", ["stop", "hold", "stow", "snow"])
-def test_that_the_cube_is_silent_is_an_alarm_too_while_a_person_keeps_the_tracker_elsewhere(run_rig, asked):
+def test_a_silent_cube_raises_an_alarm_even_while_a_person_keeps_the_tracker_stopped_or_stowed(run_rig, asked):
     async def scenario(rig):
         def alarmed():
             return {alarm.name: alarm.text for alarm in rig.tracker.alarms.active}.get("no-readings")
@@ -62,7 +62,7 @@ def test_that_the_cube_is_silent_is_an_alarm_too_while_a_person_keeps_the_tracke
 
 
 @pytest.mark.parametrize(("instrument", "method"), [("multiplexer", "select"), ("voltmeter", "open"), ("cube", "read")])
-def test_a_driver_of_the_cube_that_raises_what_nobody_expects_is_an_outage_and_told_once(
+def test_an_unexpected_failure_of_a_cube_driver_is_an_outage_and_is_logged_once(
     run_rig, caplog, monkeypatch, instrument, method
 ):
     def fails(*_):
@@ -96,7 +96,7 @@ def test_a_driver_of_the_cube_that_raises_what_nobody_expects_is_an_outage_and_t
 
 
 @pytest.mark.parametrize(("silence_s", "moves"), [(150, 0), (285, 0), (420, 1)])
-def test_a_short_gap_is_not_worth_a_swing_to_the_sun(run_rig, silence_s, moves):
+def test_a_gap_of_285_s_in_the_scans_causes_no_swing_to_the_sun_and_one_of_420_s_does(run_rig, silence_s, moves):
     async def scenario(rig):
         await tracking(rig)
         await asyncio.sleep(900)
@@ -113,7 +113,7 @@ def test_a_short_gap_is_not_worth_a_swing_to_the_sun(run_rig, silence_s, moves):
     run_rig(scenario, law={"driver": "optimal"}, weather=HandWeather(dni=0, dhi=150), start="2022-12-21T11:00")
 
 
-def test_the_reason_for_fallback_names_what_the_bridge_refuses_and_says_so_no_more_afterwards(run_rig):
+def test_the_reason_for_fallback_names_scans_that_the_bridge_refuses_only_while_they_are_the_cause(run_rig):
     async def scenario(rig):
         await tracking(rig)
         sender = rig.service.sender
@@ -134,7 +134,7 @@ def test_the_reason_for_fallback_names_what_the_bridge_refuses_and_says_so_no_mo
 
 @pytest.mark.parametrize("out_s", [1, 70])
 @pytest.mark.parametrize("instrument", ["multiplexer", "voltmeter", "positioner"])
-def test_with_the_default_rhythm_it_tracks_again_within_15_s_of_an_instruments_return(run_rig, instrument, out_s):
+def test_with_the_default_rhythm_tracking_resumes_within_15_s_of_an_instruments_return(run_rig, instrument, out_s):
     async def scenario(rig):
         await tracking(rig)
         await asyncio.sleep(130)
@@ -153,7 +153,7 @@ def test_with_the_default_rhythm_it_tracks_again_within_15_s_of_an_instruments_r
 
 
 @pytest.mark.parametrize(("stuck_at_v", "quality"), [(9.9, "over-range"), (0.4, "implausible")])
-def test_one_bad_face_is_named_and_never_steers(run_rig, stuck_at_v, quality):
+def test_one_bad_face_is_named_and_never_used_for_pointing(run_rig, stuck_at_v, quality):
     async def scenario(rig):
         await tracking(rig)
         rig.scene.break_sensor(2, stuck_at_v)
@@ -172,7 +172,7 @@ def test_one_bad_face_is_named_and_never_steers(run_rig, stuck_at_v, quality):
     assert all(not decision.irradiances.west_w_m2 > 200 for decision in rig.of(Decision) if decision.mode == "tracking")
 
 
-def test_a_meter_that_repeats_itself_to_the_last_digit_is_stale(run_rig):
+def test_a_voltmeter_that_repeats_its_reading_to_the_last_digit_counts_as_stale(run_rig):
     async def scenario(rig):
         await tracking(rig)
         frozen = rig.switch.output_voltage(rig.clock.monotonic())
@@ -192,7 +192,7 @@ def test_darkness_at_noon_is_a_fault_of_the_cube_and_not_night(run_rig):
     assert Mode.NIGHT not in modes(rig)
 
 
-def test_a_late_reply_is_never_credited_to_another_face(run_rig):
+def test_a_late_voltmeter_reply_is_never_credited_to_another_face(run_rig):
     async def scenario(rig):
         await tracking(rig)
         for _ in range(5):
@@ -212,7 +212,7 @@ def test_a_late_reply_is_never_credited_to_another_face(run_rig):
                 assert reading.irradiance_w_m2 == pytest.approx(true, abs=25)
 
 
-def test_two_bad_faces_are_both_named_with_what_is_wrong_and_since_when_at_every_door(run_rig):
+def test_two_bad_faces_are_named_with_fault_and_time_in_alarm_status_screens_and_notice(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await asyncio.sleep(600)

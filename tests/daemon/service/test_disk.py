@@ -46,7 +46,7 @@ def stuck_disk(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["stop", "maintenance", "stow"])
-def test_no_stop_and_no_stow_waits_for_the_disk(run_rig, stuck_disk, tmp_path, name):
+def test_stop_maintenance_and_stow_do_not_wait_for_a_disk_that_hangs(run_rig, stuck_disk, tmp_path, name):
     async def scenario(rig):
         await under_way(rig)
         commands = operator(rig)

@@ -12,7 +12,7 @@ from tests.support.phases import quiet, under_way
 
 
 @pytest.mark.parametrize("part", ["control", "motion", "acquisition", "watchdog"])
-def test_a_part_that_dies_is_named_and_stops_the_service_and_the_axes(run_rig, caplog, part):
+def test_a_task_of_the_service_that_dies_is_named_and_stops_the_service_and_the_axes(run_rig, caplog, part):
     class BrokenError(Exception):
         pass
 
@@ -49,7 +49,7 @@ def test_a_part_that_dies_is_named_and_stops_the_service_and_the_axes(run_rig, c
 
 
 @pytest.mark.parametrize("instrument", ["multiplexer", "voltmeter", "positioner"])
-def test_a_driver_of_which_too_many_calls_never_return_ends_the_service_at_rest_with_one_sentence(run_rig, instrument):
+def test_a_driver_with_too_many_hung_calls_ends_the_service_in_one_sentence_with_axes_at_rest(run_rig, instrument):
     async def scenario(rig):
         await rig.until(lambda: rig.motion.moving, 200, "a move")
 
@@ -71,7 +71,7 @@ def test_a_driver_of_which_too_many_calls_never_return_ends_the_service_at_rest_
         run_rig(scenario)
 
 
-def test_a_process_that_stood_still_for_minutes_takes_no_driver_for_one_that_hangs(run_rig):
+def test_a_process_that_was_suspended_for_minutes_takes_no_driver_for_a_hung_one(run_rig):
     async def scenario(rig):
         await quiet(rig)
         for _ in range(8):

@@ -32,7 +32,7 @@ async def flap(rig, device, *, down_s=10.0, up_s=10.0, for_s):
 
 
 @pytest.mark.parametrize("name", ["positioner", "voltmeter", "load"])
-def test_a_bad_contact_for_hours_is_told_in_few_lines_and_events(run_rig, caplog, name):
+def test_a_bad_contact_for_hours_is_reported_in_few_log_lines_and_events(run_rig, caplog, name):
     async def scenario(rig):
         await tracking(rig)
         rig.motion._polling = SELDOM
@@ -75,7 +75,7 @@ async def cube_for_minutes(rig):
 @pytest.mark.parametrize(
     "trouble", [wind_comes_and_goes, cube_unplugged, cube_for_minutes], ids=lambda one: one.__name__
 )
-def test_hours_of_other_trouble_are_told_in_few_lines_and_events(run_rig, caplog, trouble):
+def test_hours_of_wind_losses_or_cube_outages_are_reported_in_few_log_lines_and_events(run_rig, caplog, trouble):
     async def scenario(rig):
         await tracking(rig)
         rig.motion._polling = SELDOM
@@ -89,7 +89,7 @@ def test_hours_of_other_trouble_are_told_in_few_lines_and_events(run_rig, caplog
         run_rig(scenario, **QUICK)
 
 
-def test_after_a_bad_contact_the_next_loss_is_told_at_once(run_rig, caplog):
+def test_after_a_bad_contact_has_been_steady_again_the_next_loss_is_reported_at_once(run_rig, caplog):
     async def scenario(rig):
         await tracking(rig)
         rig.motion._polling = SELDOM

@@ -40,7 +40,7 @@ def watch(rig, notifier):
 
 
 @pytest.mark.parametrize("part", ["control", "acquisition"])
-def test_pings_end_when_a_part_of_the_work_hangs(run_rig, manager, part):
+def test_watchdog_pings_end_when_control_or_acquisition_hangs(run_rig, manager, part):
     notifier, heard = manager
 
     async def scenario(rig):
@@ -60,7 +60,7 @@ def test_pings_end_when_a_part_of_the_work_hangs(run_rig, manager, part):
     run_rig(scenario)
 
 
-def test_a_device_that_is_down_is_no_reason_to_be_killed(run_rig, manager):
+def test_watchdog_pings_go_on_while_the_voltmeter_and_the_positioner_are_down(run_rig, manager):
     notifier, heard = manager
 
     async def scenario(rig):
@@ -74,7 +74,7 @@ def test_a_device_that_is_down_is_no_reason_to_be_killed(run_rig, manager):
     run_rig(scenario)
 
 
-def test_an_axis_that_runs_past_its_target_is_stopped_and_named(run_rig):
+def test_an_axis_that_runs_past_its_target_ends_the_move_in_fault_with_the_reason(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.FAULT, 300)
         assert "beyond its target" in rig.control.why
@@ -92,7 +92,7 @@ class HeldUpClock:
         return asyncio.get_running_loop().time() + self.held_s
 
 
-def test_the_lateness_of_the_loop_is_measured_and_its_worst_is_that_of_the_last_minutes():
+def test_the_lateness_of_the_event_loop_is_measured_and_its_worst_value_is_of_the_last_minutes():
     async def scenario():
         clock = HeldUpClock()
         watch = LoopWatch(clock, speed=2.0)

@@ -20,7 +20,7 @@ from tests.support.motion import drive_b
 from tests.support.phases import quiet
 
 
-def test_a_stop_holds_for_every_tracker_that_is_named_later_and_for_none_after_that(run_rig, tmp_path):
+def test_a_stop_of_an_unnamed_tracker_holds_for_all_trackers_named_next_and_for_none_added_later(run_rig, tmp_path):
     async def unnamed(rig):
         await rig.until_mode(Mode.TRACKING, 120)
         await rig.control.stop("repair", "ana")
@@ -45,7 +45,7 @@ def test_a_stop_holds_for_every_tracker_that_is_named_later_and_for_none_after_t
 
 
 @pytest.mark.parametrize("later", [[{"name": "east-roof"}], [{"name": "east-roof"}, {"name": "west"}], []])
-def test_a_tracker_whose_name_is_new_is_held_by_the_stop_of_one_that_is_gone(run_rig, tmp_path, later):
+def test_a_tracker_with_a_new_name_or_none_is_held_by_the_stop_of_a_tracker_that_is_gone(run_rig, tmp_path, later):
     store = {"directory": tmp_path}
 
     async def stopped(rig):
@@ -79,7 +79,7 @@ def test_a_tracker_whose_name_is_new_is_held_by_the_stop_of_one_that_is_gone(run
 
 
 @pytest.mark.parametrize("what", ["stop", "storm"])
-def test_a_name_that_comes_back_forgets_nothing_that_was_kept_without_one_meanwhile(run_rig, tmp_path, what):
+def test_trackers_named_again_are_held_by_a_stop_or_storm_kept_while_there_were_no_names(run_rig, tmp_path, what):
     store, both = {"directory": tmp_path}, [{"name": "east"}, {"name": "west"}]
 
     async def kept(rig):
@@ -112,7 +112,7 @@ def test_a_name_that_comes_back_forgets_nothing_that_was_kept_without_one_meanwh
     run_rig(named_again, store=store, tracker=both, **FEWER_SCANS)
 
 
-def test_a_tracker_that_has_kept_something_and_a_stop_that_was_released_hold_nobody(run_rig, tmp_path):
+def test_a_known_tracker_ignores_the_stop_of_another_and_a_released_stop_holds_no_new_tracker(run_rig, tmp_path):
     store, both = {"directory": tmp_path}, [{"name": "east"}, {"name": "west"}]
 
     async def both_stopped(rig):
@@ -133,7 +133,7 @@ def test_a_tracker_that_has_kept_something_and_a_stop_that_was_released_hold_nob
     run_rig(works, store=store, tracker=[{"name": "north"}])
 
 
-def test_one_that_has_never_been_told_anything_works_on_without_a_neighbour_that_was_stopped(run_rig, tmp_path):
+def test_a_tracker_that_was_never_commanded_works_on_when_its_stopped_neighbour_is_removed(run_rig, tmp_path):
     store = {"directory": tmp_path}
 
     async def east_stopped(rig):
@@ -148,9 +148,7 @@ def test_one_that_has_never_been_told_anything_works_on_without_a_neighbour_that
 
 
 @pytest.mark.parametrize("ahead_s", [-3600.0, 0.0, 3600.0])
-def test_a_name_that_is_given_back_after_the_stop_releases_nothing_of_it_whatever_the_clock_was(
-    run_rig, tmp_path, ahead_s
-):
+def test_a_return_to_an_older_name_does_not_release_a_later_stop_whatever_the_clock_was(run_rig, tmp_path, ahead_s):
     store = {"directory": tmp_path}
 
     async def stopped_and_released(rig):
@@ -174,7 +172,7 @@ def test_a_name_that_is_given_back_after_the_stop_releases_nothing_of_it_whateve
     run_rig(held, store=store, tracker=[{"name": "east"}])
 
 
-def test_another_service_whose_folder_is_inside_holds_nobody_while_it_is_at_work(run_rig, tmp_path):
+def test_a_stop_of_another_service_in_a_subfolder_holds_no_tracker_while_that_service_runs(run_rig, tmp_path):
     async def works(rig):
         await rig.until_mode(Mode.TRACKING, 120)
 
@@ -191,7 +189,7 @@ def test_another_service_whose_folder_is_inside_holds_nobody_while_it_is_at_work
 
 
 @pytest.mark.parametrize("what", ["storm", "doubt", "motion", "unreadable"])
-def test_a_storm_and_doubts_of_one_that_is_gone_hold_a_tracker_that_is_new_and_no_other(run_rig, tmp_path, what):
+def test_a_storm_or_doubt_kept_by_a_removed_tracker_holds_a_new_tracker_and_no_other(run_rig, tmp_path, what):
     store, safety = {"directory": tmp_path}, {"stow_at_least_s": 60.0}
     words = {"storm": "wind 20", "doubt": "has restarted", "motion": "without an order", "unreadable": "cannot be read"}
 
@@ -223,7 +221,7 @@ def test_a_storm_and_doubts_of_one_that_is_gone_hold_a_tracker_that_is_new_and_n
     run_rig(renamed, store=store, safety=safety, tracker=[{"name": "east-roof"}, {"name": "west"}])
 
 
-def test_what_a_full_disk_did_not_take_is_handed_on_once_there_is_room(tmp_path):
+def test_wishes_that_a_full_disk_kept_from_being_handed_on_are_handed_on_once_there_is_room(tmp_path):
     made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", tmp_path], capture_output=True)
     if made.returncode:
         pytest.skip("mounting a small file system needs root")

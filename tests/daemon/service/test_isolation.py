@@ -34,7 +34,7 @@ def alarms_of(rig, name):
     return {alarm.name: alarm.text for alarm in tracker.alarms.active}
 
 
-def test_a_law_that_raises_a_driver_that_hangs_and_one_that_fails_are_unseen_by_the_others(run_rig, monkeypatch):
+def test_a_raising_law_a_hung_driver_and_a_failing_driver_do_not_disturb_the_other_trackers(run_rig, monkeypatch):
     def fail(*_arguments):
         raise DefectError("out of range")
 

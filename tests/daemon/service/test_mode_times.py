@@ -22,7 +22,7 @@ def change(after):
     return ModeChange(time_utc_s=0.0, time_monotonic_s=0.0, before=Mode.STARTING, after=after, why="")
 
 
-def test_modes_add_up_from_the_start_and_anew_from_solar_midnight():
+def test_mode_durations_add_up_from_the_start_and_again_from_zero_at_solar_midnight():
     # An hour east of Greenwich the solar day begins at 23:00 UTC.
     clock = HandClock(MIDNIGHT_UTC_S - 3600.0 - 100.0)
     times = ModeTimes(clock, EAST_DEG)
@@ -52,7 +52,7 @@ def test_a_clock_that_is_set_does_not_lengthen_a_mode():
     assert times.today().lasted_s == {Mode.STARTING: 10.0}
 
 
-def test_a_clock_that_was_ahead_and_is_set_back_lets_the_day_end():
+def test_after_a_clock_that_was_ahead_is_set_back_mode_durations_still_begin_a_new_day():
     clock = HandClock(MIDNIGHT_UTC_S + 30 * 86400.0)
     times = ModeTimes(clock, 0.0)
     clock.now = 10.0

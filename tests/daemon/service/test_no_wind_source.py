@@ -51,13 +51,13 @@ def alarms_of(*, simulated=False, bench=False, sources=(), wind=None, role=Role.
     return [alarm for tracker in service.trackers for alarm in tracker.alarms.active if alarm.name == "no-wind-source"]
 
 
-def test_it_is_said_once_and_shown(caplog):
+def test_a_missing_wind_source_is_logged_once_and_shown_as_an_alarm(caplog):
     (alarm,) = alarms_of()
     assert alarm.text.startswith("no wind source: nothing stows the tracker in a storm")
     assert sum("no wind source" in record.message for record in caplog.records) == 1
 
 
-def test_that_a_file_says_it_is_a_benchs_silences_nothing():
+def test_a_bench_in_the_settings_does_not_silence_the_no_wind_source_alarm():
     assert alarms_of(simulated=True, bench=True)
 
 
@@ -70,12 +70,12 @@ def test_that_a_file_says_it_is_a_benchs_silences_nothing():
         {"without_wind_source": "accepted"},
     ],
 )
-def test_it_is_not_said_where_something_watches_or_somebody_has_accepted_it(how):
+def test_no_alarm_of_a_missing_wind_source_in_simulation_with_a_source_or_when_accepted(how):
     assert not alarms_of(**how)
 
 
 @pytest.mark.parametrize(("column", "values", "sensor"), [("", "", False), (",wind_speed", ",3.5", True)])
-def test_measured_weather_without_wind_is_a_rig_without_a_sensor(tmp_path, column, values, sensor):
+def test_a_simulated_rig_has_a_wind_sensor_only_if_its_measured_weather_has_wind(tmp_path, column, values, sensor):
     file = tmp_path / "weather.csv"
     minutes = [f"2022-10-12T{minute // 60:02d}:{minute % 60:02d}:00Z,500,600,80{values}" for minute in range(600, 720)]
     file.write_text("\n".join([f"time,ghi,dni,dhi{column}", *minutes, ""]))
@@ -87,7 +87,7 @@ def test_measured_weather_without_wind_is_a_rig_without_a_sensor(tmp_path, colum
     assert (rig.wind_speed_m_s is not None) is sensor
 
 
-def test_a_source_beside_real_instruments_is_asked_every_second():
+def test_a_wind_source_beside_real_instruments_is_asked_every_second():
     asked = []
 
     def wind_m_s():

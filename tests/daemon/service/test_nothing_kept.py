@@ -45,7 +45,7 @@ def stopped(directory, *, simulated):
         return runner.run(scenario())
 
 
-def test_it_is_an_alarm_from_the_start_and_the_end_of_every_answer(caplog):
+def test_a_missing_store_directory_is_an_alarm_from_the_start_and_named_in_the_answer_to_a_stop(caplog):
     alarms, answer = stopped(None, simulated=False)
     assert "nothing-kept" in alarms
     assert "; not kept: store.directory is not set: a restart forgets what persons asked for, " in answer
@@ -53,7 +53,7 @@ def test_it_is_an_alarm_from_the_start_and_the_end_of_every_answer(caplog):
 
 
 @pytest.mark.parametrize(("folder", "simulated"), [("records", False), (None, True)])
-def test_it_is_not_said_where_it_is_kept_or_nothing_moves(tmp_path, folder, simulated):
+def test_the_nothing_kept_alarm_is_not_raised_with_a_store_directory_or_in_simulation(tmp_path, folder, simulated):
     alarms, answer = stopped(folder and tmp_path / folder, simulated=simulated)
     assert "nothing-kept" not in alarms
     assert "not kept" not in answer

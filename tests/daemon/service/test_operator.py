@@ -28,7 +28,7 @@ def angles(rig):
     return f"standing at A {a_deg:+.1f}, B {b_deg:.1f} deg"
 
 
-def test_a_stop_in_mid_move_is_the_first_thing_sent_and_the_answer_tells_where_it_stands(run_rig, monkeypatch):
+def test_a_stop_in_mid_move_is_sent_first_and_the_answer_says_where_the_tracker_stands(run_rig, monkeypatch):
     async def scenario(rig):
         await under_way(rig)
         sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
@@ -45,7 +45,7 @@ def test_a_stop_in_mid_move_is_the_first_thing_sent_and_the_answer_tells_where_i
     run_rig(scenario)
 
 
-def test_a_stow_in_mid_move_stops_first_and_the_answer_tells_where_it_goes(run_rig, monkeypatch):
+def test_a_stow_in_mid_move_stops_the_axes_first_and_the_answer_says_where_the_tracker_goes(run_rig, monkeypatch):
     async def scenario(rig):
         await under_way(rig)
         sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
@@ -72,7 +72,9 @@ def test_a_stow_in_mid_move_stops_first_and_the_answer_tells_where_it_goes(run_r
         (lambda rig: rig.control.home(), b"$95"),
     ],
 )
-def test_a_stow_while_another_order_is_being_sent_does_not_wait_until_it_shows(run_rig, monkeypatch, begin, first):
+def test_a_stow_while_another_order_is_being_sent_does_not_wait_for_that_order_to_take_effect(
+    run_rig, monkeypatch, begin, first
+):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -114,7 +116,7 @@ def test_goto_outside_the_limits_is_refused_with_the_limits(run_rig, target):
     run_rig(scenario)
 
 
-def test_goto_goes_there_and_auto_tracks_again(run_rig):
+def test_goto_moves_to_its_target_and_auto_resumes_tracking(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -141,7 +143,7 @@ def test_hold_stops_a_move(run_rig):
     run_rig(scenario)
 
 
-def test_nothing_goes_anywhere_while_stowed_and_the_sentence_says_what_ends_it(run_rig):
+def test_hold_home_and_goto_are_refused_while_stowed_and_the_refusal_says_what_ends_that(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await operator(rig).stow("storm")
@@ -174,7 +176,7 @@ def test_stop_outranks_every_stow_until_auto_and_the_answer_says_so(run_rig):
 
 
 @pytest.mark.parametrize("in_doubt", [False, True])
-def test_homing_and_clearing_tell_what_the_unit_does(run_rig, in_doubt):
+def test_answers_to_home_and_clear_say_what_the_positioner_does(run_rig, in_doubt):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -192,7 +194,7 @@ def test_homing_and_clearing_tell_what_the_unit_does(run_rig, in_doubt):
     run_rig(scenario)
 
 
-def test_a_reference_run_is_believed_by_the_unit_s_own_word_before_an_axis_has_turned(run_rig):
+def test_a_reference_run_is_under_way_once_the_positioner_reports_it_before_any_axis_has_turned(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -203,7 +205,7 @@ def test_a_reference_run_is_believed_by_the_unit_s_own_word_before_an_axis_has_t
     run_rig(scenario)
 
 
-def test_a_reference_run_that_ends_between_two_looks_is_done(run_rig):
+def test_a_reference_run_that_ends_between_two_checks_counts_as_done(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -217,7 +219,7 @@ def test_a_reference_run_that_ends_between_two_looks_is_done(run_rig):
     run_rig(scenario, setup=Setup(drive=AxisDrive(100.0, acceleration_mm_s2=200.0)))
 
 
-def test_clear_waits_for_a_unit_that_tells_its_status_every_three_seconds(run_rig):
+def test_clear_waits_for_a_positioner_that_reports_its_status_every_three_seconds(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -235,7 +237,7 @@ def test_clear_waits_for_a_unit_that_tells_its_status_every_three_seconds(run_ri
     run_rig(scenario)
 
 
-def test_a_reference_run_that_the_unit_never_begins_is_not_said_to_be_under_way(run_rig, monkeypatch):
+def test_a_reference_run_that_the_positioner_never_begins_is_not_reported_as_under_way(run_rig, monkeypatch):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -248,7 +250,7 @@ def test_a_reference_run_that_the_unit_never_begins_is_not_said_to_be_under_way(
     run_rig(scenario)
 
 
-def test_a_fault_keeps_the_tracker_until_whoever_has_looked_clears_it_and_the_answer_names_it(run_rig):
+def test_a_fault_blocks_goto_until_a_person_clears_it_and_the_answer_names_the_fault(run_rig):
     async def scenario(rig):
         await under_way(rig)
         rig.unit.inject("a_overcurrent", rig.clock.monotonic())
@@ -288,7 +290,7 @@ def test_a_stop_that_cannot_be_sent_says_so_and_is_sent_first_when_the_link_is_b
     run_rig(scenario)
 
 
-def test_without_telemetry_nothing_is_ordered_in_one_sentence_each(run_rig):
+def test_without_telemetry_each_command_is_refused_with_a_sentence_that_says_why(run_rig):
     async def scenario(rig):
         await tracking(rig)
         rig.cables.positioner.link_up = False
@@ -306,7 +308,7 @@ def test_without_telemetry_nothing_is_ordered_in_one_sentence_each(run_rig):
     run_rig(scenario)
 
 
-def test_every_command_is_an_event_with_its_reason(run_rig):
+def test_every_accepted_command_is_recorded_as_an_event_with_its_reason(run_rig):
     async def scenario(rig):
         with pytest.raises(CommandError, match="the tracker cannot be homed: the positioner has not answered yet"):
             await operator(rig).home("too early")
@@ -347,7 +349,7 @@ def test_the_cubes_process_has_no_tracker_to_command():
         (-5.0, 40.0, (20.0, 40.0), None),
     ],
 )
-def test_under_way_is_a_tracker_that_was_seen_to_come_nearer_to_the_place_that_was_asked_for(
+def test_a_move_is_under_way_once_the_tracker_was_seen_to_come_nearer_to_the_requested_target(
     a_deg, b_deg, heads_for, seen
 ):
     motion = SimpleNamespace(
@@ -369,13 +371,13 @@ def test_under_way_is_a_tracker_that_was_seen_to_come_nearer_to_the_place_that_w
         (20.0, 40.0, False, None, None),
     ],
 )
-def test_done_is_a_tracker_that_stands_with_both_axes_at_the_place(a_deg, b_deg, homing, stands_s, seen):
+def test_a_move_is_done_only_when_the_tracker_stands_with_both_axes_at_the_target(a_deg, b_deg, homing, stands_s, seen):
     pose = SimpleNamespace(a_deg=a_deg, b_deg=b_deg)
     motion = SimpleNamespace(pose=pose, connected=True, target=None, homing=homing, stands_since_s=stands_s)
     assert _Approach(motion, Target(20.0, 40.0, ""), 0.5).seen() == seen
 
 
-def test_nearer_counts_from_the_farthest_place_that_was_seen():
+def test_coming_nearer_to_the_target_is_measured_from_the_farthest_position_seen():
     heading = Target(20.0, 40.0, "")
     motion = SimpleNamespace(pose=None, connected=True, target=heading, homing=False)
     approach = _Approach(motion, heading, 0.5)
@@ -385,7 +387,7 @@ def test_nearer_counts_from_the_farthest_place_that_was_seen():
         assert approach.seen() == seen
 
 
-def test_hold_is_not_said_to_be_done_while_the_unit_is_about_to_make_a_reference_run(run_rig):
+def test_hold_is_not_reported_as_done_while_the_positioner_is_about_to_make_a_reference_run(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)

@@ -27,30 +27,30 @@ from tests.support.motion import commands_sent
 from tests.support.phases import tracking, under_way
 
 
-def test_every_command_is_one_of_the_operators_and_every_mode_a_command():
+def test_every_command_has_its_operator_method_and_every_mode_is_a_command():
     assert all(callable(getattr(Operator, name)) for name in NAMES if name not in ("mode", "acknowledge"))
     assert set(MODES) | set(URGENT) < set(NAMES)
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in ("goto", "mode")])
-def test_an_empty_body_says_who_asked_by_the_way_it_came(name):
+def test_a_command_with_an_empty_body_is_attributed_to_the_way_by_which_it_came(name):
     command = parse(name, b"", "MQTT")
     assert (command.name, command.wanted, command.by, command.why) == (name, name, "MQTT", "an operator asked")
     assert command.identifier is None
 
 
-def test_reason_person_and_identifier_are_taken_over():
+def test_reason_person_and_identifier_in_the_body_of_a_command_are_kept():
     command = parse("goto", b'{"a_deg": -10, "b_deg": 60, "why": "test", "by": "ana@lab", "id": "7"}', "HTTP")
     assert (command.why, command.by, command.identifier) == ("test", "ana@lab", "7")
     assert (command.a_deg, command.b_deg) == (-10.0, 60.0)
 
 
 @pytest.mark.parametrize("content", [b"snow", b'{"mode": "snow"}'])
-def test_a_mode_is_a_word_or_an_object(content):
+def test_the_mode_command_accepts_a_plain_word_or_a_json_object(content):
     assert parse("mode", content, "MQTT").wanted == "snow"
 
 
-def test_a_number_beyond_every_float_is_for_the_limits_to_refuse():
+def test_a_goto_angle_beyond_every_float_becomes_infinity_for_the_limits_to_refuse():
     assert parse("goto", b'{"a_deg": 1' + b"0" * 400 + b', "b_deg": 60}', "HTTP").a_deg == math.inf
 
 
@@ -87,7 +87,7 @@ def test_a_number_beyond_every_float_is_for_the_limits_to_refuse():
         ("mode", b'{"mode": "hold"', "the body is not JSON"),
     ],
 )
-def test_what_cannot_be_meant_is_one_sentence(name, content, sentence):
+def test_a_malformed_command_body_is_refused_in_one_sentence(name, content, sentence):
     with pytest.raises(BodyError) as refused:
         parse(name, content, "HTTP")
     assert str(refused.value) == sentence
@@ -112,7 +112,7 @@ def test_what_cannot_be_meant_is_one_sentence(name, content, sentence):
     ],
     ids=lambda value: repr(value)[:30],
 )
-def test_a_stop_is_obeyed_whatever_comes_with_it_and_what_is_understood_is_kept(way, content, kept):
+def test_a_stop_with_a_malformed_body_is_accepted_and_its_readable_parts_are_kept(way, content, kept):
     command = parse("stop", content, way)
     assert command.wanted == "stop"
     assert {name: getattr(command, name) for name in ("why", "by", "identifier", "tracker")} == {
@@ -136,7 +136,7 @@ def test_a_stop_is_obeyed_whatever_comes_with_it_and_what_is_understood_is_kept(
         (["gust"], None),
     ],
 )
-def test_no_command_is_refused_for_its_words(name, said, kept):
+def test_no_command_is_refused_for_the_text_of_its_reason_or_person(name, said, kept):
     command = parse(name, json.dumps({"why": said, "by": said}).encode(), "HTTP")
     assert (command.why, command.by) == (kept or "an operator asked", kept or "HTTP")
 
@@ -184,7 +184,9 @@ def answering(reply):
         (409, {"error": "no goto: stopped"}, 6, "", "heliocube: no goto: stopped\n"),
     ],
 )
-def test_the_program_ends_with_what_was_seen(tmp_path, command, status, body, code, out, err):
+def test_the_command_line_prints_the_answer_and_ends_with_the_exit_code_of_what_was_seen(
+    tmp_path, command, status, body, code, out, err
+):
     listener, heard = answering(f"HTTP/1.1 {status} x\r\n\r\n{json.dumps(body)}".encode())
     with listener:
         done = _program(tmp_path, listener, *command, LOGNAME="ana")
@@ -195,7 +197,7 @@ def test_the_program_ends_with_what_was_seen(tmp_path, command, status, body, co
 
 @pytest.mark.parametrize("command", [["stow"], ["hold"], ["goto", "10", "60"]])
 @pytest.mark.parametrize("trackers", [["--tracker", "west", "--tracker", "east"], ["--tracker=west", "--tracker=east"]])
-def test_no_tracker_is_left_out_of_a_command_that_names_two(tmp_path, command, trackers):
+def test_a_command_line_that_names_two_trackers_is_refused(tmp_path, command, trackers):
     with socket.create_server(("127.0.0.1", 0)) as listener:
         done = _program(tmp_path, listener, *command, *trackers)
     assert (done.returncode, done.stdout) == (2, "")
@@ -203,7 +205,7 @@ def test_no_tracker_is_left_out_of_a_command_that_names_two(tmp_path, command, t
 
 
 @pytest.mark.parametrize("command", ["stop", "status"])
-def test_an_answer_is_told_on_a_terminal_that_knows_ascii_only(tmp_path, run_rig, command):
+def test_an_answer_is_printed_on_a_terminal_that_knows_only_ascii(tmp_path, run_rig, command):
     page = {}
 
     async def scenario(rig):
@@ -243,7 +245,7 @@ def test_ctrl_c_while_a_service_hangs_says_that_the_command_may_have_been_taken(
     assert (out, err) == ("", "heliocube: interrupted: the command may have been taken; see 'heliocube status'\n")
 
 
-def test_a_stop_that_was_cut_off_without_an_answer_is_asked_for_again_and_a_goto_is_not():
+def test_a_stop_whose_answer_was_cut_off_is_sent_again_and_a_goto_is_not():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         heard = []
 
@@ -269,7 +271,7 @@ def test_a_stop_that_was_cut_off_without_an_answer_is_asked_for_again_and_a_goto
     assert heard == ["/api/stop"] * 3 + ["/api/goto"]
 
 
-def test_a_stop_whose_answer_cannot_be_written_is_given_all_the_same(tmp_path):
+def test_a_stop_is_given_even_when_its_answer_cannot_be_written_to_standard_output(tmp_path):
     listener, heard = answering(b'HTTP/1.1 200 x\r\n\r\n{"state": "done", "text": "standing"}')
     with listener, Path("/dev/full").open("w") as full:
         done = _program(tmp_path, listener, "stop", stdout=full)
@@ -297,7 +299,7 @@ def _config(folder, port):
     return path
 
 
-def test_more_commands_than_persons_give_are_refused_for_each_way_on_its_own_and_a_stop_never_is(run_rig):
+def test_too_many_commands_a_second_are_refused_for_each_way_on_its_own_and_a_stop_never_is(run_rig):
     async def scenario(rig):
         await tracking(rig)
         operators = Operators(rig.service.trackers, 1.0)
@@ -357,7 +359,7 @@ def test_a_stop_given_again_and_again_is_sent_five_times_a_second_and_anew_after
     run_rig(scenario)
 
 
-def test_what_a_program_commands_all_day_is_logged_by_its_number(run_rig, caplog):
+def test_commands_that_a_program_repeats_are_all_events_but_the_log_gives_only_their_number(run_rig, caplog):
     async def scenario(rig):
         await tracking(rig)
         operator = Operator(rig.tracker, 1.0)

@@ -12,7 +12,7 @@ from tests.support.motion import commands_sent, show
 from tests.support.phases import at_rest, quiet, tracking, under_way
 
 
-def test_settings_of_the_unit_that_may_move_it_are_told_once(run_rig, caplog):
+def test_positioner_settings_that_may_move_it_by_itself_are_reported_once(run_rig, caplog):
     async def scenario(rig):
         read = rig.positioner.read_telemetry
 
@@ -29,7 +29,7 @@ def test_settings_of_the_unit_that_may_move_it_are_told_once(run_rig, caplog):
     assert [record.getMessage() for record in caplog.records].count(told) == 1
 
 
-def test_after_a_reconnection_the_first_word_is_stop_and_the_first_move_a_new_decision(run_rig, monkeypatch):
+def test_after_a_reconnection_the_first_command_is_stop_and_the_first_move_a_new_decision(run_rig, monkeypatch):
     async def scenario(rig):
         await under_way(rig)
         rig.cables.positioner.link_up = False
@@ -102,7 +102,7 @@ def test_the_tracker_does_not_home_by_itself_while_a_person_holds_it(run_rig, wi
     run_rig(scenario, motion={"rehome": "automatic"})
 
 
-def test_overcurrent_in_mid_move_stops_is_named_and_waits_to_be_cleared(run_rig):
+def test_overcurrent_in_mid_move_ends_in_a_fault_that_names_it_and_waits_to_be_cleared(run_rig):
     async def scenario(rig):
         await under_way(rig)
         rig.unit.inject("a_overcurrent", rig.clock.monotonic())
@@ -116,7 +116,7 @@ def test_overcurrent_in_mid_move_stops_is_named_and_waits_to_be_cleared(run_rig)
     assert rig.of(Move)[0].outcome is MoveOutcome.STALLED
 
 
-def test_a_silent_refusal_is_noticed_explained_and_tried_again_later(run_rig):
+def test_a_move_that_the_positioner_silently_refuses_is_noticed_explained_and_tried_again_later(run_rig):
     async def scenario(rig):
         rig.unit.inject("undervoltage", rig.clock.monotonic())
         await rig.until_mode(Mode.FAULT, 120)
@@ -129,7 +129,7 @@ def test_a_silent_refusal_is_noticed_explained_and_tried_again_later(run_rig):
     assert rig.of(Move)[0].outcome is MoveOutcome.REFUSED
 
 
-def test_an_axis_that_does_not_move_is_a_stall(run_rig):
+def test_an_axis_that_does_not_move_ends_in_fault_with_a_stalled_or_refused_move(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -142,7 +142,7 @@ def test_an_axis_that_does_not_move_is_a_stall(run_rig):
     assert rig.of(Move)[-1].outcome in (MoveOutcome.STALLED, MoveOutcome.REFUSED)
 
 
-def test_the_units_own_tracking_is_switched_off_before_anything_else(run_rig):
+def test_the_positioners_own_tracking_is_switched_off_and_the_service_tracks_again(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -167,7 +167,7 @@ def test_hours_without_the_positioner_write_few_lines(run_rig, caplog):
     assert 2 <= len(lines) <= 10
 
 
-def test_poses_tell_where_the_tracker_truly_stands(run_rig):
+def test_pose_records_agree_with_the_true_position_of_the_tracker(run_rig):
     async def scenario(rig):
         await under_way(rig)
         await at_rest(rig)
@@ -181,7 +181,7 @@ def test_poses_tell_where_the_tracker_truly_stands(run_rig):
 
 
 @pytest.mark.parametrize("more", ["", "; and 1 more, which 'heliocube status' shows"])
-def test_of_many_doubts_a_refusal_has_two_and_counts_the_others(run_rig, more):
+def test_a_refusal_names_two_doubts_about_the_reference_and_counts_the_others(run_rig, more):
     async def scenario(rig):
         await tracking(rig)
         show(rig, reference_doubt=f"it slipped; it jumped{'; it restarted' if more else ''}")

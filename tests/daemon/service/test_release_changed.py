@@ -40,7 +40,7 @@ async def moves_nothing(rig, for_s):
     assert rig.truth() == stood
 
 
-def test_it_holds_with_an_alarm_until_auto_over_restarts_too(upgraded, restarted):
+def test_after_a_change_of_release_the_tracker_holds_with_an_alarm_until_auto_even_over_restarts(upgraded, restarted):
     async def held(rig):
         await rig.until_mode(Mode.HOLD, 60)
         await moves_nothing(rig, 900)
@@ -68,7 +68,7 @@ def test_it_holds_with_an_alarm_until_auto_over_restarts_too(upgraded, restarted
 
 
 @pytest.mark.parametrize(("command", "mode"), [("stop", Mode.HOLD), ("stow", Mode.STOW), ("snow", Mode.SNOW)])
-def test_what_persons_had_asked_for_stands_as_it_was(upgraded, restarted, command, mode):
+def test_a_stop_stow_or_snow_asked_for_before_a_change_of_release_stays_in_force(upgraded, restarted, command, mode):
     async def asks(rig):
         await rig.until_mode(Mode.TRACKING, 120)
         await getattr(Operator(rig.tracker, 1.0), command)("repair", "ana")
@@ -85,7 +85,7 @@ def test_what_persons_had_asked_for_stands_as_it_was(upgraded, restarted, comman
     upgraded(stands)
 
 
-def test_a_storm_stows_it_all_the_same_and_afterwards_it_holds_where_it_is(upgraded):
+def test_a_storm_stows_a_tracker_held_after_a_change_of_release_and_it_holds_there_afterwards(upgraded):
     async def scenario(rig):
         await rig.until_mode(Mode.HOLD, 60)
         rig.wind_m_s = 20.0

@@ -34,7 +34,7 @@ async def give(rig, name, **body):
     return await Operators(rig.service.trackers, 1.0).carry_out(command)
 
 
-def test_one_that_is_unplugged_is_in_fault_and_the_other_tracks_on(run_rig):
+def test_an_unplugged_tracker_is_in_fault_and_the_other_goes_on_tracking(run_rig):
     async def scenario(rig):
         await both_track(rig)
         rig.cables.others[0].link_up = False
@@ -51,7 +51,7 @@ def test_one_that_is_unplugged_is_in_fault_and_the_other_tracks_on(run_rig):
     run_rig(scenario, tracker=TWO)
 
 
-def test_lines_of_the_log_say_whose_they_are(run_rig, caplog):
+def test_log_lines_name_the_tracker_that_they_are_about(run_rig, caplog):
     lines = []
     handler = logging.Handler()
     handler.emit = lambda record: lines.append(LineFormatter(journal=True).format(record))
@@ -82,7 +82,7 @@ def test_lines_of_the_log_say_whose_they_are(run_rig, caplog):
             assert any(part in line and f"tracker={name}" in line for line in lines), part
 
 
-def test_a_stop_of_one_leaves_the_other_moving_and_each_wish_survives_a_restart_by_itself(run_rig, tmp_path):
+def test_a_stop_of_one_tracker_leaves_the_other_moving_and_each_wish_survives_a_restart(run_rig, tmp_path):
     async def before(rig):
         await both_track(rig)
         answer = await give(rig, "stop", tracker="west", why="repair")
@@ -102,7 +102,7 @@ def test_a_stop_of_one_leaves_the_other_moving_and_each_wish_survives_a_restart_
     run_rig(after, **options)
 
 
-def test_a_stop_without_a_name_is_for_all_and_other_commands_ask_for_one(run_rig):
+def test_a_stop_without_a_tracker_name_stops_all_and_other_commands_require_a_name(run_rig):
     async def scenario(rig):
         await both_track(rig)
         found = await give(rig, "stop", why="fire")
@@ -120,7 +120,7 @@ def test_a_stop_without_a_name_is_for_all_and_other_commands_ask_for_one(run_rig
     run_rig(scenario, tracker=TWO)
 
 
-def test_a_stop_of_a_tracker_that_there_is_not_is_for_all_and_says_so(run_rig):
+def test_a_stop_for_an_unknown_tracker_name_stops_all_and_says_so(run_rig):
     async def scenario(rig):
         await both_track(rig)
         sentence = "there is no tracker 'nroth'; the trackers are east, west; so the stop is for all: all 2 trackers:\n"
@@ -136,7 +136,7 @@ def test_a_stop_of_a_tracker_that_there_is_not_is_for_all_and_says_so(run_rig):
     run_rig(scenario, tracker=TWO)
 
 
-def test_a_stop_of_all_has_a_line_for_each_tracker_and_first_whose_unit_could_not_be_told(run_rig):
+def test_the_answer_to_a_stop_of_all_has_a_line_for_each_tracker_with_unreached_ones_first(run_rig):
     async def scenario(rig):
         await rig.until(lambda: modes(rig) == [Mode.TRACKING] * 3, 120, "tracking of all")
         rig.cables.others[1].link_up = False
@@ -152,7 +152,7 @@ def test_a_stop_of_all_has_a_line_for_each_tracker_and_first_whose_unit_could_no
     run_rig(scenario, tracker=[*TWO, {"name": "north-west"}])
 
 
-def test_each_keeps_within_its_own_limits(run_rig):
+def test_each_tracker_keeps_within_its_own_limits(run_rig):
     async def scenario(rig):
         await both_track(rig)
         await give(rig, "goto", tracker="east", a_deg=30, b_deg=60)
@@ -174,7 +174,7 @@ def test_records_bear_the_name_of_their_tracker_and_scans_come_once(run_rig):
     run_rig(scenario, tracker=TWO)
 
 
-def test_the_state_names_each_tracker_and_a_single_one_is_at_the_top_too(run_rig):
+def test_the_state_lists_each_tracker_by_name_and_a_single_tracker_at_the_top_level_too(run_rig):
     async def two(rig):
         await both_track(rig)
         found = state_json(rig.see())
@@ -203,7 +203,7 @@ def test_the_state_names_each_tracker_and_a_single_one_is_at_the_top_too(run_rig
     run_rig(one)
 
 
-def test_maintenance_of_one_leaves_the_alarms_of_the_other_and_of_the_cube(run_rig):
+def test_maintenance_mutes_only_the_alarms_of_its_tracker_and_those_of_the_cube_if_all_are_in_it(run_rig):
     async def scenario(rig):
         await both_track(rig)
         await give(rig, "maintenance", tracker="west", why="belts")
@@ -217,7 +217,7 @@ def test_maintenance_of_one_leaves_the_alarms_of_the_other_and_of_the_cube(run_r
     run_rig(scenario, tracker=TWO)
 
 
-def test_a_driver_that_hangs_for_good_costs_its_own_tracker_and_not_the_service(run_rig):
+def test_a_driver_that_hangs_for_good_disables_its_own_tracker_and_not_the_service(run_rig):
     async def scenario(rig):
         await both_track(rig)
 
@@ -237,14 +237,14 @@ def test_a_driver_that_hangs_for_good_costs_its_own_tracker_and_not_the_service(
     run_rig(scenario, tracker=TWO)
 
 
-def test_the_unit_allows_the_threads_of_as_many_trackers_as_a_file_may_have():
+def test_the_systemd_unit_allows_threads_for_as_many_trackers_as_a_file_may_have():
     unit = (ROOT / "deploy" / "heliocube-tracker.service").read_text()
     allowed = int(re.search(r"^TasksMax=(\d+)$", unit, re.MULTILINE)[1])
     # For each tracker two of its positioner, one each for its load, files and broker's name; and those that they share.
     assert allowed >= 5 * _MOST_TRACKERS + 32
 
 
-def test_a_stop_in_a_crowd_of_stops_that_names_no_tracker_of_the_process_is_not_dropped(run_rig):
+def test_in_a_flood_a_stop_for_an_unknown_tracker_is_skipped_only_once_all_trackers_are_stopped(run_rig):
     async def scenario(rig):
         await both_track(rig)
         operators, stop = Operators(rig.service.trackers, 1.0), parse("stop", b'{"tracker": "nroth"}', "test")
@@ -257,7 +257,7 @@ def test_a_stop_in_a_crowd_of_stops_that_names_no_tracker_of_the_process_is_not_
     run_rig(scenario, tracker=TWO)
 
 
-def test_what_a_command_is_answered_with_names_commands_as_they_are_typed_for_its_tracker(run_rig):
+def test_refusals_of_commands_name_the_remedy_command_with_the_option_of_their_tracker(run_rig):
     async def scenario(rig):
         await both_track(rig)
         await give(rig, "stop", why="fire")
@@ -277,7 +277,7 @@ def test_what_a_command_is_answered_with_names_commands_as_they_are_typed_for_it
     run_rig(scenario, tracker=TWO)
 
 
-def test_every_remedy_that_is_shown_of_one_is_typed_with_its_name(run_rig, caplog, monkeypatch):
+def test_every_remedy_command_shown_for_one_of_several_trackers_has_its_tracker_option(run_rig, caplog, monkeypatch):
     lines, recent = [], Recent()
     written = LineFormatter(journal=True).format
     monkeypatch.setattr(caplog.handler, "emit", lambda record: lines.append(written(record)))

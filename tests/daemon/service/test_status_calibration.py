@@ -35,7 +35,7 @@ def status(now, made):
     ("year", "month", "validity", "mark"),
     [(2023, 1, "valid", ""), (2024, 3, "expires soon", "EXPIRES SOON "), (2024, 4, "expired", "EXPIRED ")],
 )
-def test_the_status_shows_the_calibration_and_that_it_expires(year, month, validity, mark):
+def test_the_status_shows_the_calibration_and_whether_it_expires_soon_or_has_expired(year, month, validity, mark):
     made = calibration()
     found, (line,) = status(datetime(year, month, 10, tzinfo=UTC), made)
     assert found["identifier"] == made.identifier

@@ -23,7 +23,7 @@ from tests.support.motion import commands_sent
 from tests.support.phases import at_rest, quiet, tracking, under_way
 
 
-def test_wind_stows_in_mid_move_and_releases_after_its_calm(run_rig):
+def test_wind_stows_the_tracker_in_mid_move_and_releases_it_after_900_s_of_calm(run_rig):
     async def scenario(rig):
         await under_way(rig)
         rig.wind_m_s = 16.0
@@ -40,7 +40,7 @@ def test_wind_stows_in_mid_move_and_releases_after_its_calm(run_rig):
     assert "16.0 m/s" in next(change.why for change in rig.of(ModeChange) if change.after is Mode.STOW)
 
 
-def test_a_hold_in_the_instant_of_a_gust_does_not_keep_the_stow_waiting(run_rig):
+def test_a_hold_in_the_instant_of_a_gust_does_not_delay_the_wind_stow(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.wind_m_s = 20.0
@@ -52,7 +52,7 @@ def test_a_hold_in_the_instant_of_a_gust_does_not_keep_the_stow_waiting(run_rig)
     run_rig(scenario)
 
 
-def test_a_hold_stops_what_is_left_of_a_stow_that_was_released_in_doubt(run_rig):
+def test_hold_stops_a_stow_move_that_still_runs_after_auto_while_the_reference_is_in_doubt(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.unit.power_cycle(rig.clock.monotonic())
@@ -69,7 +69,7 @@ def test_a_hold_stops_what_is_left_of_a_stow_that_was_released_in_doubt(run_rig)
 
 
 @pytest.mark.parametrize("blows", [False, True])
-def test_auto_ends_the_way_to_a_stow_at_once_but_not_while_the_wind_blows(run_rig, blows):
+def test_auto_interrupts_a_stow_move_at_once_but_not_while_the_wind_blows(run_rig, blows):
     async def scenario(rig):
         await quiet(rig)
         operator = Operator(rig.tracker, 1.0)
@@ -94,7 +94,7 @@ def test_auto_ends_the_way_to_a_stow_at_once_but_not_while_the_wind_blows(run_ri
     assert stow.outcome is (MoveOutcome.ARRIVED if blows else MoveOutcome.INTERRUPTED)
 
 
-def test_stow_ends_a_homing_run_and_leaves_a_doubt(run_rig):
+def test_stow_ends_a_reference_run_and_leaves_the_reference_in_doubt(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -115,7 +115,7 @@ def test_stow_ends_a_homing_run_and_leaves_a_doubt(run_rig):
     run_rig(scenario)
 
 
-def test_a_unit_that_takes_no_target_after_its_restart_is_cleared_for_a_stow_and_stays_in_doubt(run_rig):
+def test_a_restarted_positioner_that_takes_no_target_is_cleared_for_a_stow_and_stays_in_doubt(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.unit.inject("a_hall_loss", rig.clock.monotonic())
@@ -134,7 +134,7 @@ def test_a_unit_that_takes_no_target_after_its_restart_is_cleared_for_a_stow_and
     run_rig(scenario, start="2022-10-12T08:30")
 
 
-def test_a_wind_sensor_that_falls_silent_stows(run_rig):
+def test_a_wind_sensor_that_falls_silent_stows_the_tracker(run_rig):
     async def scenario(rig):
         await tracking(rig)
         rig.wind_m_s = None
@@ -205,7 +205,7 @@ def test_a_goto_from_before_a_fault_is_not_carried_out_after_it(run_rig):
     run_rig(scenario)
 
 
-def test_goto_moves_there_and_holds(run_rig):
+def test_goto_moves_to_its_target_and_holds(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -218,7 +218,7 @@ def test_goto_moves_there_and_holds(run_rig):
 
 
 @pytest.mark.parametrize("target", [(51, 60), (0, 14.9), (math.nan, 60), (0, math.inf)])
-def test_nothing_outside_the_limits_gets_past_any_door(run_rig, target):
+def test_a_target_outside_the_limits_is_refused_by_control_and_by_the_driver(run_rig, target):
     async def scenario(rig):
         await tracking(rig)
         with pytest.raises(ValueError, match=r"limits \(A -50..50 deg, B 15..90 deg\)"):
@@ -229,7 +229,7 @@ def test_nothing_outside_the_limits_gets_past_any_door(run_rig, target):
     run_rig(scenario)
 
 
-def test_every_way_to_move_goes_through_one_guard(run_rig):
+def test_besides_the_probes_only_motion_and_setup_call_the_positioners_move_and_home(run_rig):
     """R24: in the service the only caller of the positioner's move and home commands is the runner of Motion.
 
     `heliocube probe` and `heliocube setup` run only while the service does not, and keep to the driver's limits.
@@ -244,7 +244,7 @@ def test_every_way_to_move_goes_through_one_guard(run_rig):
     assert callers == {"daemon/motion/runs.py", "daemon/commands/setup/first_move.py"}
 
 
-def test_before_the_positioner_is_there_every_order_is_refused(run_rig):
+def test_orders_and_stops_are_refused_before_the_positioner_has_answered(run_rig):
     async def scenario(rig):
         await asyncio.sleep(5)
 
@@ -257,7 +257,7 @@ def test_before_the_positioner_is_there_every_order_is_refused(run_rig):
 
 
 @pytest.mark.parametrize("asked", ["stop", "maintenance", "hold"])
-def test_an_auto_that_was_given_before_what_it_would_end_ends_nothing(run_rig, asked):
+def test_an_auto_dated_before_the_stop_hold_or_maintenance_that_it_would_end_is_refused(run_rig, asked):
     async def scenario(rig):
         await tracking(rig)
         operators = Operators(rig.service.trackers, 1.0)

@@ -125,7 +125,7 @@ def content(path):
         (link_to_itself, "link", "a link in the store's place that leads back to itself"),
     ],
 )
-def test_what_cannot_be_used_is_moved_aside_as_it_is_and_said_once(keep, tmp_path, caplog, spoil, kind, says):
+def test_an_unusable_store_is_moved_aside_with_an_alarm_and_logged_once(keep, tmp_path, caplog, spoil, kind, says):
     folder = keep(*[scan(n) for n in range(500)])
     path, alarms = folder / FILE_NAME, {}
     spoil(path)
@@ -154,7 +154,7 @@ def test_what_cannot_be_used_is_moved_aside_as_it_is_and_said_once(keep, tmp_pat
     assert last.get("store-aside") is None
 
 
-def test_what_sqlite_keeps_beside_it_goes_with_it(keep):
+def test_the_wal_and_shm_files_of_an_unusable_store_are_moved_aside_with_it(keep):
     folder = keep(scan(0))
     path = folder / FILE_NAME
     notes(path)
@@ -166,7 +166,7 @@ def test_what_sqlite_keeps_beside_it_goes_with_it(keep):
     assert Path(f"{aside}-shm").read_text() == "-shm"
 
 
-def test_what_is_in_the_place_of_a_file_beside_it_is_moved_alone_and_the_store_goes_on(keep, caplog):
+def test_things_in_the_place_of_sqlite_side_files_are_moved_aside_alone_and_the_store_goes_on(keep, caplog):
     folder, alarms = keep(scan(0)), {}
     path = folder / FILE_NAME
     Path(f"{path}-wal").mkdir()
@@ -185,7 +185,7 @@ def test_what_is_in_the_place_of_a_file_beside_it_is_moved_alone_and_the_store_g
         assert connection.execute("SELECT count(*) FROM scans").fetchone() == (2,)
 
 
-def test_damage_that_is_found_while_writing_costs_no_record(keep, tmp_path):
+def test_damage_of_the_store_found_while_writing_loses_no_later_record(keep, tmp_path):
     """The store is open and its pages are in memory when the file under it becomes rubbish."""
     folder = keep(*[scan(n) for n in range(2000)])
     path, alarms = folder / FILE_NAME, {}
@@ -208,7 +208,7 @@ def test_damage_that_is_found_while_writing_costs_no_record(keep, tmp_path):
     assert kept[0] > 2000
 
 
-def test_a_disk_that_damages_one_store_after_the_other_is_not_filled_with_them(keep):
+def test_on_a_disk_that_damages_one_store_after_another_only_one_is_moved_aside(keep):
     folder = keep(scan(0))
     path, alarms = folder / FILE_NAME, {}
     with_rubbish_pages(path)
@@ -234,7 +234,7 @@ def test_a_disk_that_damages_one_store_after_the_other_is_not_filled_with_them(k
     assert alarms["store-down"] is None
 
 
-def test_a_folder_that_cannot_be_is_an_alarm_and_no_end(tmp_path):
+def test_an_impossible_store_folder_raises_an_alarm_and_records_are_written_once_it_is_possible(tmp_path):
     (tmp_path / "file").write_text("")
     alarms = {}
     store = opened(tmp_path / "file" / "x", alarms, 0.05)
@@ -247,7 +247,7 @@ def test_a_folder_that_cannot_be_is_an_alarm_and_no_end(tmp_path):
     assert alarms["store-down"] is None
 
 
-def test_a_link_to_a_disk_that_is_not_mounted_says_so_and_waits_for_it(tmp_path):
+def test_a_store_linked_to_a_disk_that_is_not_mounted_says_so_and_waits_for_the_disk(tmp_path):
     (tmp_path / "store").mkdir()
     (tmp_path / "store" / FILE_NAME).symlink_to(tmp_path / "disk" / "x.sqlite")
     alarms, says = {}, f"is a link to {tmp_path}/disk/x.sqlite, whose folder is not there: mount its disk, or"
@@ -284,7 +284,7 @@ store.close()
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
 @pytest.mark.parametrize("own_folder", [True, False])
-def test_a_file_of_another_user_is_moved_aside_where_the_folder_is_ours(keep, own_folder):
+def test_a_store_file_of_another_user_is_moved_aside_only_if_the_folder_can_be_written(keep, own_folder):
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "records"
         keep(scan(0), folder=folder)
@@ -302,7 +302,7 @@ def test_a_file_of_another_user_is_moved_aside_where_the_folder_is_ours(keep, ow
             assert not stores_aside(folder / FILE_NAME)
 
 
-def test_the_command_that_the_alarm_names_can_be_given_as_it_stands(keep, heliocube):
+def test_the_salvage_command_named_in_the_alarm_works_as_it_is_written(keep, heliocube):
     path = keep(*[scan(n) for n in range(5)]) / FILE_NAME
     move_aside(path, "damaged", T0)
     command = re.search(r"'heliocube (store salvage .*)' gets what", aside_text(path))[1]

@@ -41,7 +41,7 @@ def pages(path, most=500):
                 after = batch.through
 
 
-def test_every_record_of_every_run_is_in_one_page_and_comes_out_as_it_went_in(kept):
+def test_every_record_of_every_run_is_in_exactly_one_page_and_decodes_unchanged(kept):
     kept(*(pose(n) for n in range(5)), scan(1), Event(T0, 0.0, "a", "ü\n"), run=origin(tracker="first"))
     path = kept(*(pose(n, T0 + 0.1234567) for n in range(3)))
     found = list(pages(path, most=3))
@@ -59,7 +59,7 @@ def test_every_record_of_every_run_is_in_one_page_and_comes_out_as_it_went_in(ke
 
 
 @pytest.mark.parametrize("tables_read", range(1, 1 + len(KINDS)))
-def test_what_is_written_while_a_page_is_read_is_not_passed_over(kept, tables_read):
+def test_records_written_while_a_page_is_read_are_not_missed(kept, tables_read):
     path = kept(pose(0))
     with closing(open_for_reading(path)) as connection, closing(sqlite3.connect(path)) as service:
         ((run, known),) = runs_of(path)
@@ -82,7 +82,7 @@ def test_what_is_written_while_a_page_is_read_is_not_passed_over(kept, tables_re
     assert sorted(numbers) == [0, 1, 2]
 
 
-def test_a_run_of_before_there_were_identifiers_has_the_same_one_each_time_and_no_other_run_has_it(kept):
+def test_an_old_run_without_an_identifier_always_gets_the_same_one_and_no_other_run_has_it(kept):
     path = kept(Pose(T0, 0.0, 1.0, 2.0, moving=True), run=origin(id=""))
     kept(Pose(T0, 0.0, 1.0, 2.0, moving=True), run=origin(id=""))
     with closing(sqlite3.connect(path)) as connection:
@@ -132,7 +132,7 @@ def test_a_run_of_before_there_were_identifiers_has_the_same_one_each_time_and_n
         ),
     ],
 )
-def test_what_is_no_page_is_refused(change, part):
+def test_a_message_that_is_no_valid_page_of_records_is_refused_with_the_reason(change, part):
     with pytest.raises(BatchError) as error:
         decoded(json.dumps(GOOD | change).encode())
     assert part in str(error.value)
@@ -154,7 +154,7 @@ JSON = st.recursive(
 
 @settings(max_examples=40)
 @given(st.sampled_from([*GOOD]), JSON)
-def test_no_message_is_more_than_a_sentence(key, value):
+def test_any_message_is_either_decoded_or_refused_in_a_single_line(key, value):
     for payload in (json.dumps(GOOD | {key: value}), json.dumps(value)):
         try:
             decoded(payload.encode())

@@ -58,13 +58,13 @@ def test_an_older_store_is_copied_whole_before_it_is_changed(keep, caplog):
     assert any("a copy is kept as" in message for message in caplog.messages)
 
 
-def test_a_store_of_today_is_not_copied_and_a_new_one_neither(keep):
+def test_neither_an_up_to_date_store_nor_a_new_one_is_copied(keep):
     folder = keep(scan(0))
     opened(folder).close()
     assert copies_of(folder) == []
 
 
-def test_without_room_the_store_is_changed_all_the_same_and_it_is_said(small_disk, keep, caplog):
+def test_without_room_for_a_copy_the_older_store_is_still_upgraded_and_that_is_logged(small_disk, keep, caplog):
     keep(*[scan(n) for n in range(5)], folder=small_disk)
     made_older(small_disk)
     opened(small_disk).close()
@@ -96,7 +96,7 @@ def release(tmp_path):
     return run
 
 
-def test_the_copies_go_once_the_new_release_has_run_for_a_day_in_all(release, tmp_path):
+def test_the_copy_of_the_store_is_removed_once_the_new_release_has_run_for_a_day_in_total(release, tmp_path):
     release("0.1.0", 3.0)
     copy = copy_path(tmp_path / FILE_NAME, OLDER)
     copy.write_text("records")
@@ -108,7 +108,7 @@ def test_the_copies_go_once_the_new_release_has_run_for_a_day_in_all(release, tm
     assert not copy.exists()
 
 
-def test_going_back_counts_anew(release, tmp_path):
+def test_going_back_to_the_older_release_counts_the_day_until_the_copy_is_removed_anew(release, tmp_path):
     release("0.2.0", 0.1)
     copy = copy_path(tmp_path / FILE_NAME, OLDER)
     copy.write_text("records")
@@ -117,7 +117,7 @@ def test_going_back_counts_anew(release, tmp_path):
     assert copy.exists()
 
 
-def test_a_change_is_found_again_until_the_hold_is_on_the_disk(release):
+def test_a_change_of_release_is_found_at_each_start_until_the_hold_is_saved(release):
     assert release("0.1.0", 0.0)[0] is None
     assert release("0.2.0", 0.1, lambda: False)[0] == "0.1.0"
     assert release("0.2.0", 0.1)[0] == "0.1.0"
@@ -125,11 +125,11 @@ def test_a_change_is_found_again_until_the_hold_is_on_the_disk(release):
 
 
 @pytest.mark.parametrize("left", [FILE_NAME, "configuration.json"])
-def test_a_release_that_kept_no_name_is_known_by_what_it_left(release, tmp_path, left):
+def test_an_earlier_release_that_saved_no_name_is_recognised_by_the_files_it_left(release, tmp_path, left):
     (tmp_path / left).write_text("")
     assert release("0.2.0", 0.0)[0] == "an earlier release"
 
 
-def test_a_file_that_cannot_be_read_counts_as_a_change(release, tmp_path):
+def test_an_unreadable_release_file_counts_as_a_change_of_release(release, tmp_path):
     (tmp_path / RELEASE_NAME).write_text("{")
     assert release("0.2.0", 0.0)[0] == "an earlier release"

@@ -34,7 +34,7 @@ def rows(path):
         return list(csv.DictReader(file))
 
 
-def test_an_export_is_what_the_tables_of_the_same_records_are_and_more(keep, tmp_path):
+def test_an_export_has_the_values_of_directly_written_tables_plus_run_and_simulated(keep, tmp_path):
     with TableWriter(tmp_path / "tables") as tables:
         for record in ALL:
             tables.write(record)
@@ -61,14 +61,14 @@ def test_parquet_opens_in_pandas_with_a_utc_index_and_the_names_of_pvlib(keep, t
     assert decisions["apparent_zenith"].tolist() == [60.0, 60.0]
 
 
-def test_half_a_letter_in_one_text_keeps_no_other_record_out(keep, tmp_path):
+def test_an_unpaired_surrogate_in_one_text_is_replaced_and_all_records_are_exported(keep, tmp_path):
     events = [Event(T0 + n, n, "test", text) for n, text in enumerate(("before", "half \ud800", "after"))]
     export(keep(*events), tmp_path / "out", "csv", None, None, ())
     assert [row["text"] for row in rows(tmp_path / "out" / "events.csv")] == ["before", "half ?", "after"]
 
 
 @pytest.mark.parametrize("latitude_deg", [48.7, -33.9])
-def test_a_pose_means_to_pvlib_what_it_means_here(keep, tmp_path, latitude_deg):
+def test_an_exported_pose_means_the_same_to_pvlib_in_both_hemispheres(keep, tmp_path, latitude_deg):
     """If our angles face the sun, pvlib computes an angle of incidence of zero."""
     azimuth_deg, elevation_deg = (150.0, 40.0) if latitude_deg > 0 else (20.0, 40.0)
     a_deg, b_deg = angles_from_direction(direction_from_azimuth(azimuth_deg, elevation_deg, latitude_deg))
@@ -80,7 +80,7 @@ def test_a_pose_means_to_pvlib_what_it_means_here(keep, tmp_path, latitude_deg):
     assert float(aoi) == pytest.approx(0, abs=1e-5)
 
 
-def test_what_the_store_does_not_know_of_a_scan_is_empty(keep, tmp_path):
+def test_unknown_values_of_a_scan_are_exported_as_empty_cells(keep, tmp_path):
     folder = keep(scan(0))
     with closing(sqlite3.connect(folder / "heliocube.sqlite")) as store, store:
         # As an archive holds a face that was read before 1970, and a page without a number.
@@ -93,14 +93,14 @@ def test_what_the_store_does_not_know_of_a_scan_is_empty(keep, tmp_path):
     assert (pd.isna(seen.east_time), pd.isna(seen.sequence), pd.isna(seen.south_time)) == (True, True, False)
 
 
-def test_a_bad_zenith_reading_is_no_ghi(keep, tmp_path):
+def test_a_bad_zenith_reading_is_not_exported_as_ghi(keep, tmp_path):
     good = scan(0)
     bad = replace(good, sequence=1, zenith=good.zenith._replace(quality="implausible"))
     export(keep(good, bad), tmp_path / "out", "csv", None, None, ["scans"])
     assert [row["ghi"] != "" for row in rows(tmp_path / "out" / "scans.csv")] == [True, False]
 
 
-def test_from_is_included_and_to_is_not(keep, tmp_path):
+def test_the_start_of_an_export_is_included_and_its_end_is_not(keep, tmp_path):
     folder = keep(*[Event(T0 + n, n, "test", str(n)) for n in range(10)])
     start, end = (datetime.fromtimestamp(T0 + n, UTC) for n in (3, 6))
     assert export(folder, tmp_path / "out", "csv", start, end, ["events"]).rows == {"events": 3}
@@ -117,7 +117,7 @@ def test_rows_are_in_the_order_of_time_over_all_runs(keep, tmp_path):
     ]
 
 
-def test_the_tables_of_a_run_name_its_tracker_or_each_record_its_own(keep, tmp_path):
+def test_exported_rows_name_the_tracker_of_the_record_or_else_that_of_the_run(keep, tmp_path):
     east, west = replace(decision(), tracker="east"), replace(decision(), time_utc_s=T0 + 60, tracker="west")
     folder = keep(east, west)
     keep(replace(east, time_utc_s=T0 + 120), origin=replace(ORIGIN, tracker="roof"))
@@ -136,7 +136,9 @@ def test_the_tables_of_a_run_name_its_tracker_or_each_record_its_own(keep, tmp_p
         ([], "there is no store at {store}/heliocube.sqlite; name the folder that the service has as store.directory"),
     ],
 )
-def test_an_export_that_cannot_be_meant_is_one_sentence_and_code_2(heliocube, tmp_path, arguments, sentence):
+def test_an_export_with_a_wrong_span_or_without_a_store_ends_with_one_sentence_and_code_2(
+    heliocube, tmp_path, arguments, sentence
+):
     code, out, err = heliocube("export", "--store", tmp_path, "--out", tmp_path / "out", *arguments)
     assert (code, out) == (2, "")
     assert err == f"heliocube: {sentence.format(store=tmp_path)}\n"
@@ -144,7 +146,7 @@ def test_an_export_that_cannot_be_meant_is_one_sentence_and_code_2(heliocube, tm
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-def test_the_answer_in_json_says_whether_simulated_instruments_are_behind_what_was_written(
+def test_the_json_answer_of_an_export_says_whether_the_records_are_of_simulated_instruments(
     heliocube, tmp_path, simulated
 ):
     store, out = stored_days(tmp_path / "store", simulated=simulated), tmp_path / "out"
@@ -194,7 +196,7 @@ def test_an_export_finds_the_store_by_the_configuration(heliocube, keep, tmp_pat
     assert heliocube("export", "--store", tmp_path / "records", "--out", tmp_path / "out3")[0] == 0
 
 
-def test_the_documented_snippet_reads_a_day(keep, tmp_path):
+def test_the_snippet_in_docs_data_md_reads_an_exported_day(keep, tmp_path):
     poses = [Pose(T0 + 600 * n, n, 20 * math.sin(n / 20), 60.0, moving=False) for n in range(144)]
     folder = keep(*[scan(n) for n in range(200)], *poses)
     export(folder, tmp_path / "day", "parquet", None, None, ())

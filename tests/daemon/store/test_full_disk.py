@@ -54,7 +54,7 @@ def fill(path):
             pass
 
 
-def test_a_full_disk_is_told_once_costs_nothing_and_is_over_by_itself(small_disk, caplog, tmp_path):
+def test_a_full_disk_is_reported_once_loses_no_record_and_ends_by_itself(small_disk, caplog, tmp_path):
     caplog.set_level(logging.INFO)
     told, clock = queue.Queue(), CountedClock(5)
     store = Store(small_disk, 0.1, 400, ORIGIN, clock, told.put)
@@ -83,7 +83,7 @@ def test_a_full_disk_is_told_once_costs_nothing_and_is_over_by_itself(small_disk
     assert export(small_disk, tmp_path / "out", "csv", None, None, ["scans"]).rows == {"scans": 3000}
 
 
-def test_a_service_starts_on_a_full_disk_and_writes_when_there_is_room(small_disk, tmp_path):
+def test_a_store_begun_on_a_full_disk_writes_when_there_is_room(small_disk, tmp_path):
     filler = small_disk / "filler"
     fill(filler)
     told = queue.Queue()
@@ -121,7 +121,7 @@ def test_a_full_disk_does_not_stop_control_and_no_record_is_lost(run_rig, small_
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
-def test_tables_that_a_disk_does_not_take_are_one_sentence_and_leave_nothing(small_disk, form):
+def test_tables_that_do_not_fit_on_the_disk_are_refused_in_one_sentence_and_leave_no_file(small_disk, form):
     def write():
         with TableWriter(small_disk / "out", form) as tables:
             # Random text, which Parquet cannot compress.
@@ -133,7 +133,7 @@ def test_tables_that_a_disk_does_not_take_are_one_sentence_and_leave_nothing(sma
     assert list(small_disk.iterdir()) == []
 
 
-def test_a_simulation_whose_tables_a_disk_does_not_take_is_one_sentence(small_disk, heliocube):
+def test_a_simulation_whose_tables_do_not_fit_on_the_disk_ends_with_one_sentence(small_disk, heliocube):
     # The room that is left is full after minutes and not after hours.
     filler = small_disk / "filler"
     filler.write_bytes(bytes(400 * 1024))

@@ -42,7 +42,7 @@ def unpacked(content):
     return said, dict(zip(said["columns"], columns.tolist(), strict=True))
 
 
-def test_good_readings_are_numbers_and_others_are_none(store_of):
+def test_good_readings_are_packed_as_numbers_and_others_as_nan(store_of):
     said, found = unpacked(packed_numbers(store_of(*ALL), "scans", T0, T0 + 60, "east"))
     assert (said["rows"], said["start"], said["more"]) == (2, T0, False)
     assert found["time_s"] == [1.25, 6.25]
@@ -50,7 +50,7 @@ def test_good_readings_are_numbers_and_others_are_none(store_of):
     assert all(math.isnan(value) for value in found["south_w_m2"])
 
 
-def test_the_start_is_included_and_the_end_is_not(store_of):
+def test_the_start_of_a_span_of_history_is_included_and_its_end_is_not(store_of):
     path = store_of(*(scan(n) for n in range(10)))
     _, found = unpacked(packed_numbers(path, "scans", T0 + 6.25, T0 + 16.25, ""))
     assert found["time_s"] == [0.0, 5.0]
@@ -58,7 +58,7 @@ def test_the_start_is_included_and_the_end_is_not(store_of):
     assert none["time_s"] == []
 
 
-def test_each_tracker_has_its_own_and_what_is_of_none_is_everybodys(store_of):
+def test_each_tracker_gets_its_own_records_and_those_of_no_tracker(store_of):
     pose = Pose(T0, 1.0, -3.0, 60.0, moving=False)
     records = [replace(pose, tracker="east"), replace(pose, tracker="west", a_deg=4.0)]
     told = [Event(T0, 1.0, "cube", "ours"), replace(Event(T0, 1.0, "x", "theirs"), tracker="west")]
@@ -70,20 +70,20 @@ def test_each_tracker_has_its_own_and_what_is_of_none_is_everybodys(store_of):
 
 
 @pytest.mark.parametrize("kind", history.KINDS_OF_NUMBERS)
-def test_every_kind_of_numbers_is_there_once_a_column(store_of, kind):
+def test_every_kind_of_numbers_has_one_value_for_each_row_and_column(store_of, kind):
     said, found = unpacked(packed_numbers(store_of(*ALL), kind, T0 - 60, T0 + 60, ""))
     assert said["rows"] >= 1
     assert {len(values) for values in found.values()} == {said["rows"]}
 
 
 @pytest.mark.parametrize("kind", history.KINDS_OF_LINES)
-def test_every_kind_of_lines_has_its_time_and_words(store_of, kind):
+def test_every_kind_of_text_records_has_a_time_and_further_fields(store_of, kind):
     rows = lines_of(store_of(*ALL), kind, T0 - 60, T0 + 60, "")["rows"]
     assert rows[0]["time"].startswith("2022-10-14T")
     assert len(rows[0]) > 2
 
 
-def test_a_page_ends_somewhere_and_says_so(store_of, monkeypatch):
+def test_a_page_of_history_is_limited_in_length_and_says_that_there_is_more(store_of, monkeypatch):
     monkeypatch.setattr(history, "MOST_ROWS", 3)
     monkeypatch.setattr(history, "MOST_LINES", 2)
     path = store_of(*(scan(n) for n in range(5)), *(Event(T0 + n, 1.0, "x", str(n)) for n in range(3)))
@@ -103,7 +103,7 @@ def test_a_page_ends_somewhere_and_says_so(store_of, monkeypatch):
         ((6,), -120.0, ["2022-10-13"]),
     ],
 )
-def test_the_days_are_those_of_the_sun_at_the_site_that_have_records(store_of, hours, longitude_deg, days):
+def test_the_stored_days_are_the_solar_days_at_the_site_that_have_records(store_of, hours, longitude_deg, days):
     midnight_s = T0 - T0 % DAY_S
     path = store_of(*(Event(midnight_s + 3600.0 * hour, 1.0, "x", "") for hour in reversed(hours)))
     assert stored_days(path, longitude_deg) == days
@@ -116,6 +116,6 @@ def test_a_store_of_an_earlier_version_lists_its_days_without_the_kinds_that_it_
     assert stored_days(path, 0.0) == ["2022-10-14"]
 
 
-def test_without_a_store_the_remedy_is_told(tmp_path):
+def test_listing_the_days_without_a_store_is_refused_with_a_sentence_that_says_so(tmp_path):
     with pytest.raises(UserError, match="there is no store"):
         stored_days(tmp_path / FILE_NAME, 0.0)

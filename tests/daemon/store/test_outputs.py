@@ -8,7 +8,7 @@ from daemon.base.errors import UserError
 from daemon.store.outputs import check_outputs
 
 
-def test_what_is_there_is_kept_without_force(tmp_path):
+def test_an_existing_output_file_is_refused_without_force(tmp_path):
     there = tmp_path / "energy.csv"
     there.write_text("mine")
     check_outputs([there, tmp_path / "energy.txt"], "--out", force=True)
@@ -27,7 +27,7 @@ def test_what_is_there_is_kept_without_force(tmp_path):
     ],
 )
 @pytest.mark.parametrize("force", [True, False])
-def test_a_place_that_cannot_take_a_file_is_told_before_the_work(tmp_path, path, told, force):
+def test_an_output_path_that_cannot_take_a_file_is_refused_before_the_work(tmp_path, path, told, force):
     (tmp_path / "file").write_text("")
     (tmp_path / "folder").mkdir()
     (tmp_path / "null").symlink_to(os.devnull)
@@ -36,6 +36,6 @@ def test_a_place_that_cannot_take_a_file_is_told_before_the_work(tmp_path, path,
     assert str(refused.value) == told.format(folder=tmp_path)
 
 
-def test_looking_makes_nothing(tmp_path):
+def test_checking_the_output_paths_creates_nothing(tmp_path):
     check_outputs([tmp_path / "new" / "folder" / "a.csv"], "--out", force=False)
     assert not list(tmp_path.iterdir())

@@ -19,7 +19,7 @@ from daemon.store.place import claimed, default_place
         ("rig/east.toml", {"STATE_DIRECTORY": "", "XDG_STATE_HOME": "/home/ana"}, "rig/east-records"),
     ],
 )
-def test_two_files_have_two_folders(file, environment, place):
+def test_each_configuration_file_has_a_default_folder_of_its_own_for_records(file, environment, place):
     assert default_place(Path(file), environment) == Path(place)
 
 
@@ -36,7 +36,7 @@ def test_two_services_of_one_role_do_not_share_a_folder(tmp_path):
         pass
 
 
-def test_a_folder_that_takes_no_file_is_nobodys(tmp_path):
+def test_a_folder_that_cannot_take_a_file_may_be_claimed_more_than_once(tmp_path):
     (tmp_path / "file").write_text("")
     with ExitStack() as stack:
         for _ in range(2):

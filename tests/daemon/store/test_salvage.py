@@ -103,7 +103,9 @@ def without_header(content, _rng):
         (without_header, 1.0),
     ],
 )
-def test_what_can_be_read_is_salvaged_and_nothing_is_made_up(whole, tmp_path, spoil, at_least):
+def test_readable_records_of_a_damaged_store_are_salvaged_unchanged_and_none_is_invented(
+    whole, tmp_path, spoil, at_least
+):
     path = damaged(whole, tmp_path, spoil)
     before = digest(path.parent)
     found = salvage(path, tmp_path / "new")
@@ -122,7 +124,7 @@ def test_what_can_be_read_is_salvaged_and_nothing_is_made_up(whole, tmp_path, sp
     assert not list((tmp_path / "new").glob(".salvage*"))
 
 
-def test_a_whole_store_comes_over_whole_and_is_merged_with_the_later_records(keep, tmp_path):
+def test_an_undamaged_store_is_salvaged_whole_and_merged_with_the_later_records(keep, tmp_path):
     first = keep(*ALL, folder=tmp_path / "first")
     later = keep(replace(decision(), time_utc_s=T0 + 60), folder=tmp_path / "later")
     found = salvage(first / FILE_NAME, later)
@@ -133,13 +135,13 @@ def test_a_whole_store_comes_over_whole_and_is_merged_with_the_later_records(kee
     assert table(later, "days") == table(first, "days")
 
 
-def test_how_much_has_been_read_is_told_while_it_works(keep, tmp_path):
+def test_a_salvage_reports_how_much_it_has_read_while_it_works(keep, tmp_path):
     folder, shares = keep(*[scan(number) for number in range(3500)]), []
     salvage(folder / FILE_NAME, tmp_path / "new", shares.append)
     assert shares == pytest.approx([1 / 3.5, 2 / 3.5, 3 / 3.5])
 
 
-def test_records_in_the_log_beside_it_are_salvaged(keep, tmp_path):
+def test_records_in_the_write_ahead_log_beside_the_store_are_salvaged(keep, tmp_path):
     folder = keep(scan(0))
     path = folder / FILE_NAME
     with closing(sqlite3.connect(path, isolation_level=None)) as connection:
@@ -152,20 +154,20 @@ def test_records_in_the_log_beside_it_are_salvaged(keep, tmp_path):
         assert connection.execute("SELECT sequence FROM scans").fetchall() == [(77,)]
 
 
-def test_a_row_with_a_single_value_of_another_kind_is_left_out(keep, tmp_path):
+def test_a_row_with_a_single_value_of_the_wrong_type_is_left_out_of_a_salvage(keep, tmp_path):
     path = keep(scan(0), scan(1)) / FILE_NAME
     with closing(sqlite3.connect(path, isolation_level=None)) as connection:
         connection.execute("UPDATE scans SET south_w_m2 = 'rubbish' WHERE number = (SELECT min(number) FROM scans)")
     assert salvage(path, tmp_path / "new").added["scans"] == 1
 
 
-def test_a_folder_in_the_place_of_its_log_keeps_no_records_back(keep, tmp_path):
+def test_a_folder_in_the_place_of_the_write_ahead_log_does_not_prevent_a_salvage(keep, tmp_path):
     path = keep(scan(0)) / FILE_NAME
     path.with_name(f"{FILE_NAME}-wal").mkdir()
     assert salvage(path, tmp_path / "new").added["scans"] == 1
 
 
-def test_what_a_newer_version_has_kept_is_salvaged_as_far_as_this_one_knows_it(keep, tmp_path):
+def test_a_store_of_a_newer_version_is_salvaged_as_far_as_this_version_knows_it(keep, tmp_path):
     folder = keep(*ALL)
     with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
         connection.execute("ALTER TABLE scans ADD COLUMN humidity REAL")
@@ -189,7 +191,7 @@ def test_a_store_that_root_salvages_into_belongs_to_the_owner_of_the_folder(keep
     assert stat.S_IMODE((state / folder / FILE_NAME).stat().st_mode) == 0o600
 
 
-def test_the_program_sqlite3_finds_what_was_salvaged_whole(whole, tmp_path):
+def test_the_sqlite3_program_finds_a_salvaged_store_intact(whole, tmp_path):
     if shutil.which("sqlite3") is None:
         pytest.skip("sqlite3 is not installed")
     salvage(damaged(whole, tmp_path, pages(10)), tmp_path / "new")
@@ -198,7 +200,9 @@ def test_the_program_sqlite3_finds_what_was_salvaged_whole(whole, tmp_path):
     assert found.stdout.split() == ["ok", "1"]
 
 
-def test_the_command_says_what_it_read_and_what_cannot_be_meant(whole, tmp_path, monkeypatch, capsys):
+def test_the_salvage_command_reports_what_it_read_and_refuses_wrong_arguments_in_one_sentence(
+    whole, tmp_path, monkeypatch, capsys
+):
     def heliocube(*arguments):
         monkeypatch.setattr(sys, "argv", ["heliocube", "store", "salvage", *map(str, arguments)])
         with pytest.raises(SystemExit) as ended:

@@ -20,7 +20,7 @@ __all__ = ["keep"]
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_its_copy_of_the_store_does_not_stay(keep, tmp_path, by):
+def test_an_interrupted_salvage_removes_its_copy_of_the_store(keep, tmp_path, by):
     into = tmp_path / "into"
     into.mkdir()
     open_for_writing(into / FILE_NAME).close()

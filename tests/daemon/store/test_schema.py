@@ -21,7 +21,7 @@ ORIGIN = Origin(0.0, "both", "0.1.0", True, "SIRTA", 48.7, 2.2, 156.0)
 
 
 @pytest.mark.parametrize("closed", [".", FILE_NAME])
-def test_a_store_of_another_user_is_one_sentence_with_the_remedy(closed):
+def test_a_store_that_this_user_may_not_read_is_refused_in_one_sentence_with_the_remedy(closed):
     user = os.geteuid()
     with TemporaryDirectory() as folder:
         Path(folder).chmod(0o755)
@@ -38,7 +38,7 @@ def test_a_store_of_another_user_is_one_sentence_with_the_remedy(closed):
             path.parent.chmod(0o755)
 
 
-def test_a_copy_on_a_disk_that_takes_nothing_is_one_sentence_with_the_remedy(small_disk, heliocube, tmp_path):
+def test_an_export_of_a_store_on_a_read_only_disk_is_refused_with_the_remedy(small_disk, heliocube, tmp_path):
     Store(small_disk, 60.0, 400, ORIGIN, SystemClock(), lambda event: None).close()
     subprocess.run(["mount", "-o", "remount,ro", small_disk], check=True)
     code, _, err = heliocube("export", "--store", small_disk, "--out", tmp_path / "out")
@@ -47,7 +47,7 @@ def test_a_copy_on_a_disk_that_takes_nothing_is_one_sentence_with_the_remedy(sma
     assert "copy the store, with the -wal beside it if there is one, into a folder of your own" in err
 
 
-def test_a_store_that_is_opened_beside_a_reader_keeps_its_log_from_other_processes(tmp_path):
+def test_a_store_opened_beside_a_reader_keeps_other_processes_from_removing_its_log(tmp_path):
     path = tmp_path / FILE_NAME
     open_for_writing(path).close()
     with closing(open_for_reading(path)) as reader:

@@ -21,12 +21,12 @@ def started(tmp_path):
     return start
 
 
-def test_the_first_start_and_one_with_the_same_tell_nothing(started):
+def test_a_first_start_and_one_with_unchanged_settings_report_nothing(started):
     assert started({"safety": {"wind": 15.0}, "law": {"driver": "optimal"}}) == []
     assert started({"safety": {"wind": 15.0}, "law": {"driver": "optimal"}}) == []
 
 
-def test_each_key_that_changed_came_or_went_is_told_once(started):
+def test_each_setting_that_was_changed_added_or_removed_is_reported_once(started):
     started({"safety": {"wind": 15.0}, "law": {"driver": "optimal"}, "old": 1})
     after = {"safety": {"wind": 12.0}, "law": {"driver": "optimal"}, "new": [1, 2]}
     assert started(after) == [
@@ -37,7 +37,7 @@ def test_each_key_that_changed_came_or_went_is_told_once(started):
     assert started(after) == []
 
 
-def test_a_flood_of_changes_is_counted_and_a_long_value_cut(started):
+def test_more_than_40_changed_settings_are_reported_by_their_number_and_long_values_are_cut(started):
     started({})
     told = started({f"key{number}": "x" * 500 for number in range(100)})
     assert len(told) == 41
@@ -46,12 +46,12 @@ def test_a_flood_of_changes_is_counted_and_a_long_value_cut(started):
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", json.dumps({"values": {"a": 1}})])
-def test_a_file_that_says_nothing_tells_nothing_and_is_made_anew(started, tmp_path, content):
+def test_an_unusable_file_of_earlier_settings_reports_no_change_and_is_written_anew(started, tmp_path, content):
     (tmp_path / FILE_NAME).write_text(content)
     assert started({"a": 1}) == []
     assert started({"a": 2}) == ["a was 1 and is 2"]
 
 
-def test_a_folder_that_cannot_be_written_keeps_nobody_from_starting(started, tmp_path):
+def test_a_file_of_settings_that_cannot_be_written_does_not_prevent_a_start(started, tmp_path):
     (tmp_path / FILE_NAME).mkdir()
     assert started({"a": 1}) == []

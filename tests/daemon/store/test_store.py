@@ -42,7 +42,7 @@ def test_a_scan_that_comes_twice_is_kept_once(keep):
     assert count(keep(scan(1), scan(2)), "scans") == 3
 
 
-def test_the_oldest_days_give_way(keep):
+def test_the_oldest_days_are_removed_when_more_days_are_stored_than_are_to_be_kept(keep):
     records = [Event(T0 + n * DAY_S, n, "test", str(n)) for n in range(5)]
     folder = keep(*records, keep_days=3)
     folder = keep(Event(T0 + 4 * DAY_S, 0, "test", "again"), keep_days=3)
@@ -55,7 +55,7 @@ def test_the_oldest_days_give_way(keep):
         ]
 
 
-def test_a_clock_set_far_ahead_costs_one_day_and_not_all(keep):
+def test_a_record_from_a_clock_set_far_ahead_removes_one_day_and_not_all(keep):
     records = [Event(T0 + n * DAY_S, n, "test", str(n)) for n in range(3)]
     folder = keep(*records, Event(T0 + 9000 * DAY_S, 3, "test", "wrong clock"), keep_days=3)
     assert count(folder, "events") == 3
@@ -82,7 +82,7 @@ def written(store, number):
 
 
 @pytest.mark.parametrize("moved", [False, True])
-def test_a_file_that_is_removed_or_moved_while_in_use_costs_none_of_the_records_that_come_after(tmp_path, moved):
+def test_a_store_file_removed_or_moved_while_in_use_loses_none_of_the_later_records(tmp_path, moved):
     told, (store_folder, other) = [], (tmp_path / "store", tmp_path / "moved")
     other.mkdir()
     store = Store(store_folder, 0.01, 3, ORIGIN, SystemClock(), lambda event: told.append(event.text))
@@ -105,7 +105,7 @@ def test_a_file_that_is_removed_or_moved_while_in_use_costs_none_of_the_records_
         assert count(other, "scans") == 1
 
 
-def test_a_place_that_the_disk_does_not_even_look_at_is_told_and_tried_again(tmp_path):
+def test_a_store_folder_that_cannot_even_be_looked_up_raises_an_alarm_and_records_wait(tmp_path):
     # As with a folder that the service may not enter, or a disk that fails: nobody can say what is there.
     told, folder = queue.Queue(), tmp_path / ("x" * 300)
     store = Store(folder, 0.01, 3, ORIGIN, SystemClock(), print, lambda *alarm: told.put(alarm))

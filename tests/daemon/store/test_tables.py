@@ -110,7 +110,7 @@ def test_every_kind_has_a_table_of_its_own_even_when_it_stayed_empty(tmp_path):
     assert (out / "modes.csv").read_text() == "time,time_monotonic_s,before,after,why,tracker\n"
 
 
-def test_a_scan_is_one_row_with_units_in_the_names_and_nothing_where_there_is_no_number(tmp_path):
+def test_a_scan_is_one_row_with_units_in_column_names_and_an_empty_cell_for_a_missing_number(tmp_path):
     row = rows(write(tmp_path / "out"), "scans")[0]
     assert row == {
         "time": "2022-10-14T06:00:01.250Z",
@@ -172,7 +172,7 @@ def test_the_same_records_give_the_same_bytes(tmp_path, form):
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
-def test_until_the_end_no_file_bears_its_final_name(tmp_path, form):
+def test_table_files_get_their_final_names_only_when_the_writer_closes(tmp_path, form):
     tables = TableWriter(tmp_path, form)
     tables.write(POSE)
     assert all(path.suffix == ".part" for path in tmp_path.iterdir())
@@ -182,7 +182,7 @@ def test_until_the_end_no_file_bears_its_final_name(tmp_path, form):
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
-def test_a_run_that_breaks_leaves_nothing(tmp_path, form):
+def test_a_run_that_fails_leaves_no_tables_and_no_folder(tmp_path, form):
     def broken_run():
         with TableWriter(tmp_path / "out", form) as tables:
             tables.write(POSE)
@@ -193,7 +193,7 @@ def test_a_run_that_breaks_leaves_nothing(tmp_path, form):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_directory_with_other_files_is_kept_and_only_joined(tmp_path):
+def test_tables_are_added_to_a_directory_with_other_files_and_these_are_kept(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     write(tmp_path)
     assert (tmp_path / "notes.txt").read_text() == "mine"
@@ -209,13 +209,13 @@ def test_earlier_results_are_never_overwritten(tmp_path):
     assert not list(tmp_path.glob("*.part"))
 
 
-def test_a_place_that_cannot_hold_tables_is_one_sentence(tmp_path):
+def test_an_output_folder_whose_path_is_a_file_is_refused_in_one_sentence(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match=r"--out: .* cannot be a folder: .* is a file"):
         TableWriter(tmp_path / "file")
 
 
-def test_no_field_of_any_record_is_forgotten():
+def test_every_field_of_every_kind_of_record_has_a_column_in_the_tables():
     """Only each face's own monotonic time is left out: it is the scan's, less the difference of the two UTC times."""
     left_out = {f"{name}.time_monotonic_s" for name in ("east", "south", "west", "zenith")}
     examples = {type(record): record for record in ALL}

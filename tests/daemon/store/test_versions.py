@@ -19,7 +19,7 @@ from tests.daemon.store.test_tables import CURVE, T0, decision, scan
 __all__ = ["keep"]
 
 
-def test_the_file_of_this_version_is_what_it_was():
+def test_the_schema_of_the_present_store_version_is_unchanged():
     """Whoever changes a column makes a new version of the store, with a way from the old one."""
     text = ";".join(re.sub(r"\s+", " ", statement) for statement in schema())
     assert text.count("CREATE TABLE") == 9
@@ -31,7 +31,7 @@ def test_the_file_of_this_version_is_what_it_was():
     assert sha256(text.encode()).hexdigest()[:12] == "8d471587843a"
 
 
-def test_a_store_of_the_version_before_gets_the_wind_from_now_on(keep, tmp_path):
+def test_a_store_of_version_6_is_read_without_wind_and_keeps_the_wind_from_now_on(keep, tmp_path):
     pose = Pose(T0, 1.0, 10.0, 60.0, moving=False, tracker="roof")
     folder = keep(pose)
     with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
@@ -44,7 +44,7 @@ def test_a_store_of_the_version_before_gets_the_wind_from_now_on(keep, tmp_path)
     assert [row["wind_m_s"] for row in rows(tmp_path / "new" / "poses.csv")] == ["", "12.5"]
 
 
-def test_a_store_of_the_version_two_before_gets_the_names_from_now_on(keep, tmp_path):
+def test_a_store_of_version_5_is_read_without_tracker_names_and_keeps_them_from_now_on(keep, tmp_path):
     folder = keep(decision())
     with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
         for name in ("decisions", "moves", "poses", "modes", "events", "curves"):

@@ -49,7 +49,7 @@ def test_a_quoted_cell_that_is_never_closed_is_refused_with_its_line_and_what_to
 
 
 @pytest.mark.parametrize(("read", "head", "row"), NOT_CLOSED)
-def test_a_mark_that_swallows_more_than_a_cell_may_hold_is_found_as_well(tmp_path, read, head, row):
+def test_a_quotation_mark_that_swallows_more_than_a_cell_may_hold_is_refused_with_its_line(tmp_path, read, head, row):
     path = tmp_path / "table.csv"
     rows = [f"2022-10-14T{hour:02}:{minute:02}:{second:02}Z,{row}" for hour in range(2) for minute in range(60)
             for second in range(60)]  # fmt: skip
@@ -59,7 +59,7 @@ def test_a_mark_that_swallows_more_than_a_cell_may_hold_is_found_as_well(tmp_pat
 
 
 @pytest.mark.parametrize(("read", "head", "row"), NOT_CLOSED[1:])
-def test_a_line_with_a_cell_too_many_is_named(tmp_path, read, head, row):
+def test_a_line_with_a_cell_too_many_is_refused_with_its_line_number(tmp_path, read, head, row):
     path = tmp_path / "table.csv"
     path.write_text(f"{head}\n2022-10-14T10:00Z,{row}\n2022-10-14T10:01Z,{row},5\n")
     counts = rf"{head.count(',') + 2} cells where the header has {head.count(',') + 1}"
@@ -106,7 +106,7 @@ def logged(folder, packed, *lines):
 @pytest.mark.parametrize(("count", "notes", "head", "row"), LOGGED)
 @pytest.mark.parametrize("packed", [False, True])
 @pytest.mark.parametrize("cut", ["2022-1", "2022-10-14T10:02Z,", "2022-10-14T10:02Z,-"])
-def test_a_last_line_that_a_logger_has_not_finished_is_left_out_and_told(
+def test_a_last_line_that_a_logger_has_not_finished_is_left_out_and_reported(
     tmp_path, count, notes, head, row, packed, cut
 ):
     lines = [head, f"2022-10-14T10:00Z,{row}", "", f"2022-10-14T10:01Z,{row}"]
@@ -118,7 +118,7 @@ def test_a_last_line_that_a_logger_has_not_finished_is_left_out_and_told(
 
 
 @pytest.mark.parametrize(("count", "notes", "head", "row"), LOGGED)
-def test_a_last_line_with_all_its_cells_counts_without_an_end_of_line(tmp_path, count, notes, head, row):
+def test_a_last_line_with_all_its_cells_is_read_even_without_an_end_of_line(tmp_path, count, notes, head, row):
     path = logged(tmp_path, False, head, f"2022-10-14T10:00Z,{row}", f"2022-10-14T10:01Z,{row}")
     assert count(path) == 2
     assert not any(notes(path))
@@ -144,7 +144,9 @@ def with_last_number(folder, head, row, above, last):
 
 @pytest.mark.parametrize(("count", "notes", "head", "row"), NUMBERED)
 @pytest.mark.parametrize("last", ["-", "1", "12."])
-def test_a_last_number_with_fewer_decimals_than_all_above_it_breaks_off(tmp_path, count, notes, head, row, last):
+def test_a_last_line_whose_number_has_fewer_decimals_than_all_above_it_is_left_out_as_broken_off(
+    tmp_path, count, notes, head, row, last
+):
     path = with_last_number(tmp_path, head, row, ["1.5", *["12.25"] * 30], last)
     assert count(path) == 31
     (note,) = notes(path)
@@ -154,7 +156,7 @@ def test_a_last_number_with_fewer_decimals_than_all_above_it_breaks_off(tmp_path
 
 @pytest.mark.parametrize(("count", "notes", "head", "row"), NUMBERED)
 @pytest.mark.parametrize(("above", "last"), [(["1.5"] * 30, "1.2"), (["1.5"] * 30 + ["2"], "1"), (["1.5"] * 29, "1")])
-def test_a_last_number_that_may_be_whole_counts(tmp_path, count, notes, head, row, above, last):
+def test_a_last_line_whose_last_number_may_be_complete_is_read(tmp_path, count, notes, head, row, above, last):
     path = with_last_number(tmp_path, head, row, above, last)
     assert count(path) == len(above) + 1
     assert not any(notes(path))
@@ -162,14 +164,18 @@ def test_a_last_number_that_may_be_whole_counts(tmp_path, count, notes, head, ro
 
 @pytest.mark.parametrize(("count", "notes", "head", "row"), LOGGED)
 @pytest.mark.parametrize("blank", ["   ", "\t", ",,"])
-def test_blanks_behind_the_last_line_are_no_line_that_breaks_off(tmp_path, count, notes, head, row, blank):
+def test_blanks_after_the_last_line_are_not_reported_as_a_line_that_breaks_off(
+    tmp_path, count, notes, head, row, blank
+):
     path = logged(tmp_path, False, head, f"2022-10-14T10:00Z,{row}", f"2022-10-14T10:01Z,{row}", blank)
     assert count(path) == 2
     assert not any(notes(path))
 
 
 @pytest.mark.parametrize(("count", "notes", "head", "row"), [*LOGGED[:3], LOGGED[4]])
-def test_a_remark_of_two_lines_does_not_break_off_without_an_end_of_line(tmp_path, count, notes, head, row):
+def test_a_last_line_with_a_quoted_remark_of_two_lines_is_read_even_without_an_end_of_line(
+    tmp_path, count, notes, head, row
+):
     last = row.replace("dull", '"dull,\nand cold"')
     path = logged(tmp_path, False, head, f"2022-10-14T10:00Z,{row}", f"2022-10-14T10:01Z,{last}")
     assert count(path) == 2

@@ -39,7 +39,7 @@ def refusal(tmp_path, table, times):
         ("2023-04-02T02:50", "2023-04-02T02:55", "2023-04-02T02:00"),
     ],
 )
-def test_local_times_that_run_twice_through_an_hour_of_autumn_are_told_for_what_they_look_like(tmp_path, table, times):
+def test_local_times_that_repeat_an_hour_in_autumn_are_refused_with_a_hint_at_summer_time(tmp_path, table, times):
     assert refusal(tmp_path, table, times).endswith(HINT)
 
 
@@ -57,7 +57,7 @@ def test_local_times_that_run_twice_through_an_hour_of_autumn_are_told_for_what_
         ("2022-10-30T02:59:00", "2022-10-30T02:00:00"),
     ],
 )
-def test_other_times_that_go_back_are_refused_without_a_guess(tmp_path, table, times):
+def test_other_times_that_go_back_are_refused_without_a_hint_at_summer_time(tmp_path, table, times):
     assert "summer time" not in refusal(tmp_path, table, times)
 
 
@@ -70,7 +70,7 @@ def test_other_times_that_go_back_are_refused_without_a_guess(tmp_path, table, t
         (lambda path: read_tables([path])[1], "time,tracker,pmpp_w", "east,100"),
     ],
 )
-def test_what_times_without_a_zone_are_taken_for_is_told_once(tmp_path, notes, head, row):
+def test_times_without_a_zone_are_taken_as_utc_and_that_is_reported_once(tmp_path, notes, head, row):
     path = tmp_path / "table.csv"
     path.write_text(f"{head}\n2022-03-27T01:59:55+01:00,{row}\n2022-03-27T03:00:00,{row}\n2022-03-27T03:00:05,{row}\n")
     assert notes(path) == [f"{path}: times that name no zone are taken as UTC"]

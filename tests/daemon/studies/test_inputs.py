@@ -98,7 +98,7 @@ def test_a_table_that_has_been_unpacked_under_its_old_name_is_refused_with_what_
 
 @pytest.mark.parametrize("read", [measured_weather, read_reference, lambda path: read_tables([path])])
 @pytest.mark.parametrize("wrong", ["now", "today", "0001-01-01T00:00+05:00", "1066-10-14", "2300-01-01", "NaT"])
-def test_a_word_or_a_year_of_another_age_is_no_time(tmp_path, read, wrong):
+def test_a_word_or_a_year_long_past_or_far_ahead_is_refused_as_a_time(tmp_path, read, wrong):
     path = tmp_path / "table.csv"
     head = "time,tracker,pmpp_w,ghi_w_m2" if "lambda" in read.__name__ else "time,dni,dhi,ghi"
     path.write_text(f"{head}\n{wrong},1,2,3\n")
@@ -115,7 +115,7 @@ def test_rows_of_empty_cells_as_a_spreadsheet_leaves_them_are_passed_over(tmp_pa
     assert str(read(padded)).replace("padded", "plain") == str(read(plain))
 
 
-def test_the_line_of_a_fault_is_right_behind_rows_of_empty_cells(tmp_path):
+def test_the_line_number_of_a_mistake_counts_rows_of_empty_cells_before_it(tmp_path):
     path = tmp_path / "reference.csv"
     path.write_text("time,ghi\n,\n\n2022-10-14T10:00Z,1\n2022-10-14T10:01Z,cloudy\n")
     with pytest.raises(UserError, match=rf"{path}, line 5: ghi is 'cloudy'"):
@@ -153,21 +153,21 @@ def test_powers_in_parquet_are_read_whatever_the_case_of_their_ending(tmp_path):
 
 
 @pytest.mark.parametrize("read", [measured_weather, *READERS[1:]])
-def test_a_table_in_another_encoding_is_refused_with_what_to_save(tmp_path, read):
+def test_a_table_in_another_encoding_than_utf_8_is_refused_with_what_to_do(tmp_path, read):
     path = tmp_path / "table.csv"
     path.write_bytes("time,name,ghi,Température °C\n2022-10-14T10:00Z,here,1,20\n".encode("latin-1"))
     with pytest.raises(UserError, match=rf"{path} .*is not text in UTF-8: save it as such"):
         read(path)
 
 
-def test_the_names_of_weather_may_be_quoted_behind_blanks(tmp_path):
+def test_column_names_and_cells_of_a_weather_file_may_be_quoted_after_blanks(tmp_path):
     path = tmp_path / "weather.csv"
     path.write_text('"time", "ghi", "dni", "dhi"\n"2022-10-14T10:00Z", "1", "2", "3"\n')
     assert measured_weather(path).irradiance_w_m2["dhi"].tolist() == [3.0]
 
 
 @pytest.mark.parametrize(("read", "head", "row"), TABLES)
-def test_names_of_columns_may_be_in_capitals_and_cells_quoted_behind_blanks(tmp_path, read, head, row):
+def test_names_of_columns_may_be_in_capitals_and_cells_quoted_after_blanks(tmp_path, read, head, row):
     plain, quoted = tmp_path / "plain.csv", tmp_path / "quoted.csv"
     plain.write_text(f"{head}\n{row}\n")
     quoted.write_text(
@@ -196,7 +196,7 @@ def test_semicolons_with_decimal_commas_and_tabs_are_read_as_a_spreadsheet_write
         assert str(read(path)).replace(path.name, plain.name) == str(read(plain))
 
 
-def test_a_comma_between_thousands_is_no_decimal_comma(tmp_path):
+def test_a_comma_between_thousands_is_not_read_as_a_decimal_comma(tmp_path):
     path = tmp_path / "table.csv"
     path.write_text("time\tghi\n2022-10-14T10:00Z\t1,234\n")
     with pytest.raises(UserError, match=rf"{path}, line 2: ghi is '1,234', not a number"):
@@ -204,7 +204,7 @@ def test_a_comma_between_thousands_is_no_decimal_comma(tmp_path):
 
 
 @pytest.mark.parametrize("missing", ["NaN", "NA", "N/A", "null", " NA "])
-def test_a_value_is_missing_in_the_words_of_any_program(tmp_path, missing):
+def test_the_words_of_various_programs_for_a_missing_value_are_read_as_missing(tmp_path, missing):
     path = tmp_path / "table.csv"
     path.write_text(f"time,ghi,dni,dhi\n2022-10-14T10:00Z,{missing},2,3\n2022-10-14T10:01Z,1,2,3\n")
     assert weather_values(path)["ghi"].tolist() == read_reference(path).ghi_w_m2.tolist() == [1.0]
@@ -216,7 +216,7 @@ def test_a_value_is_missing_in_the_words_of_any_program(tmp_path, missing):
 
 @pytest.mark.parametrize(("read", "head", "row"), [*TABLES, WEATHER])
 @pytest.mark.parametrize("text", ["1_0", "\uff11\uff10"])
-def test_what_only_python_takes_for_a_number_is_refused_with_its_place(tmp_path, read, head, row, text):
+def test_a_number_in_a_form_that_only_python_accepts_is_refused_with_its_place(tmp_path, read, head, row, text):
     path = tmp_path / "table.csv"
     for number in (",2", ",50", ",30", "Z,1"):
         row = row.replace(number, f"{number[:-1]}{text}")
@@ -225,7 +225,7 @@ def test_what_only_python_takes_for_a_number_is_refused_with_its_place(tmp_path,
         read(path)
 
 
-def test_what_a_logger_writes_beyond_its_range_is_an_impossible_reading_and_an_impossible_irradiance(tmp_path):
+def test_inf_from_a_logger_beyond_its_range_is_reported_as_an_impossible_reading_or_irradiance(tmp_path):
     path = tmp_path / "table.csv"
     path.write_text("time,east,south,west,zenith\n2022-10-14T10:00Z,1,INF,3,-INF\n")
     assert read_csv(path).first_impossible == "line 2: south INF"
@@ -233,7 +233,7 @@ def test_what_a_logger_writes_beyond_its_range_is_an_impossible_reading_and_an_i
     assert measured_weather(path).note().endswith("first in line 2: ghi INF, not in -50..2500")
 
 
-def test_an_empty_file_of_readings_is_told_for_what_it_is(tmp_path):
+def test_an_empty_file_of_readings_is_refused_as_empty(tmp_path):
     path = tmp_path / "table.csv"
     path.write_text("")
     with pytest.raises(UserError, match=rf"^{path} is empty: name a CSV file with the columns time,east"):
@@ -241,7 +241,7 @@ def test_an_empty_file_of_readings_is_told_for_what_it_is(tmp_path):
 
 
 @pytest.mark.parametrize(("read", "head", "row"), [*TABLES[:2], TABLES[3], WEATHER])
-def test_a_second_line_of_a_header_is_told_with_what_to_do(tmp_path, read, head, row):
+def test_a_second_line_of_a_header_is_refused_with_what_to_do(tmp_path, read, head, row):
     path = tmp_path / "table.csv"
     for time in ("", "UTC"):
         path.write_text(f"{head}\n{time}{',W/m2' * head.count(',')}\n{row}\n")

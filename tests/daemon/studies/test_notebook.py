@@ -18,7 +18,7 @@ from solar.laws.flat import FlatLaw
 pytestmark = pytest.mark.slow
 
 
-def test_a_day_is_simulated_inside_a_running_loop():
+def test_a_day_can_be_simulated_inside_a_running_event_loop():
     async def cell():
         return heliocube.simulate("2022-10-14T11:00Z", days=0.02, weather="clear", seed=1)
 
@@ -26,7 +26,7 @@ def test_a_day_is_simulated_inside_a_running_loop():
     assert tables["decisions"]["mode"].iloc[-1] == "tracking"
 
 
-def test_a_replay_keeps_nothing_from_the_collector():
+def test_a_replay_leaves_no_objects_frozen_for_the_garbage_collector():
     readings = heliocube.read_faces(heliocube.sample("mixed")).iloc[600:610]
     before = gc.get_freeze_count()
     heliocube.replay(readings, site=heliocube.Site(48.7176, 2.209, 156.0), law="flat")
@@ -59,20 +59,20 @@ def test_a_file_that_breaks_off_is_read_with_a_warning(tmp_path):
     assert len(readings) == 1
 
 
-def test_what_the_command_says_of_a_weather_file_is_a_warning():
+def test_a_weather_file_that_does_not_fit_the_site_gives_a_warning():
     with pytest.warns(UserWarning, match="mixed.csv does not fit a site at 35 N, 139 E") as told:
         heliocube.simulate("2022-10-13T10:00Z", days=0.01, weather=heliocube.sample("mixed"), site=(35.0, 139.0, 0.0))
     assert told[0].filename == __file__
 
 
-def test_readings_in_kilowatts_are_a_warning():
+def test_readings_in_kilowatts_give_a_warning():
     readings = heliocube.read_faces(heliocube.sample("mixed")).iloc[600:610] / 1000.0
     with pytest.warns(UserWarning, match=r"the frame has at most 0\.\d+ W/m2 on any face by day") as told:
         heliocube.replay(readings, site=heliocube.Site(48.7176, 2.209, 156.0), law="flat")
     assert told[0].filename == __file__
 
 
-def test_a_law_that_failed_is_a_warning(monkeypatch):
+def test_a_law_that_fails_in_a_simulation_or_a_replay_gives_a_warning(monkeypatch):
     def fails(_law, _now):
         raise ZeroDivisionError("no such sky")
 
@@ -101,18 +101,18 @@ def test_an_array_for_a_frame_and_a_frame_for_a_file_are_refused_with_what_is_ne
 
 
 @pytest.mark.parametrize(("start", "days"), [("1978-12-31", 0.1), ("2099-12-31", 1.1), ("2022-10-14", 1e300)])
-def test_a_time_of_which_scans_cannot_tell_is_not_simulated(start, days):
+def test_a_simulation_outside_the_years_1979_to_2099_is_refused(start, days):
     with pytest.raises(heliocube.UserError, match="within the years 1979 to 2099"):
         heliocube.simulate(start, days=days, weather="clear")
 
 
 @pytest.mark.parametrize("days", [0, -1, float("nan"), float("inf"), "1", None, [1, 2]])
-def test_days_that_are_no_time_are_refused(days):
+def test_days_that_are_no_finite_number_above_0_are_refused(days):
     with pytest.raises(ValueError, match=re.escape(f"days must be a number above 0, not {days}")):
         heliocube.simulate("2022-10-14", days=days)
 
 
-def test_what_is_no_path_is_refused_with_its_name():
+def test_an_argument_that_is_no_path_is_refused_with_the_name_of_its_parameter():
     readings = heliocube.read_faces(heliocube.sample("mixed")).iloc[600:604]
     refused = [
         (
@@ -137,19 +137,19 @@ def test_what_is_no_path_is_refused_with_its_name():
             call()
 
 
-def test_no_kinds_are_all(tmp_path):
+def test_reading_a_store_accepts_none_for_the_kinds(tmp_path):
     with pytest.raises(heliocube.UserError, match="there is no store"):
         heliocube.read_store(tmp_path, kinds=None)
 
 
-def test_a_date_is_its_first_instant_and_a_year_beyond_the_calendar_is_refused(tmp_path):
+def test_a_date_is_accepted_as_a_start_and_a_year_beyond_the_calendar_is_refused(tmp_path):
     with pytest.raises(heliocube.UserError, match="start: '0001-01-01' is not a date or time"):
         heliocube.simulate("0001-01-01", days=0.01)
     with pytest.raises(heliocube.UserError, match="there is no store"):
         heliocube.read_store(tmp_path, start=date(2022, 10, 14))
 
 
-def test_numbers_and_dates_of_numpy_do_as_those_of_python():
+def test_numbers_and_dates_of_numpy_give_the_same_scans_as_those_of_python():
     of_python = heliocube.simulate("2022-10-14T11:00Z", days=0.015625, weather="clear", seed=3)
     of_numpy = heliocube.simulate(
         np.datetime64("2022-10-14T11:00"), days=np.float32(0.015625), weather="clear", seed=np.int64(3)
@@ -157,7 +157,7 @@ def test_numbers_and_dates_of_numpy_do_as_those_of_python():
     pd.testing.assert_frame_equal(of_numpy["scans"], of_python["scans"])
 
 
-def test_what_is_wrong_is_told_there_too():
+def test_an_unknown_law_is_refused_inside_a_running_event_loop_too():
     async def cell():
         return heliocube.simulate("2022-10-14", law="none such")
 
@@ -165,7 +165,7 @@ def test_what_is_wrong_is_told_there_too():
         asyncio.run(cell())
 
 
-def test_an_interrupted_cell_ends_soon_and_without_a_word_of_ours(capfd):
+def test_an_interrupted_simulation_in_a_cell_ends_and_writes_nothing_to_standard_error(capfd):
     async def cell():
         return heliocube.simulate("2022-10-14", days=300, weather="clear")
 

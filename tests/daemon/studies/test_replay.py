@@ -82,7 +82,7 @@ def off_sun_deg(row):
 
 @pytest.mark.parametrize("every_s", [1, 5, 60])
 @pytest.mark.parametrize("law", ["mu-prime", "optimal"])
-def test_a_clear_hour_is_followed_at_any_cadence(replayed, law, every_s):
+def test_a_replay_follows_the_sun_through_a_clear_hour_at_any_cadence(replayed, law, every_s):
     found = replayed(readings(NOON - 1800 + np.arange(0, 3600, every_s)), law)
     last = found[-1]
     assert (last["mode"], last["law"]) == ("tracking", law)
@@ -98,7 +98,7 @@ def test_a_clear_hour_is_followed_at_any_cadence(replayed, law, every_s):
 
 
 @pytest.mark.parametrize("law", ["mu-prime", "optimal"])
-def test_it_stands_where_the_live_tracker_stood(run_rig, replayed, law):
+def test_a_replayed_tracker_stands_where_the_live_tracker_stood(run_rig, replayed, law):
     # Decisions lie well away from the edges of the clouds, where one scan more would turn the mean by degrees.
     rig = run_rig(half_an_hour, law={"name": law}, weather=Blinking(), start="2022-10-12T10:02")
     scans = rig.of(Scan)
@@ -127,7 +127,7 @@ def test_a_row_names_the_law_that_decided_and_not_the_one_that_was_chosen(replay
     assert list(dict.fromkeys(laws)) == ["sun-vector", "chronometric"], "the last of the travel is the clock's"
 
 
-def test_readings_in_kilowatts_are_told_and_those_of_a_night_are_not(heliocube, tmp_path):
+def test_a_replay_warns_of_readings_in_kilowatts_by_day_and_not_by_night(heliocube, tmp_path):
     times, out = NOON + np.arange(0, 300, 60.0), tmp_path / "positions.csv"
     told = []
     for at in (times, times + 43200.0):
@@ -139,7 +139,7 @@ def test_readings_in_kilowatts_are_told_and_those_of_a_night_are_not(heliocube, 
     assert [bool(re.search(warning, said)) for _, said in told] == [True, False]
 
 
-def test_a_gap_by_day_is_bridged_by_the_sun_and_one_by_night_at_the_night_position(replayed):
+def test_a_replay_follows_the_sun_through_a_gap_by_day_and_after_a_gap_over_night(replayed):
     before = NOON + np.arange(0, 1800, 5.0)
     after = NOON + 3 * 3600 + np.arange(0, 600, 5.0)
     tomorrow = NOON + 86400.0 + np.arange(0, 600, 5.0)
@@ -175,7 +175,7 @@ def test_an_impossible_value_is_a_missing_reading_and_is_counted(heliocube, tmp_
     assert out.read_text().count("tracking") > 100
 
 
-def test_a_night_in_the_readings_is_a_night(replayed):
+def test_a_night_in_the_readings_is_replayed_in_mode_night_at_the_night_position(replayed):
     dusk = datetime(2022, 10, 12, 17, tzinfo=UTC).timestamp()
     times = dusk + np.arange(0, 7200, 30.0)
     up = sun_direction(times, *SITE)[:, 2]
@@ -198,7 +198,7 @@ def test_an_implausible_or_missing_face_is_left_out(replayed):
 
 
 @pytest.mark.parametrize("law", ["mu-prime", "optimal"])
-def test_a_dead_face_is_found_as_on_a_rig(replayed, law):
+def test_a_replay_with_a_dead_face_tracks_without_it(replayed, law):
     lines = readings(NOON - 3600 + np.arange(0, 7200, 15.0))
     for line in lines:
         line[2] = "0.3"
@@ -209,7 +209,7 @@ def test_a_dead_face_is_found_as_on_a_rig(replayed, law):
 
 
 @pytest.mark.parametrize("ending", ["gz", "GZ"])
-def test_compressed_files_do_as_well(heliocube, tmp_path, ending):
+def test_a_replay_reads_and_writes_gzip_files(heliocube, tmp_path, ending):
     source, out = (tmp_path / f"{name}.csv.{ending}" for name in ("faces", "positions"))
     write(source, readings(NOON + np.arange(0, 600, 5.0)))
     assert heliocube("replay", source, "--site", PLACE, "--out", out)[0] == 0
@@ -258,7 +258,9 @@ GOOD = readings(NOON + np.arange(0, 60, 5.0))
         (GOOD, {"--config": "missing.toml"}, "missing.toml"),
     ],
 )
-def test_bad_input_is_one_sentence_and_nothing_is_written(heliocube, tmp_path, lines, options, sentence):
+def test_bad_input_of_a_replay_is_refused_with_a_sentence_and_nothing_is_written(
+    heliocube, tmp_path, lines, options, sentence
+):
     source, out = write(tmp_path / "faces.csv", lines), tmp_path / "out" / "positions.csv"
     out.parent.mkdir()
     asked = {"--site": PLACE, "--law": "optimal", "--out": out} | options
@@ -269,7 +271,7 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(heliocube, tmp_path, l
     assert list(out.parent.iterdir()) == []
 
 
-def test_a_file_that_is_not_there_or_cannot_be_written_is_told(heliocube, tmp_path):
+def test_a_replay_refuses_a_missing_input_file_and_an_output_file_that_cannot_be_written(heliocube, tmp_path):
     out = tmp_path / "positions.csv"
     code, said = heliocube("replay", tmp_path / "no.csv", "--site", PLACE, "--law", "flat", "--out", out)
     assert code == 2

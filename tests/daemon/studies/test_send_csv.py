@@ -92,7 +92,7 @@ def sent(path, ahead_s=7200.0, **options):
 
 
 @pytest.mark.parametrize("name", ["cube.csv", "cube.csv.gz", "CUBE.CSV.GZ"])
-def test_a_file_goes_out_in_its_own_rhythm_stamped_with_the_present(tmp_path, name):
+def test_a_file_is_sent_in_its_own_rhythm_stamped_with_the_present_time(tmp_path, name):
     got, progress = sent(written(tmp_path, FILE, name))
     assert [when for when, _ in got] == pytest.approx([0.0, 5.0, 35.0])
     assert [scan.time_utc_s - START_S - 7200.0 for _, scan in got] == pytest.approx([0.0, 5.0, 35.0])
@@ -106,7 +106,7 @@ def test_a_file_goes_out_in_its_own_rhythm_stamped_with_the_present(tmp_path, na
     assert [scan.sequence for _, scan in got] == [0, 1, 2]
 
 
-def test_what_is_missing_in_the_file_is_told_and_a_last_line_that_breaks_off_is_not_sent(tmp_path):
+def test_missing_readings_in_the_file_are_reported_and_a_last_line_that_breaks_off_is_not_sent(tmp_path):
     told = []
     path = written(tmp_path, FILE + "2022-10-14T12:20:40+02:00,1,2,3")
     got, _ = sent(path, warn=told.append)
@@ -117,7 +117,7 @@ def test_what_is_missing_in_the_file_is_told_and_a_last_line_that_breaks_off_is_
     ]
 
 
-def test_readings_in_kilowatts_are_warned_of(tmp_path):
+def test_readings_in_kilowatts_give_a_warning(tmp_path):
     told = []
     path = written(tmp_path, HEADER + f"{START},0.1032,0.1189,0.09875,0.1714\n")
     sent(path, warn=told.append)
@@ -181,7 +181,7 @@ def test_a_number_that_no_face_can_read_is_a_missing_reading_and_is_counted(tmp_
         (HEADER + f'{START},1,2,3,4\n{START},"' + "x" * 200_000 + '",2,3,4\n', "line 3: not CSV"),
     ],
 )
-def test_a_wrong_file_is_one_sentence_with_the_line_and_nothing_is_sent(tmp_path, text, words):
+def test_a_wrong_file_is_refused_in_one_sentence_with_the_line(tmp_path, text, words):
     path = written(tmp_path, text)
     with pytest.raises(UserError) as caught:
         sent(path)
@@ -189,7 +189,7 @@ def test_a_wrong_file_is_one_sentence_with_the_line_and_nothing_is_sent(tmp_path
     assert str(path) in str(caught.value)
 
 
-def test_a_file_that_cannot_be_read_is_one_sentence(tmp_path):
+def test_a_file_that_cannot_be_read_is_refused_with_the_reason(tmp_path):
     with pytest.raises(UserError, match="does not exist: name a CSV file with the columns time,east"):
         read_csv(tmp_path / "none.csv")
     with pytest.raises(UserError, match="cannot be read: Is a directory"):

@@ -25,7 +25,7 @@ BEGIN, END = NOON - 0.5 * DAY_S, NOON + 0.5 * DAY_S
     ("a_deg", "b_deg", "latitude_deg", "tilt", "azimuth"),
     [(0.0, 90.0, 48.0, 0.0, None), (0.0, 30.0, 48.0, 60.0, 180.0), (0.0, 30.0, -33.0, 60.0, 0.0)],
 )
-def test_a_pose_says_where_its_plane_faces(a_deg, b_deg, latitude_deg, tilt, azimuth):
+def test_a_pose_gets_the_tilt_and_the_azimuth_of_its_plane(a_deg, b_deg, latitude_deg, tilt, azimuth):
     found = placed(Pose(NOON, 0.0, a_deg, b_deg, False, "roof"), latitude_deg)
     assert found.surface_tilt == pytest.approx(tilt)
     if azimuth is not None:
@@ -66,7 +66,7 @@ def received(poses, end=END, sky="haydavies"):
     return found, weather
 
 
-def test_a_tracker_that_rests_for_months_takes_no_more_memory():
+def test_20000_poses_of_a_resting_tracker_take_less_than_100_kb_of_memory():
     stood = Poses()
     tracemalloc.start()
     try:
@@ -77,7 +77,7 @@ def test_a_tracker_that_rests_for_months_takes_no_more_memory():
         tracemalloc.stop()
 
 
-def test_a_flat_plane_receives_what_is_global():
+def test_a_flat_plane_receives_the_global_horizontal_irradiation():
     found, weather = received([(BEGIN, (0.0, 90.0))])
     utc_s = np.arange(BEGIN, END, 60.0)
     ghi = float(weather.at(utc_s).ghi_w_m2.sum()) * 60.0 / 3.6e6
@@ -86,7 +86,7 @@ def test_a_flat_plane_receives_what_is_global():
     assert found.gain_pct < -15.0
 
 
-def test_who_follows_the_sun_receives_what_chronometric_does():
+def test_a_tracker_that_follows_the_sun_receives_what_chronometric_does():
     utc_s = np.arange(BEGIN, END, 60.0)
     angles = np.transpose(angles_within(sun_direction(utc_s, *Settings().site.place()), Limits()))
     found, _ = received(list(zip(utc_s.tolist(), angles.tolist(), strict=True)))

@@ -11,7 +11,7 @@ from tests.support.phases import at_rest
 
 
 @pytest.mark.parametrize("stopped", [False, True])
-def test_a_stow_that_fails_and_waits_to_be_tried_again_is_not_where_it_should_be(run_rig, stopped):
+def test_a_failed_stow_that_awaits_a_retry_sets_the_alarm_bit_for_off_target_also_under_a_stop(run_rig, stopped):
     async def scenario(rig, control):
         for axis in "ab":
             rig.unit.inject(f"{axis}_ignores_targets", rig.clock.monotonic())
@@ -35,7 +35,7 @@ def test_a_stow_that_fails_and_waits_to_be_tried_again_is_not_where_it_should_be
 
 
 @pytest.mark.parametrize("on_its_way", ["stow", "goto", None])
-def test_a_fault_that_leaves_the_tracker_where_it_should_not_be_shows_both(run_rig, on_its_way):
+def test_a_fault_sets_the_obstructed_bits_and_off_target_too_if_a_move_or_stow_was_not_finished(run_rig, on_its_way):
     async def scenario(rig, control):
         async def alarm():
             tracker = (await control.models())[601][1]
@@ -59,7 +59,7 @@ def test_a_fault_that_leaves_the_tracker_where_it_should_not_be_shows_both(run_r
     on_rig(run_rig, scenario)
 
 
-def test_a_storm_at_the_stow_position_is_no_alarm(run_rig):
+def test_a_storm_sets_no_alarm_bit_once_the_tracker_is_at_the_stow_position(run_rig):
     async def scenario(rig, control):
         rig.wind_m_s = 20.0
         await rig.until_mode(Mode.STOW, 20)

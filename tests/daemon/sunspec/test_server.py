@@ -70,7 +70,7 @@ async def asked(port, data):
 QUESTION = read_registers(1, 3, BASE, 2)
 
 
-def test_garbage_ends_its_own_connection_alone(serve):
+def test_garbage_closes_only_the_connection_on_which_it_came(serve):
     async def scenario(rig, server, port):
         task = await running(rig, server)
         framing = TcpClient()
@@ -88,7 +88,7 @@ def test_garbage_ends_its_own_connection_alone(serve):
     serve(scenario)
 
 
-def test_beyond_sixteen_clients_the_next_is_put_off_until_one_has_asked_nothing_for_ten_seconds(serve):
+def test_a_seventeenth_client_is_refused_until_another_client_has_been_silent_for_10_seconds(serve):
     async def scenario(rig, server, port):
         task = await running(rig, server)
         others = [await asyncio.open_connection("127.0.0.1", port) for _ in range(16)]
@@ -114,7 +114,7 @@ def test_beyond_sixteen_clients_the_next_is_put_off_until_one_has_asked_nothing_
     serve(scenario)
 
 
-def test_the_end_of_a_flood_of_refused_writes_is_told_with_their_number(serve, caplog):
+def test_after_a_flood_of_refused_writes_the_log_gives_the_number_of_those_not_logged(serve, caplog):
     async def scenario(rig, server, port):
         task = await running(rig, server)
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
@@ -132,7 +132,7 @@ def test_the_end_of_a_flood_of_refused_writes_is_told_with_their_number(serve, c
     serve(scenario)
 
 
-def test_a_question_that_is_no_write_is_not_logged_as_a_refused_write(serve, caplog):
+def test_a_refused_request_that_is_not_a_write_is_not_logged_as_a_refused_write(serve, caplog):
     async def scenario(rig, server, port):
         task = await running(rig, server)
         identify = ModbusRequest(1, bytes((0x2B, 0x0E, 1, 0)))
@@ -143,7 +143,7 @@ def test_a_question_that_is_no_write_is_not_logged_as_a_refused_write(serve, cap
     serve(scenario)
 
 
-def test_a_port_that_is_taken_is_an_alarm_until_it_is_had(serve):
+def test_a_port_that_is_taken_raises_an_alarm_until_the_server_gets_it(serve):
     async def scenario(rig, server, port):
         with socket.socket() as taken:
             taken.bind(("127.0.0.1", port))
@@ -163,7 +163,7 @@ def test_a_port_that_is_taken_is_an_alarm_until_it_is_had(serve):
     serve(scenario)
 
 
-def test_a_kind_of_address_that_the_system_does_not_have_is_an_alarm_and_not_the_end(serve, monkeypatch):
+def test_an_ipv6_address_on_a_system_without_ipv6_raises_an_alarm_and_does_not_end_the_server(serve, monkeypatch):
     async def scenario(rig, server, _):
         monkeypatch.setattr(socket, "socket", SocketWithoutIpv6)
         task = asyncio.create_task(server.run())
@@ -177,7 +177,7 @@ def test_a_kind_of_address_that_the_system_does_not_have_is_an_alarm_and_not_the
     serve(scenario, host="[::1]")
 
 
-def test_the_end_of_the_service_logs_nothing_of_clients_that_are_connected(serve, caplog):
+def test_ending_the_server_while_clients_are_connected_logs_no_asyncio_error(serve, caplog):
     async def scenario(rig, server, port):
         task = await running(rig, server)
         connections = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]

@@ -14,7 +14,7 @@ from tests.support.phases import at_rest
 from tests.support.rig import ServiceRig
 
 
-def test_the_models_say_what_the_state_says(run_rig):
+def test_the_models_show_the_irradiances_the_site_and_the_pose_of_the_rig(run_rig):
     async def scenario(rig, control):
         await asyncio.sleep(11)
         models = await control.models()
@@ -40,7 +40,7 @@ def test_the_models_say_what_the_state_says(run_rig):
     on_rig(run_rig, scenario)
 
 
-def test_what_is_stale_is_unimplemented_and_no_number(run_rig):
+def test_stale_irradiances_and_a_stale_pose_are_read_as_not_implemented_and_not_as_numbers(run_rig):
     async def scenario(rig, control):
         rig.cables.voltmeter.link_up = rig.cables.positioner.link_up = False
         await asyncio.sleep(60)
@@ -51,7 +51,7 @@ def test_what_is_stale_is_unimplemented_and_no_number(run_rig):
     on_rig(run_rig, scenario)
 
 
-def test_a_read_beyond_the_end_and_another_unit_are_exceptions(run_rig):
+def test_a_read_beyond_the_registers_another_unit_and_an_unknown_function_get_modbus_exceptions(run_rig):
     async def scenario(rig, control):
         assert (await control.ask(read_registers(UNIT, 3, BASE - 1, 2)))[1] == 2
         assert (await control.ask(read_registers(UNIT, 3, BASE + 400, 2)))[1] == 2
@@ -62,14 +62,14 @@ def test_a_read_beyond_the_end_and_another_unit_are_exceptions(run_rig):
 
 
 @pytest.mark.parametrize("unit", [0, 255])
-def test_the_units_that_mean_the_device_itself_on_tcp_are_answered(run_rig, unit):
+def test_requests_to_units_0_and_255_which_mean_the_device_itself_on_tcp_are_answered(run_rig, unit):
     async def scenario(rig, control):
         assert registers_of(await control.ask(read_registers(unit, 3, BASE, 2))) == (0x5375, 0x6E53)
 
     on_rig(run_rig, scenario)
 
 
-def test_manual_is_a_goto_and_automatic_gives_back(run_rig):
+def test_mode_manual_with_angles_is_a_goto_and_mode_automatic_returns_the_tracker_to_tracking(run_rig):
     async def scenario(rig, control):
         at = (await control.models())[601][0] + 20
         # Azimuth 217.01, elevation 33.83 is A 30, B 40.
@@ -89,7 +89,7 @@ def test_manual_is_a_goto_and_automatic_gives_back(run_rig):
     on_rig(run_rig, scenario)
 
 
-def test_angles_wait_for_the_mode_and_manual_without_them_holds(run_rig):
+def test_written_angles_take_effect_only_with_the_mode_and_manual_without_angles_is_a_hold(run_rig):
     async def scenario(rig, control):
         first = (await control.models())[601][0]
         tracker = first + 28 + 16
@@ -107,7 +107,7 @@ def test_angles_wait_for_the_mode_and_manual_without_them_holds(run_rig):
 
 
 @pytest.mark.parametrize("ended_by", ["auto", "stop", "goto"])
-def test_manual_alone_holds_where_it_stands_after_a_person_has_ended_the_last_override(run_rig, ended_by):
+def test_manual_without_angles_holds_the_tracker_in_place_after_a_person_ended_the_last_override(run_rig, ended_by):
     async def scenario(rig, control):
         at = (await control.models())[601][0] + 20
         assert await control.write(at, [*int32(3383), *int32(21701), 1]) == 0
@@ -130,7 +130,7 @@ def test_manual_alone_holds_where_it_stands_after_a_person_has_ended_the_last_ov
     on_rig(run_rig, scenario)
 
 
-def test_angles_that_have_waited_for_minutes_are_not_what_manual_means(run_rig):
+def test_angles_written_without_a_mode_are_forgotten_after_five_minutes(run_rig):
     async def scenario(rig, control):
         at = (await control.models())[601][0] + 20
         assert await control.write(at, [*int32(3383), *int32(21701)]) == 0
@@ -181,7 +181,7 @@ WRONG = {
 }
 
 
-def test_what_cannot_be_meant_is_refused_and_moves_nothing(run_rig):
+def test_writes_of_impossible_values_or_to_other_registers_are_refused_and_move_nothing(run_rig):
     async def scenario(rig, control):
         at = (await control.models())[601][0] + 20
         before = rig.truth()
@@ -196,7 +196,7 @@ def test_what_cannot_be_meant_is_refused_and_moves_nothing(run_rig):
     on_rig(run_rig, scenario)
 
 
-def test_without_leave_nothing_is_written(run_rig):
+def test_a_write_is_refused_while_sunspec_manual_is_false(run_rig):
     async def scenario(rig, control):
         at = (await control.models())[601][0] + 20
         assert await control.write(at, [*int32(9000), *int32(18000), 1]) == 1
@@ -221,7 +221,7 @@ def test_a_persons_stop_is_not_ended_from_the_control_room(run_rig):
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_a_stop_of_this_very_moment_is_not_ended_from_the_control_room(run_rig, late):
+def test_a_stop_given_in_the_same_moment_as_a_write_is_not_ended_from_the_control_room(run_rig, late):
     async def scenario(rig, control):
         at = (await control.models())[601][0] + 20
         if late:
@@ -243,7 +243,7 @@ def test_a_stop_of_this_very_moment_is_not_ended_from_the_control_room(run_rig, 
     on_rig(run_rig, scenario)
 
 
-def test_what_is_read_within_a_moment_is_one_snapshot(run_rig):
+def test_reads_at_the_same_moment_share_one_snapshot(run_rig):
     async def scenario(rig, control):
         taken = []
         table = SunSpecTable(
@@ -302,7 +302,9 @@ def test_a_control_room_that_writes_the_same_every_second_gives_one_order(run_ri
 
 
 @pytest.mark.parametrize("values", [[0], [1], [*int32(9000), *int32(18000), 1]], ids=["auto", "hold", "goto"])
-def test_what_holds_until_a_person_has_looked_is_not_ended_from_afar(run_rig, monkeypatch, values):
+def test_a_hold_by_the_program_until_a_person_has_looked_is_not_ended_from_the_control_room(
+    run_rig, monkeypatch, values
+):
     monkeypatch.setattr(ServiceRig, "hold_why", "the program was changed")
 
     async def scenario(rig):

@@ -39,7 +39,7 @@ async def on_its_way(rig):
 
 
 @pytest.mark.parametrize("clock_set_s", [0.0, -3600.0])
-def test_a_goto_does_not_go_on_after_a_sleep(run_rig, clock_set_s):
+def test_a_goto_under_way_does_not_go_on_after_the_machine_has_slept(run_rig, clock_set_s):
     async def scenario(rig):
         await on_its_way(rig)
         sleep(rig, clock_set_s)
@@ -56,7 +56,7 @@ def test_a_goto_does_not_go_on_after_a_sleep(run_rig, clock_set_s):
     run_rig(scenario)
 
 
-def test_a_goto_that_has_arrived_lasts_over_a_sleep(run_rig):
+def test_a_goto_that_has_arrived_stays_in_force_after_the_machine_has_slept(run_rig):
     async def scenario(rig):
         await on_its_way(rig)
         await rig.until(lambda: there(rig) and not rig.motion.moving, 120, "the goto")
@@ -68,7 +68,7 @@ def test_a_goto_that_has_arrived_lasts_over_a_sleep(run_rig):
     run_rig(scenario)
 
 
-def test_a_stow_for_the_wind_goes_on_after_a_sleep_and_the_goto_before_it_does_not(run_rig):
+def test_a_wind_stow_goes_on_after_the_machine_has_slept_and_the_goto_before_it_does_not(run_rig):
     async def scenario(rig):
         await on_its_way(rig)
         rig.wind_m_s = 20.0
@@ -93,7 +93,7 @@ async def homing(rig):
     assert rig.motion.homing
 
 
-def test_a_reference_run_does_not_go_on_after_a_sleep(run_rig, monkeypatch):
+def test_a_reference_run_does_not_go_on_after_the_machine_has_slept(run_rig, monkeypatch):
     async def scenario(rig):
         await homing(rig)
         sent = commands_sent(rig, monkeypatch)
@@ -112,7 +112,7 @@ def test_a_reference_run_does_not_go_on_after_a_sleep(run_rig, monkeypatch):
 
 
 @pytest.mark.parametrize(("begun", "ended"), [(on_its_way, there), (homing, has_homed)])
-def test_a_clock_that_is_set_forward_ends_neither_of_them(run_rig, begun, ended):
+def test_a_clock_that_is_set_forward_ends_neither_a_goto_nor_a_reference_run(run_rig, begun, ended):
     async def scenario(rig):
         await begun(rig)
         rig.clock.step_s = 60.0

@@ -37,7 +37,7 @@ def left(budget):
     return budget.moves_left, budget.travel_left_deg
 
 
-def test_moves_and_degrees_are_counted_down_to_nothing_and_not_below():
+def test_the_moves_and_degrees_left_are_counted_down_to_zero_and_not_below():
     budget = Budget()
     assert left(budget) == (100, 400.0)
     assert left(budget.spend(10, 2.5)) == (90, 375.0)
@@ -64,7 +64,7 @@ def test_the_last_move_and_the_last_degree_are_allowed_and_no_more(moves, each_d
 @pytest.mark.parametrize(("moves", "each_deg", "kept"), [
     (76, 1.0, False), (10, 30.0, False), (10, 30.1, True),
 ])  # fmt: skip
-def test_the_last_quarter_of_the_travel_is_kept_for_the_sun_and_that_is_told(moves, each_deg, kept):
+def test_the_last_quarter_of_the_travel_is_kept_for_following_the_sun_and_an_alarm_says_so(moves, each_deg, kept):
     budget = Budget().spend(moves, each_deg)
     assert budget.is_for_the_sun == kept
     assert [text.partition(" (")[0] for text in budget.texts] == [
@@ -83,13 +83,13 @@ def test_the_last_quarter_of_the_travel_is_kept_for_the_sun_and_that_is_told(mov
     (17.5, 100, False),
     (18.5, 99, False),
 ])  # fmt: skip
-def test_the_moves_of_a_day_last_until_sunset_and_a_tenth_may_be_made_early(hour, moves, waits):
+def test_the_moves_of_a_day_are_spread_until_sunset_and_a_tenth_may_be_made_early(hour, moves, waits):
     why = Budget().spend(moves, 1.0).waits_why(MIDNIGHT_UTC_S + hour * HOUR_S)
     assert (why is not None) == waits
     assert why is None or why == "waits, because the day's 100 moves are to last until sunset"
 
 
-def test_a_day_is_the_suns_and_begins_with_nothing_used():
+def test_the_budget_begins_anew_at_solar_midnight():
     budget = Budget().spend(80, 1.0)
     budget.turn(MIDNIGHT_UTC_S + DAY_S - 1.0)
     assert left(budget) == (20, 320.0)
@@ -98,7 +98,7 @@ def test_a_day_is_the_suns_and_begins_with_nothing_used():
     assert budget.texts == []
 
 
-def test_what_was_used_is_kept_over_a_restart_and_so_is_that_a_day_has_begun(tmp_path):
+def test_the_used_budget_and_the_beginning_of_a_new_day_are_kept_over_a_restart(tmp_path):
     Budget(tmp_path).spend(30, 2.0)
     again = Budget(tmp_path, MIDNIGHT_UTC_S + 3600.0)
     assert left(again) == (70, 340.0)
@@ -106,7 +106,7 @@ def test_what_was_used_is_kept_over_a_restart_and_so_is_that_a_day_has_begun(tmp
     assert left(Budget(tmp_path)) == (100, 400.0)
 
 
-def test_a_clock_of_1970_forgets_no_day_that_it_is_set_to_later(tmp_path):
+def test_a_clock_in_1970_does_not_lose_the_count_of_the_day_to_which_it_is_set_later(tmp_path):
     noon_utc_s = MIDNIGHT_UTC_S + 12 * HOUR_S
     Budget(tmp_path).spend(30, 2.0)
     for _ in range(2):
@@ -120,7 +120,7 @@ def test_a_clock_of_1970_forgets_no_day_that_it_is_set_to_later(tmp_path):
     assert left(unset) == left(Budget(tmp_path)) == (100, 400.0)
 
 
-def test_a_count_of_a_day_to_come_holds_nobody_up(tmp_path):
+def test_a_kept_count_of_a_future_day_does_not_limit_the_moves_of_today(tmp_path):
     Budget(tmp_path, MIDNIGHT_UTC_S + 9000 * DAY_S).spend(100, 2.0)
     budget = Budget(tmp_path)
     budget.turn(MIDNIGHT_UTC_S)
@@ -129,7 +129,7 @@ def test_a_count_of_a_day_to_come_holds_nobody_up(tmp_path):
     assert left(Budget(tmp_path)) == (100, 400.0)
 
 
-def test_what_cannot_be_read_is_counted_anew_and_said(tmp_path, caplog):
+def test_an_unreadable_count_file_is_logged_and_the_count_begins_at_zero_again(tmp_path, caplog):
     (tmp_path / "day.json").write_text('{"day": 19000, "moves": -1}')
     assert left(Budget(tmp_path)) == (100, 400.0)
     assert "the moves of the day are counted from zero again" in caplog.text

@@ -28,7 +28,7 @@ def stays(rig, before):
 
 
 @pytest.mark.parametrize("hours", [12, -12, 3])
-def test_in_fallback_the_tracker_stays_where_it_is_after_a_step(run_rig, hours):
+def test_in_fallback_after_a_clock_step_the_tracker_stays_put_until_the_clock_is_set_right(run_rig, hours):
     async def scenario(rig):
         await no_cube(rig)
         before = rig.truth()
@@ -51,7 +51,7 @@ def test_in_fallback_the_tracker_stays_where_it_is_after_a_step(run_rig, hours):
 
 
 @pytest.mark.parametrize(("hours", "start"), [(9, "07:00"), (-3, "13:00")])
-def test_a_wrong_clock_of_hours_turns_no_tracker_from_the_sun_and_condemns_no_face(run_rig, hours, start):
+def test_a_clock_that_is_hours_wrong_neither_turns_the_tracker_from_the_sun_nor_marks_a_face_bad(run_rig, hours, start):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 60)
         await asyncio.sleep(600)
@@ -67,7 +67,7 @@ def test_a_wrong_clock_of_hours_turns_no_tracker_from_the_sun_and_condemns_no_fa
     run_rig(scenario, start=f"2022-10-12T{start}", rest_look_s=5.0, **SELDOM)
 
 
-def test_a_new_time_is_believed_once_it_is_synchronised(run_rig):
+def test_after_a_step_the_chronometric_law_follows_the_new_time_once_the_clock_is_synchronised(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 60)
         rig.synchronised = False
@@ -82,7 +82,7 @@ def test_a_new_time_is_believed_once_it_is_synchronised(run_rig):
     run_rig(scenario, law={"name": "chronometric"}, rest_look_s=5.0)
 
 
-def test_with_good_faces_mu_prime_goes_on(run_rig):
+def test_mu_prime_goes_on_deciding_by_good_faces_after_a_clock_step(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 60)
         await asyncio.sleep(400)
@@ -95,7 +95,7 @@ def test_with_good_faces_mu_prime_goes_on(run_rig):
     run_rig(scenario, weather=HandWeather(dni=0, dhi=150))
 
 
-def test_a_dark_face_in_doubt_is_no_night(run_rig):
+def test_dark_faces_are_not_night_while_the_clock_is_in_doubt_and_the_tracker_stays_where_it_is(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 60)
         await asyncio.sleep(100)

@@ -81,7 +81,7 @@ def run(scenario):
     (500.0, 549.0, False), (500.0, 551.0, True), (500.0, 451.0, False), (500.0, 449.0, True),
     (20.0, 24.9, False), (20.0, 25.1, True), (math.nan, 500.0, False), (500.0, math.nan, False),
 ])  # fmt: skip
-def test_a_change_of_light_by_more_than_its_share_stops_a_curve_and_a_few_watts_at_dusk_do_not(before, after, stopped):
+def test_a_change_of_irradiance_beyond_the_limit_stops_a_curve_and_a_few_watts_at_dusk_do_not(before, after, stopped):
     async def scenario():
         bench = Bench(Load(), abort_change=0.1)
         bench.zenith(before)
@@ -99,7 +99,7 @@ def test_a_change_of_light_by_more_than_its_share_stops_a_curve_and_a_few_watts_
 @pytest.mark.parametrize(("quality", "age_s", "known"), [
     (Quality.OK, 15.0, True), (Quality.OK, 15.5, False), (Quality.IMPLAUSIBLE, 0.0, False),
 ])  # fmt: skip
-def test_what_the_zenith_face_reads_is_known_while_it_is_good_and_fresh(quality, age_s, known):
+def test_a_curve_gives_the_zenith_irradiance_only_if_the_reading_is_good_and_fresh(quality, age_s, known):
     async def scenario():
         bench = Bench(Load())
         bench.zenith(500.0, quality, age_s)
@@ -109,14 +109,14 @@ def test_what_the_zenith_face_reads_is_known_while_it_is_good_and_fresh(quality,
 
 
 @pytest.mark.parametrize(("sun_deg", "measures"), [(-2.9, True), (-3.1, False)])
-def test_nothing_is_measured_with_the_sun_three_degrees_down(sun_deg, measures):
+def test_no_curve_is_measured_while_the_sun_is_more_than_three_degrees_below_the_horizon(sun_deg, measures):
     async def scenario():
         return await Bench(Load(), sun_deg=sun_deg).for_s(12.0)
 
     assert len(run(scenario)) == (3 if measures else 0)
 
 
-def test_with_a_clock_in_doubt_no_night_is_told_from_it_and_each_curve_says_so():
+def test_while_the_clock_is_in_doubt_curves_are_measured_even_at_seeming_night_and_are_marked():
     async def scenario():
         return await Bench(Load(), sun_deg=-60.0, time_known=False).for_s(12.0)
 
@@ -124,7 +124,7 @@ def test_with_a_clock_in_doubt_no_night_is_told_from_it_and_each_curve_says_so()
 
 
 @pytest.mark.parametrize(("open_circuit_v", "dark"), [(9.9, True), (10.0, False)])
-def test_with_less_than_twice_the_lowest_voltage_it_is_dark(open_circuit_v, dark):
+def test_a_curve_is_dark_if_the_open_circuit_voltage_is_below_twice_the_lowest_voltage(open_circuit_v, dark):
     async def scenario():
         return (await Bench(Load(open_circuit_v), minimum_voltage_v=5.0).for_s(1.0))[0]
 
@@ -133,14 +133,14 @@ def test_with_less_than_twice_the_lowest_voltage_it_is_dark(open_circuit_v, dark
     assert not dark or curve.why == "the open-circuit voltage is 9.90 V"
 
 
-def test_an_open_circuit_voltage_that_is_no_number_is_not_dark():
+def test_a_curve_with_an_open_circuit_voltage_of_nan_is_not_called_dark():
     async def scenario():
         return (await Bench(Load(math.nan)).for_s(1.0))[0]
 
     assert run(scenario).quality is CurveQuality.NO_MAXIMUM
 
 
-def test_a_load_is_released_when_it_is_lost_and_when_all_ends():
+def test_the_load_is_closed_when_its_link_is_lost_and_when_the_acquisition_ends():
     async def scenario():
         load = Load()
         load.lost = True
@@ -155,7 +155,7 @@ def test_a_load_is_released_when_it_is_lost_and_when_all_ends():
     assert told == ["the load is down: load: it is gone", "the load is back"]
 
 
-def test_a_driver_that_fails_is_a_lost_load_and_its_traceback_is_logged_once(caplog):
+def test_a_load_driver_that_fails_counts_as_a_lost_load_and_its_traceback_is_logged_once(caplog):
     def fail(*_arguments):
         raise ValueError("no number")
 

@@ -14,7 +14,7 @@ from tests.daemon.tracker.days import FEWER_SCANS
 SIMULATED = {"driver": "simulated"}
 
 
-def test_every_curve_says_what_the_module_truly_gives(run_rig):
+def test_every_curve_gives_the_true_maximum_power_and_open_circuit_voltage_of_the_module(run_rig):
     async def scenario(rig):
         errors = []
         await rig.until_mode(Mode.TRACKING, 300)
@@ -35,7 +35,7 @@ def test_every_curve_says_what_the_module_truly_gives(run_rig):
     run_rig(scenario, load=SIMULATED)
 
 
-def test_a_curve_comes_every_period_and_the_input_is_off_in_between(run_rig):
+def test_a_curve_is_measured_every_period_and_the_input_of_the_load_is_off_in_between(run_rig):
     async def scenario(rig):
         await rig.until(lambda: len(rig.of(IvCurve)) >= 12, 90, "12 curves")
         starts = np.array([curve.time_monotonic_s for curve in rig.of(IvCurve)])
@@ -46,7 +46,7 @@ def test_a_curve_comes_every_period_and_the_input_is_off_in_between(run_rig):
     run_rig(scenario, load=SIMULATED | {"period_s": 7.0, "points": 20})
 
 
-def test_a_curve_bears_what_the_zenith_face_read(run_rig):
+def test_a_curve_gives_the_zenith_irradiance_at_its_start_and_end(run_rig):
     async def scenario(rig):
         await rig.until(lambda: len(rig.of(IvCurve)) >= 5, 60, "5 curves")
         first, last = rig.of(IvCurve)[0], rig.of(IvCurve)[-1]
@@ -70,7 +70,7 @@ def test_a_change_of_light_in_the_middle_of_a_curve_stops_it(run_rig):
     run_rig(scenario, load=SIMULATED | {"settle_s": 0.13})
 
 
-def test_the_points_are_kept_if_they_are_asked_for(run_rig):
+def test_the_points_of_a_curve_are_kept_if_keep_curves_is_set(run_rig):
     async def scenario(rig):
         await rig.until(lambda: len(rig.of(IvCurve)) >= 1, 60, "a curve")
         curve = rig.of(IvCurve)[0]
@@ -82,7 +82,7 @@ def test_the_points_are_kept_if_they_are_asked_for(run_rig):
     run_rig(scenario, load=SIMULATED | {"keep_curves": True})
 
 
-def test_an_unplugged_load_is_told_once_and_tracking_goes_on_undisturbed(run_rig):
+def test_an_unplugged_load_is_reported_once_and_tracking_goes_on_undisturbed(run_rig):
     def scenario(unplug):
         async def run(rig):
             await rig.until_mode(Mode.TRACKING, 300)
@@ -126,14 +126,14 @@ def test_a_load_that_fails_in_the_middle_of_a_curve_has_its_input_off(run_rig):
     run_rig(scenario, load=SIMULATED)
 
 
-def test_the_service_ends_in_the_middle_of_a_curve_with_the_input_off(run_rig):
+def test_a_service_that_ends_in_the_middle_of_a_curve_leaves_the_input_of_the_load_off(run_rig):
     async def scenario(rig):
         await rig.until(lambda: rig.load_core.on, 60, "a curve")
 
     assert not run_rig(scenario, load=SIMULATED).load_core.on
 
 
-def test_a_protection_that_trips_is_said_with_the_curve(run_rig):
+def test_a_curve_that_is_stopped_by_a_tripped_protection_of_the_load_names_the_protection(run_rig):
     async def scenario(rig):
         await rig.until(lambda: rig.load_core.on, 60, "a curve")
         rig.load_core.trip("over-temperature")
@@ -145,7 +145,7 @@ def test_a_protection_that_trips_is_said_with_the_curve(run_rig):
     run_rig(scenario, load=SIMULATED)
 
 
-def test_nothing_is_measured_at_night_and_the_first_light_is_too_little(run_rig):
+def test_no_curve_is_measured_at_night_before_the_sun_is_three_degrees_below_the_horizon(run_rig):
     async def scenario(rig):
         await asyncio.sleep(600)
         assert rig.of(IvCurve) == []
@@ -155,7 +155,7 @@ def test_nothing_is_measured_at_night_and_the_first_light_is_too_little(run_rig)
     run_rig(scenario, start="2022-10-12T05:20", rest_look_s=5.0, load=SIMULATED)
 
 
-def test_a_module_without_light_is_dark_and_no_watt_is_claimed(run_rig):
+def test_the_curve_of_a_module_without_light_is_marked_dark_and_gives_no_power(run_rig):
     async def scenario(rig):
         rig.weather.dni = rig.weather.dhi = 0.0
         await rig.until(lambda: len(rig.of(IvCurve)) >= 1, 60, "a curve")
@@ -176,7 +176,7 @@ def test_without_a_load_there_are_no_curves(run_rig):
     run_rig(scenario)
 
 
-def test_the_module_is_brighter_and_warmer_where_the_tracker_looks_at_the_sun(run_rig):
+def test_the_simulated_module_is_brighter_and_warmer_when_it_faces_the_sun_than_when_it_is_flat(run_rig):
     async def scenario(rig):
         flat = rig.source.light(rig.clock.monotonic())
         await rig.until_mode(Mode.TRACKING, 300)
@@ -191,7 +191,7 @@ def test_the_module_is_brighter_and_warmer_where_the_tracker_looks_at_the_sun(ru
     run_rig(scenario, load=SIMULATED | {"period_s": 60.0})
 
 
-def test_the_load_stands_in_state_and_metrics(run_rig):
+def test_the_load_and_its_last_curve_are_shown_in_the_state_and_the_metrics(run_rig):
     async def scenario(rig):
         assert "heliocube_module_power_watts" not in Metrics(rig.see(), {}).text().decode()
         await rig.until(lambda: len(rig.of(IvCurve)) >= 1, 60, "a curve")

@@ -23,7 +23,7 @@ def _distance_deg(move):
     return abs(move.end_a_deg - move.from_a_deg) + abs(move.end_b_deg - move.from_b_deg)
 
 
-def test_no_law_moves_more_often_than_the_day_allows_and_that_is_told_once(run_rig):
+def test_the_law_stops_at_the_moves_per_day_with_one_alarm_and_operators_are_not_limited(run_rig):
     async def scenario(rig):
         await asyncio.sleep(1500)
         assert len(rig.of(Move)) == 3
@@ -41,7 +41,7 @@ def test_no_law_moves_more_often_than_the_day_allows_and_that_is_told_once(run_r
     assert not rig.of(Decision)[-1].moved
 
 
-def test_a_move_that_comes_too_early_for_the_day_s_moves_waits_and_says_so(run_rig):
+def test_a_move_of_the_law_too_early_for_the_moves_per_day_waits_and_its_decision_says_why(run_rig):
     async def scenario(rig):
         await asyncio.sleep(1500)
         assert len(rig.of(Move)) == 3
@@ -53,7 +53,7 @@ def test_a_move_that_comes_too_early_for_the_day_s_moves_waits_and_says_so(run_r
     assert not waiting.moved
 
 
-def test_the_last_quarter_of_the_day_s_travel_follows_the_sun_by_the_clock(run_rig):
+def test_the_last_quarter_of_the_travel_per_day_is_left_to_the_chronometric_law(run_rig):
     async def scenario(rig):
         await asyncio.sleep(4000)
         said = alarms(rig)["day-budget"]
@@ -71,7 +71,7 @@ def test_the_last_quarter_of_the_day_s_travel_follows_the_sun_by_the_clock(run_r
     assert used_deg > 0.75 * 110.0, "the move that begins the last quarter is the law's own"
 
 
-def test_no_law_travels_further_than_the_day_allows_in_fallback_either(run_rig):
+def test_the_travel_per_day_also_limits_the_moves_in_fallback(run_rig):
     async def scenario(rig):
         await tracking(rig)
         rig.cables.voltmeter.link_up = False
@@ -85,7 +85,7 @@ def test_no_law_travels_further_than_the_day_allows_in_fallback_either(run_rig):
     assert 60.0 < travelled <= 80.0 + 0.2 * len(moves)
 
 
-def test_the_count_survives_a_restart_and_ends_with_the_solar_day(run_rig, serve, tmp_path):
+def test_the_count_of_moves_survives_a_restart_and_ends_with_the_solar_day(run_rig, serve, tmp_path):
     options = {"motion": {"moves_per_day": 4}, "store": {"directory": tmp_path}, "weather": ClearDays()}
 
     async def first(rig):
@@ -116,7 +116,7 @@ def test_the_count_survives_a_restart_and_ends_with_the_solar_day(run_rig, serve
 
 
 @pytest.mark.parametrize("text", ['{"day": 1, "moves": -3}', "\x00", "[]"])
-def test_a_damaged_count_begins_anew(run_rig, tmp_path, text):
+def test_the_count_of_moves_begins_at_zero_if_its_file_is_damaged(run_rig, tmp_path, text):
     (tmp_path / "day.json").write_text(text)
 
     async def scenario(rig):
@@ -126,7 +126,7 @@ def test_a_damaged_count_begins_anew(run_rig, tmp_path, text):
 
 
 @pytest.mark.parametrize("law", ["mu-prime", "optimal"])
-def test_a_step_of_the_clock_opens_no_new_days_budget(run_rig, law):
+def test_a_clock_step_of_a_day_does_not_open_the_budget_of_a_new_day(run_rig, law):
     async def scenario(rig):
         await rig.until(lambda: len(rig.of(Move)) == 2, 3600, "all moves of the day")
         rig.clock.step_s = 86400.0
@@ -140,7 +140,7 @@ def test_a_step_of_the_clock_opens_no_new_days_budget(run_rig, law):
     run_rig(scenario, start=afternoon, motion={"moves_per_day": 2}, law={"name": law, "moves_per_day": 2})
 
 
-def test_while_the_clock_is_in_doubt_a_day_ends_by_the_time_that_was_believed(run_rig):
+def test_while_the_clock_is_in_doubt_the_day_of_the_budget_ends_by_the_time_believed_before(run_rig):
     async def scenario(rig):
         await asyncio.sleep(30)
         rig.clock.step_s = -5 * 3600.0
@@ -154,7 +154,7 @@ def test_while_the_clock_is_in_doubt_a_day_ends_by_the_time_that_was_believed(ru
     run_rig(scenario, start="2022-10-12T23:40")
 
 
-def test_a_day_is_the_suns_and_not_utcs(run_rig):
+def test_the_day_of_the_budget_begins_at_solar_midnight_and_not_at_midnight_utc(run_rig):
     async def scenario(rig):
         settings, alarms_ = rig.service.settings.motion, rig.tracker.alarms
         budget = DayBudget(settings, Site(0.0, 150.0, 0.0), StateFolder(None), alarms_, 0.0)

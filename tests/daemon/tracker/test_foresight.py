@@ -26,7 +26,7 @@ async def soon(rig):
 
 
 @pytest.mark.parametrize("law", ["mu-prime", "sun-vector", "chronometric", "optimal", "flat"])
-def test_what_is_foreseen_is_what_is_decided(run_rig, law):
+def test_the_foreseen_decision_agrees_with_the_decision_that_follows(run_rig, law):
     async def scenario(rig):
         foreseen, decision = await soon(rig)
         assert (foreseen.law, foreseen.moves) == (decision.law, decision.moved)
@@ -68,7 +68,7 @@ class Bolted(Restless):
 
 
 @pytest.mark.parametrize(("kind", "foreseen_deg"), [(Restless, 5.0), (Bolted, None)])
-def test_whether_anybody_looks_changes_no_decision(kind, foreseen_deg):
+def test_asking_for_the_foreseen_decision_does_not_change_what_the_law_answers(kind, foreseen_deg):
     facts = TrackerFacts(site=Site(*SITE), limits=Limits(), scan_every_s=5.0, decide_every_s=300.0, utc_s=0.0)
     chosen = NamedLaw("restless", kind(FlatSettings(), facts))
     stands = Whereabouts(Pose(0.0, 0.0, 0.0, 60.0, moving=False), None)
@@ -78,7 +78,7 @@ def test_whether_anybody_looks_changes_no_decision(kind, foreseen_deg):
     assert ask(chosen, None, stands, 0.0, sun_known=True).target.a_deg == pytest.approx(5.0)
 
 
-def test_a_mode_that_does_not_decide_foresees_nothing(run_rig):
+def test_no_decision_is_foreseen_while_the_tracker_is_stopped(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 120)
         await rig.control.stop("test")

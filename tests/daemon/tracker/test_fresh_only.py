@@ -56,7 +56,9 @@ def test_a_decision_below_the_minimum_coverage_waits_until_it_is_reached(run_rig
     ("slept_s", "step_s", "renewed"),
     [(28_800.0, 0.0, True), (16.0, -16.0, True), (14.0, 0.0, False), (0.0, 600.0, False), (0.0, -600.0, False)],
 )
-def test_a_machine_that_has_slept_decides_on_no_reading_of_before(run_rig, slept_s, step_s, renewed):
+def test_a_machine_sleep_over_scan_stale_s_discards_earlier_readings_and_a_clock_step_does_not(
+    run_rig, slept_s, step_s, renewed
+):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 200)
         await asyncio.sleep(120)

@@ -46,12 +46,12 @@ EVERY = list(Mode)
         ({"connected": False, "stow_why": "wind"}, Mode.STARTING),
     ],
 )
-def test_the_situation_decides_whatever_the_mode_was(mode, change, expected):
+def test_unless_readings_are_awaited_the_situation_alone_decides_the_next_mode(mode, change, expected):
     assert next_mode(mode, replace(GOOD, **change))[0] is expected
 
 
 @pytest.mark.parametrize("mode", EVERY)
-def test_while_data_may_yet_come_only_tracking_and_fallback_go_on(mode):
+def test_while_readings_are_awaited_tracking_and_fallback_go_on_and_every_other_mode_ends(mode):
     after, _ = next_mode(mode, replace(GOOD, data=Data.WAITING))
     assert after is (mode if mode in (Mode.TRACKING, Mode.FALLBACK) else Mode.STARTING)
 
@@ -78,5 +78,5 @@ def test_every_mode_comes_with_its_reason(change, why):
         ),
     ],
 )
-def test_a_reason_that_the_mode_hides_is_told_beside_its_own(change, why):
+def test_a_reason_that_the_mode_hides_is_named_beside_the_reason_of_the_mode(change, why):
     assert next_mode(Mode.TRACKING, replace(GOOD, **change))[1] == why

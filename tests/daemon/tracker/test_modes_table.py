@@ -26,11 +26,11 @@ def every(modes_table):
     return [(s, mode, *next_mode(mode, s)) for s in modes_table.situations() for mode in Mode]
 
 
-def test_the_page_is_current(modes_table):
+def test_the_page_of_the_modes_in_the_docs_is_up_to_date(modes_table):
     assert modes_table.PAGE.read_text(encoding="utf-8") == modes_table.page(), "run: python docs/modes_table.py"
 
 
-def test_the_table_asks_about_every_field_of_a_situation(modes_table, every):
+def test_the_table_of_modes_covers_every_field_of_a_situation_and_reaches_every_mode(modes_table, every):
     assert set(Situation.__dataclass_fields__) == {*modes_table.CONDITIONS, "data", "data_why"}
     assert len(every) == 2**11 * 3 * len(Mode)
     assert {after for *_, after, _ in every} == set(Mode)
@@ -59,11 +59,11 @@ def test_the_table_asks_about_every_field_of_a_situation(modes_table, every):
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_in_every_situation(every, sentence, holds):
+def test_the_next_mode_obeys_the_rule_in_every_situation(every, sentence, holds):
     assert not [(s, before) for s, before, after, _ in every if not holds(s, after)]
 
 
-def test_the_mode_before_matters_while_readings_are_awaited_and_nowhere_else(every):
+def test_the_mode_before_affects_the_next_mode_only_while_readings_are_awaited(every):
     afters = {}
     for situation, _, after, _ in every:
         afters.setdefault(situation, set()).add(after)
@@ -73,7 +73,7 @@ def test_the_mode_before_matters_while_readings_are_awaited_and_nowhere_else(eve
             assert found == {Mode.STARTING, Mode.TRACKING, Mode.FALLBACK}
 
 
-def test_whoever_keeps_it_still_is_named_in_every_situation(modes_table):
+def test_the_reason_names_who_stopped_the_tracker_or_put_it_in_maintenance_in_every_situation(modes_table):
     for situation in modes_table.situations():
         named = {
             f"{name}_why": f"{name} by ana" for name in ("maintenance", "stop") if getattr(situation, f"{name}_why")

@@ -46,7 +46,7 @@ def without(*broken):
     return scenario
 
 
-def test_a_clear_sky_is_followed_with_few_moves(run_rig):
+def test_the_law_optimal_follows_the_sun_in_a_clear_sky_with_few_moves(run_rig):
     rig = run_rig(half_an_hour, law=OPTIMAL, **SELDOM)
     assert off_sun_deg(rig) < 5.0
     assert rig.mode is Mode.TRACKING
@@ -62,14 +62,14 @@ def test_a_clear_sky_is_followed_with_few_moves(run_rig):
     assert estimate.albedo == 0.2
 
 
-def test_an_overcast_sky_is_met_flat(run_rig):
+def test_the_law_optimal_lays_the_tracker_flat_under_an_overcast_sky(run_rig):
     rig = run_rig(half_an_hour, law=OPTIMAL, weather=HandWeather(dni=0, dhi=150), **SELDOM)
     assert rig.truth().b_deg == pytest.approx(90, abs=2.0)
     assert rig.truth().a_deg == pytest.approx(0, abs=2.0)
 
 
 @pytest.mark.parametrize("face", range(4))
-def test_with_one_face_broken_it_goes_on_tracking(run_rig, face):
+def test_the_law_optimal_goes_on_tracking_with_one_face_broken(run_rig, face):
     rig = run_rig(without(face), law=OPTIMAL, **SELDOM)
     assert rig.of(Scan)[-1].faces[face].quality is not Quality.OK
     assert rig.mode is Mode.TRACKING
@@ -77,7 +77,7 @@ def test_with_one_face_broken_it_goes_on_tracking(run_rig, face):
     assert off_sun_deg(rig) < 6.0
 
 
-def test_a_dead_zenith_face_is_no_night(run_rig):
+def test_the_law_optimal_does_not_take_a_dead_zenith_face_for_night(run_rig):
     async def scenario(rig):
         sensor = rig.scene.sensor_voltage
         rig.scene.sensor_voltage = lambda face, utc_s: 0.0 if face == 3 else sensor(face, utc_s)
@@ -88,7 +88,7 @@ def test_a_dead_zenith_face_is_no_night(run_rig):
     assert off_sun_deg(rig) < 6.0
 
 
-def test_with_two_faces_broken_it_falls_back_on_the_sun(run_rig):
+def test_with_two_faces_broken_the_tracker_follows_the_sun_by_the_clock_in_fallback(run_rig):
     rig = run_rig(without(0, 3), law=OPTIMAL, **SELDOM)
     assert rig.mode is Mode.FALLBACK
     assert rig.of(Decision)[-1].law == "chronometric"
@@ -96,7 +96,7 @@ def test_with_two_faces_broken_it_falls_back_on_the_sun(run_rig):
 
 
 @pytest.mark.parametrize("law", ["mu-prime", "sun-vector", "flat", "chronometric"])
-def test_the_other_laws_go_on_with_three_faces_too(run_rig, law):
+def test_the_other_laws_go_on_tracking_with_one_face_broken_too(run_rig, law):
     rig = run_rig(without(0), law={"driver": law}, **SELDOM)
     assert rig.mode is Mode.TRACKING
     assert rig.of(Decision)[-1].law == law
@@ -119,7 +119,9 @@ def ordered_deg(rig):
 
 
 @pytest.mark.parametrize(("key", "limit"), [("travel_per_day_deg", 90.0), ("moves_per_day", 2)])
-def test_the_budget_of_the_day_holds_and_a_restart_opens_no_new_one(run_rig, tmp_path, key, limit):
+def test_the_law_optimal_stays_within_its_budget_of_the_day_and_a_restart_opens_no_new_one(
+    run_rig, tmp_path, key, limit
+):
     law = OPTIMAL | {"thrift": 0.1, key: limit}
     store = {"directory": tmp_path}
     first = run_rig(half_an_hour, law=law, weather=Blinking(), store=store, **SELDOM)
@@ -132,7 +134,7 @@ def test_the_budget_of_the_day_holds_and_a_restart_opens_no_new_one(run_rig, tmp
     assert 0 < used <= limit + (0.0 if key == "moves_per_day" else 1.0)
 
 
-def test_the_budget_holds_in_fallback_too(run_rig):
+def test_the_moves_per_day_of_the_law_optimal_also_limit_the_moves_in_fallback(run_rig):
     rig = run_rig(without(0, 3), law=OPTIMAL | {"moves_per_day": 2}, **SELDOM)
     assert len(rig.of(Move)) == 2
 
@@ -152,7 +154,7 @@ class ClearDays(HandWeather):
         return conditions
 
 
-def test_what_a_day_has_taught_survives_a_restart_and_can_be_forgotten(run_rig, serve, tmp_path):
+def test_the_values_learned_on_a_day_survive_a_restart_and_relearn_forgets_them(run_rig, serve, tmp_path):
     store = {"directory": tmp_path}
     seldom = {"cube": {"scan_every_s": 60}, "safety": {"scan_stale_s": 130}, "rest_look_s": 5.0}
     taught = run_rig(until_tomorrow, law=OPTIMAL, weather=ClearDays(), store=store, start="2022-10-12T14:00", **seldom)
@@ -172,7 +174,7 @@ def test_what_a_day_has_taught_survives_a_restart_and_can_be_forgotten(run_rig, 
     serve(again, law=OPTIMAL, weather=ClearDays(), store=store, start="2022-10-14T10:00")
 
 
-def test_a_damaged_file_is_learned_anew(run_rig, tmp_path):
+def test_the_law_optimal_learns_anew_if_the_file_of_learned_values_is_damaged(run_rig, tmp_path):
     (tmp_path / "learned.json").write_text('{"albedo": 7, "day": 1}')
 
     async def scenario(rig):
@@ -181,7 +183,7 @@ def test_a_damaged_file_is_learned_anew(run_rig, tmp_path):
     run_rig(scenario, law=OPTIMAL, store={"directory": tmp_path})
 
 
-def test_a_law_that_learns_nothing_has_nothing_to_forget(serve):
+def test_relearn_is_refused_with_409_for_a_law_that_learns_nothing(serve):
     async def scenario(rig, call):
         await rig.until_mode(Mode.TRACKING, 120)
         assert (await call.get("/api/state")).json["law"] == {"name": "mu-prime"}
@@ -190,7 +192,7 @@ def test_a_law_that_learns_nothing_has_nothing_to_forget(serve):
     serve(scenario)
 
 
-def test_after_a_step_of_the_clock_it_stays_where_it_is(run_rig):
+def test_the_law_optimal_makes_no_move_after_a_clock_step(run_rig):
     async def scenario(rig):
         await asyncio.sleep(600)
         rig.clock.step_s = 7200.0

@@ -40,12 +40,12 @@ def test_a_refusal_says_how_the_tracker_is_released():
         orders.refuse("goto")
 
 
-def test_a_person_at_the_buttons_forbids_everything_but_to_say_so():
+def test_a_person_at_the_buttons_forbids_every_command_but_maintenance():
     assert refused("buttons") == COMMANDS[:-1]
 
 
 @pytest.mark.parametrize("wish", ["stow", "snow", "hold"])
-def test_other_wishes_forbid_nothing_here(wish):
+def test_a_stow_a_snow_or_a_hold_in_force_forbids_no_command_in_orders(wish):
     assert refused(wish) == ()
 
 
@@ -65,7 +65,7 @@ def seen(pressed, at_s):
     return SimpleNamespace(button_pressed=pressed, status_monotonic_s=at_s)
 
 
-def test_a_button_holds_once_and_what_was_seen_before_auto_does_not():
+def test_a_pressed_button_holds_the_tracker_once_and_a_press_seen_before_auto_does_not():
     orders = Orders(Hand(), WishFile(StateFolder(None)))
     assert not orders.note_buttons(None)
     assert not orders.note_buttons(seen(False, 100.0))
@@ -80,7 +80,7 @@ def test_a_button_holds_once_and_what_was_seen_before_auto_does_not():
     assert orders.note_buttons(seen(True, 100.1))
 
 
-def test_in_maintenance_a_button_is_no_news():
+def test_a_button_that_is_pressed_during_maintenance_does_not_hold_the_tracker():
     orders = Orders(Hand(), WishFile(StateFolder(None)))
     orders.latch("maintenance", "mirrors", "Ann")
     assert not orders.note_buttons(seen(True, 100.0))
@@ -96,26 +96,26 @@ def elsewhere():
     return orders
 
 
-def test_release_ends_the_place_of_a_hold_and_the_stow():
+def test_release_ends_every_wish_with_the_place_of_a_hold_and_the_reason_to_stow():
     orders = elsewhere()
     assert orders.stow.reason(0.0) == "hail"
     orders.release()
     assert (orders.wishes, orders.hold_at, orders.stow.reason(0.0)) == (Wishes(), None, None)
 
 
-def test_a_stow_that_gives_way_to_another_wish_asks_for_nothing_more():
+def test_a_persons_stow_that_is_replaced_by_a_hold_is_no_reason_to_stow_any_more():
     orders = elsewhere()
     orders.latch("hold", "look", "Ann", instead_of="stow")
     assert (orders.wishes.stow, orders.stow.reason(0.0)) == (None, None)
 
 
-def test_whoever_presses_a_button_holds_the_tracker_where_it_stands():
+def test_a_pressed_button_holds_the_tracker_where_it_stands_and_not_at_the_place_of_a_hold():
     orders = elsewhere()
     assert orders.note_buttons(seen(True, 100.0))
     assert orders.hold_at is None
 
 
-def test_what_persons_asked_before_a_restart_goes_before_a_hold_by_the_program(tmp_path):
+def test_a_wish_of_a_person_from_before_a_restart_takes_precedence_over_a_hold_by_the_program(tmp_path):
     new = Orders(Hand(), WishFile(StateFolder(tmp_path / "new")), hold_why="a new release")
     assert new.wishes.held_by_program
     assert Orders(Hand(), WishFile(StateFolder(tmp_path / "new"))).wishes.held_by_program, "at the next start too"

@@ -48,11 +48,11 @@ def test_an_order_that_was_refused_is_given_again_the_next_time():
     (0.0, 90.0, True), (0.8, 89.2, True), (-0.8, 90.0, True), (0.9, 90.0, False), (0.0, 89.1, False),
     (nan, 90.0, False), (0.1, nan, False),
 ])  # fmt: skip
-def test_what_stands_there_within_the_tolerance_is_left_alone(a_deg, b_deg, there):
+def test_a_tracker_at_the_position_within_the_tolerance_is_not_sent_there(a_deg, b_deg, there):
     assert ordered([0.0], pose=at(a_deg, b_deg)) == ([] if there else [0.0])
 
 
-def test_the_place_need_not_be_the_zero_of_an_axis_and_an_unknown_pose_is_there_never():
+def test_a_position_away_from_zero_is_recognised_and_an_unknown_pose_is_never_taken_as_at_it():
     stow = Target(-30.0, 80.0, "stow")
     for pose, orders in ((at(-30.0, 80.0), []), (at(30.0, 80.0), [stow]), (at(-40.0, 80.0), [stow]), (None, [stow])):
         found = []
@@ -60,18 +60,18 @@ def test_the_place_need_not_be_the_zero_of_an_axis_and_an_unknown_pose_is_there_
         assert found == orders
 
 
-def test_what_is_on_its_way_there_is_left_alone_and_what_goes_elsewhere_is_not():
+def test_a_tracker_on_its_way_to_the_position_is_not_sent_again_and_one_going_elsewhere_is():
     assert ordered([0.0, 100.0], target=Target(0.0, 90.0, "stow")) == []
     assert ordered([0.0], target=Target(0.0, 89.0, "law")) == [0.0]
     assert ordered([0.0], pose=at(0.0, 90.0), target=Target(20.0, 60.0, "law")) == [0.0]
 
 
-def test_a_move_there_that_is_being_ended_is_none():
+def test_a_tracker_whose_move_to_the_position_is_being_ended_is_sent_there_again():
     found = []
     motion = SimpleNamespace(pose=at(0.0, 90.0), target=NIGHT, heading=None, homing=False)
     Parking(motion, 0.8, found.append).park(NIGHT, 0.0)
     assert found == [NIGHT]
 
 
-def test_a_place_during_a_reference_run_is_none():
+def test_a_tracker_at_the_position_during_a_reference_run_is_sent_there():
     assert ordered([0.0], pose=at(0.0, 90.0), homing=True) == [0.0]

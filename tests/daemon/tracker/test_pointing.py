@@ -37,13 +37,13 @@ def aim(name, faces, utc_s=NOON, *, sun_known=True, **settings):
 
 
 @pytest.mark.parametrize("name", names(LAWS))
-def test_every_law_can_be_asked_before_anything_is_known_and_says_why_it_stays(name):
+def test_every_law_answers_before_any_reading_with_a_target_or_the_reason_why_it_stays(name):
     says = aim(name, None)
     assert says.target is None or Limits().contain(*says.target)
     assert says.target is not None or says.why
 
 
-def test_the_albedo_of_the_settings_is_that_of_sun_vector():
+def test_sun_vector_uses_the_albedo_of_the_settings():
     faces = (100.0, 500.0, 100.0, 450.0)
     angles = [aim("sun-vector", faces, albedo=albedo).target.b_deg for albedo in (0.0, 0.2, 0.6)]
     up = [450 - 200 + albedo * 450 for albedo in (0.0, 0.2, 0.6)]
@@ -51,7 +51,7 @@ def test_the_albedo_of_the_settings_is_that_of_sun_vector():
 
 
 @pytest.mark.parametrize("law", ["mu-prime", "sun-vector"])
-def test_the_threshold_of_the_settings_is_that_of_the_law(law):
+def test_mu_prime_and_sun_vector_use_the_uniform_threshold_of_the_settings(law):
     faces = (200.0, 240.0, 200.0, 420.0)
     sure = {"gain_uncertainty": 0.0} if law == "sun-vector" else {}
     found = [aim(law, faces, uniform_threshold=share, **sure).target.b_deg for share in (0.0, 0.05, 0.2, 0.5)]
@@ -59,7 +59,7 @@ def test_the_threshold_of_the_settings_is_that_of_the_law(law):
     assert found[2] == found[3] == 90.0
 
 
-def test_the_gain_uncertainty_of_the_settings_is_that_of_sun_vector():
+def test_sun_vector_uses_the_gain_uncertainty_of_the_settings():
     faces = (200.0, 240.0, 200.0, 420.0)
     assert aim("sun-vector", faces, gain_uncertainty=0.0).target.b_deg < 90.0
     assert aim("sun-vector", faces, gain_uncertainty=0.2).target.b_deg == 90.0
@@ -73,13 +73,13 @@ def beyond_the_east_west_plane():
     return (600 * east + 40.0, 40.0, 40.0, 600 * up + 60.0), sun.azimuth_deg
 
 
-def test_sun_vector_is_completed_by_the_ephemeris_beyond_the_east_west_plane():
+def test_sun_vector_gives_the_azimuth_of_the_ephemeris_while_the_sun_is_in_the_north_east():
     faces, azimuth = beyond_the_east_west_plane()
     assert azimuth < 90
     assert aim("sun-vector", faces, JUNE_MORNING).azimuth_deg == pytest.approx(azimuth, abs=0.5)
 
 
-def test_with_the_clock_in_doubt_nothing_comes_from_the_ephemeris():
+def test_with_the_clock_in_doubt_the_laws_do_not_use_the_ephemeris():
     faces, _ = beyond_the_east_west_plane()
     seen, _ = azimuth_from_direction(sun_vector(faces), SITE.latitude_deg)
     assert aim("sun-vector", faces, JUNE_MORNING, sun_known=False).azimuth_deg == pytest.approx(float(seen)) == 90.0
@@ -90,12 +90,12 @@ def test_with_the_clock_in_doubt_nothing_comes_from_the_ephemeris():
         assert known == unknown
 
 
-def test_without_a_mean_the_laws_of_the_faces_have_no_direction():
+def test_mu_prime_and_sun_vector_give_no_target_without_a_mean_of_the_faces():
     assert aim("mu-prime", None).target is None
     assert aim("sun-vector", None).target is None
 
 
-def test_law_and_fallback_turn_out_of_the_shade_of_the_group_of_the_file():
+def test_the_law_and_the_fallback_law_backtrack_out_of_the_shade_of_the_trackers_in_rows():
     group = {"east_m": (0.0, 5.0), "north_m": (0.0, 0.0), "module_width_m": 2.0, "module_height_m": 2.0}
     group["turn_back"] = "always"
     low = datetime(2022, 9, 23, 6, 0, tzinfo=UTC).timestamp()
@@ -158,7 +158,7 @@ def scan():
     return Scan("cube", "s", 0, NOON - 1.0, 7.0, good, bad, good, good)
 
 
-def test_a_law_is_told_all_that_happens_and_what_it_learned_is_kept(tmp_path):
+def test_a_law_receives_scans_days_moves_and_relearn_and_its_learned_values_are_kept(tmp_path):
     points, law = noting(tmp_path)
     points.receive(scan(), NOON)
     ((name, reading),) = law.told
@@ -176,7 +176,7 @@ def test_a_law_is_told_all_that_happens_and_what_it_learned_is_kept(tmp_path):
         assert LawFile(StateFolder(tmp_path)).load() == {"notes": count}
 
 
-def test_once_a_law_has_failed_the_other_answers_with_its_own_needs():
+def test_once_a_law_has_failed_the_fallback_law_answers_with_its_own_needs():
     points, law = noting()
     assert (points.chosen.name, points.law.faces_needed, points.law.needs_sun) == ("noting", 2, True)
     assert (points.law.decide_every_s, points.failed_why) == (300.0, None)
@@ -213,14 +213,14 @@ def answering(monkeypatch, **answers):
     (Angles(0.0, 60.0), "TypeError: Angles is not an Aim"),
     (None, "TypeError: NoneType is not an Aim"),
 ])  # fmt: skip
-def test_a_law_that_says_what_is_no_answer_has_failed_and_the_other_points(monkeypatch, answer, words):
+def test_a_law_with_an_invalid_answer_counts_as_failed_and_the_fallback_law_points(monkeypatch, answer, words):
     points = answering(monkeypatch, aim=answer)
     said = pointing.ask(points.chosen, None, pointing.Whereabouts(None, None), NOON, sun_known=True)
     assert (said.target.a_deg, said.target.b_deg) == (0.0, 90.0)
     assert re.search(rf"the law noting has failed \({words}", points.failed_why)
 
 
-def test_what_a_law_says_in_numbers_of_numpy_is_taken_in_those_of_python_and_inside_the_limits(monkeypatch):
+def test_an_answer_of_a_law_in_numpy_numbers_is_converted_to_floats_and_cut_to_the_limits(monkeypatch):
     beyond = Angles(np.float32(300.0), np.float32(60.5))
     points = answering(monkeypatch, aim={"target": beyond, "azimuth_deg": np.float32(180.0), "albedo": np.array(0.25)})
     said = pointing.ask(points.chosen, None, pointing.Whereabouts(None, None), NOON, sun_known=True)
@@ -234,13 +234,13 @@ def test_what_a_law_says_in_numbers_of_numpy_is_taken_in_those_of_python_and_ins
     ([1], r"TypeError: what it wants to keep is \[1\], not a mapping"),
     ({"days": {1}}, "TypeError: "),
 ])  # fmt: skip
-def test_a_law_that_wants_kept_what_no_file_holds_has_failed(monkeypatch, tmp_path, kept, words):
+def test_a_law_whose_values_to_keep_cannot_be_written_to_a_file_counts_as_failed(monkeypatch, tmp_path, kept, words):
     points = answering(monkeypatch, to_dict=kept)
     points.book(3.0)
     assert re.search(words, points.failed_why)
 
 
-def test_what_a_law_wants_kept_or_shown_may_be_in_numbers_of_numpy(monkeypatch, tmp_path):
+def test_the_values_that_a_law_keeps_or_shows_may_be_numpy_numbers(monkeypatch, tmp_path):
     points, law = noting(tmp_path)
     monkeypatch.setattr(law, "to_dict", lambda: {"albedo": np.float32(0.25)})
     monkeypatch.setattr(law, "shown", lambda: {"learned": {"albedo": np.float32(0.25)}})
@@ -250,7 +250,7 @@ def test_what_a_law_wants_kept_or_shown_may_be_in_numbers_of_numpy(monkeypatch, 
     assert points.failed_why is None
 
 
-def test_a_law_that_answers_a_question_of_yes_or_no_with_an_array_has_failed(monkeypatch):
+def test_a_law_that_answers_a_yes_or_no_question_with_an_array_counts_as_failed(monkeypatch):
     points = answering(monkeypatch, affords=np.array([True, False]))
     assert points.law.affords(3.0) is True
     assert points.failed_why is not None
@@ -263,7 +263,9 @@ def test_a_law_that_answers_a_question_of_yes_or_no_with_an_array_has_failed(mon
     ((0.0, 60.0), None, False),
     (None, (0.0, 90.0), False),
 ])  # fmt: skip
-def test_a_move_is_worth_its_way_beyond_the_deadband_and_from_a_place_that_is_known(target, heading, worth):
+def test_a_move_is_worth_making_beyond_the_deadband_if_the_law_has_a_target_and_the_pose_is_known(
+    target, heading, worth
+):
     sun = sun_position(NOON, *SITE)
     to = None if target is None else Angles(*target)
     said = pointing.LawAnswer(Aim(0.0, 0.0, sun, to), Target(*(target or (0.0, 60.0)), "why"))
@@ -290,7 +292,9 @@ def test_a_law_that_cannot_be_built_is_refused_in_a_sentence(monkeypatch, build,
     ("decide_every_s", np.inf, "asks for a decision every inf s"),
     ("faces_needed", 1, None), ("faces_needed", 4, None), ("decide_every_s", 0.5, None),
 ])  # fmt: skip
-def test_a_law_that_asks_for_what_there_is_not_is_refused(monkeypatch, name, value, words):
+def test_a_law_is_refused_unless_it_needs_1_to_4_faces_and_decides_at_a_finite_positive_interval(
+    monkeypatch, name, value, words
+):
     # A value of the law's own takes precedence over what it is given.
     monkeypatch.setattr(FlatLaw, name, property(lambda _law: value, lambda *_: None), raising=False)
     settings = Settings(law={"driver": "flat"})

@@ -14,7 +14,7 @@ from tests.support.phases import at_rest, homed, quiet, tracking, under_way
 
 
 @pytest.mark.parametrize("command", ["hold", "goto", "snow"])
-def test_a_hold_that_outlasts_the_night_is_an_alarm_from_sunrise_on(run_rig, command):
+def test_a_hold_a_goto_or_a_snow_that_outlasts_the_night_raises_an_alarm_after_sunrise(run_rig, command):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -33,7 +33,7 @@ def test_a_hold_that_outlasts_the_night_is_an_alarm_from_sunrise_on(run_rig, com
     run_rig(scenario, start="2022-10-12T14:00", weather=ClearDays(), **SLOW)
 
 
-def test_a_hold_of_this_morning_is_not_forgotten_this_evening(run_rig):
+def test_a_hold_of_the_morning_raises_no_alarm_of_a_forgotten_hold_in_the_evening(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await operator(rig).hold("measuring", "ana")
@@ -45,7 +45,7 @@ def test_a_hold_of_this_morning_is_not_forgotten_this_evening(run_rig):
     run_rig(scenario, start="2022-10-12T11:00", weather=ClearDays(), **SLOW)
 
 
-def test_hold_in_the_middle_of_a_goto_stays_there(run_rig):
+def test_a_hold_in_the_middle_of_a_goto_keeps_the_tracker_where_it_stopped(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -59,7 +59,7 @@ def test_hold_in_the_middle_of_a_goto_stays_there(run_rig):
     run_rig(scenario)
 
 
-def test_a_hold_that_came_past_the_operators_desk_stops_a_move_too(run_rig):
+def test_a_hold_given_directly_to_the_control_stops_a_move_too(run_rig):
     async def scenario(rig):
         await under_way(rig)
         rig.control.hold("from elsewhere")
@@ -72,7 +72,7 @@ def test_a_hold_that_came_past_the_operators_desk_stops_a_move_too(run_rig):
     run_rig(scenario)
 
 
-def test_goto_is_refused_behind_the_operators_desk_while_stowed(run_rig):
+def test_a_goto_is_refused_while_the_tracker_is_stowed_for_wind(run_rig):
     async def scenario(rig):
         await tracking(rig)
         rig.wind_m_s = 20.0
@@ -128,7 +128,7 @@ def test_a_stow_at_the_stow_position_ends_a_reference_run_that_has_just_begun(ru
     run_rig(scenario)
 
 
-def test_a_refusal_that_lasts_is_told_once(run_rig):
+def test_a_move_that_is_refused_for_half_an_hour_is_reported_once(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -141,7 +141,7 @@ def test_a_refusal_that_lasts_is_told_once(run_rig):
     run_rig(scenario)
 
 
-def test_where_an_operator_wanted_to_go_before_a_fault_is_forgotten_with_it(run_rig):
+def test_a_goto_that_a_fault_has_ended_does_not_go_on_after_the_fault_is_cleared(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -162,7 +162,7 @@ def test_where_an_operator_wanted_to_go_before_a_fault_is_forgotten_with_it(run_
 
 @pytest.mark.parametrize("command", ["goto", "snow"])
 @pytest.mark.parametrize("decided_s", [0.0, 600.0])
-def test_auto_ends_the_way_to_where_a_person_wanted_it_though_nothing_is_decided_then(run_rig, command, decided_s):
+def test_auto_ends_the_move_of_a_goto_or_a_snow_even_while_no_decision_of_the_law_is_due(run_rig, command, decided_s):
     async def scenario(rig):
         await quiet(rig)
         if not decided_s:
@@ -196,7 +196,7 @@ def test_a_goto_that_another_one_replaces_before_it_has_begun_is_not_begun(run_r
 
 
 @pytest.mark.parametrize("command", ["stow", "goto"])
-def test_what_waits_for_a_clear_does_not_leave_a_place_that_was_asked_for_again(run_rig, command):
+def test_a_stow_or_goto_repeated_during_a_clear_keeps_the_tracker_at_its_place_afterwards(run_rig, command):
     async def scenario(rig):
         await quiet(rig)
         person, place = operator(rig), (0.0, 90.0) if command == "goto" else ()
@@ -234,7 +234,7 @@ def test_a_reference_run_that_was_asked_for_during_a_goto_is_made_after_auto(run
 
 
 @pytest.mark.parametrize("look_s", [0.0, 0.1])
-def test_a_reference_run_that_was_asked_for_late_on_a_long_way_is_made_before_the_rest_of_it(run_rig, look_s):
+def test_a_reference_run_asked_for_late_in_a_long_move_is_made_before_the_rest_of_the_move(run_rig, look_s):
     async def scenario(rig):
         await quiet(rig)
         rig.control.goto(48, 80, "a look")
@@ -256,7 +256,7 @@ def test_a_reference_run_that_was_asked_for_late_on_a_long_way_is_made_before_th
     run_rig(scenario)
 
 
-def test_a_reference_run_that_was_asked_for_while_a_hold_stops_a_move_is_made(run_rig):
+def test_a_reference_run_is_made_even_if_asked_for_while_a_hold_is_stopping_a_move(run_rig):
     async def scenario(rig):
         await under_way(rig)
         rig.control.hold("stay")
@@ -271,7 +271,7 @@ def test_a_reference_run_that_was_asked_for_while_a_hold_stops_a_move_is_made(ru
 
 
 @pytest.mark.parametrize("more_deg", [0.2, 0.3])
-def test_nothing_moves_any_more_once_a_goto_has_arrived_with_an_axis_that_was_near_before(run_rig, more_deg):
+def test_no_axis_moves_after_a_goto_has_arrived_for_which_one_axis_was_near_from_the_start(run_rig, more_deg):
     async def scenario(rig):
         await quiet(rig)
         for a_deg, b_deg in ((-20.0, 45.0), (-17.0, 45.1), (-14.0, 45.1 + more_deg)):

@@ -74,7 +74,7 @@ class Believing:
         return self.believes
 
 
-def test_night_begins_below_one_brightness_and_ends_above_another():
+def test_night_begins_below_one_irradiance_of_the_zenith_face_and_ends_above_a_higher_one():
     rig = Rig()
     rig.sun_deg = 2.0
     assert rig.minutes(7.0)[2] is None
@@ -84,7 +84,7 @@ def test_night_begins_below_one_brightness_and_ends_above_another():
     assert rig.minutes(7.0)[2] is None, "and day"
 
 
-def test_without_readings_the_sun_ends_the_night_half_a_degree_later_than_it_began_it():
+def test_without_readings_night_ends_at_a_sun_elevation_half_a_degree_higher_than_it_begins():
     rig = Rig()
     seen = []
     for sun_deg in (0.2, -0.2, 0.2, 0.6, 0.2):
@@ -93,20 +93,20 @@ def test_without_readings_the_sun_ends_the_night_half_a_degree_later_than_it_beg
     assert seen == [False, True, True, False, False]
 
 
-def test_a_bright_zenith_face_with_the_sun_below_the_horizon_is_no_night():
+def test_it_is_not_night_while_the_zenith_face_is_bright_with_the_sun_below_the_horizon():
     rig = Rig()
     rig.sun_deg = -3.0
     assert rig.minutes(40.0)[2] is None
 
 
-def test_a_dark_zenith_face_under_a_high_sun_is_a_fault():
+def test_a_dark_zenith_face_under_a_high_sun_makes_the_readings_bad_and_is_not_night():
     rig = Rig()
     data, why, night = rig.minutes(2.0)
     assert (data, night) == (Data.BAD, None)
     assert "in daylight" in why
 
 
-def test_a_dark_sensor_reads_no_minus_zero():
+def test_a_slightly_negative_reading_of_a_dark_face_is_shown_as_zero_and_not_as_minus_zero():
     rig = Rig()
     rig.sun_deg = -10.0
     assert rig.minutes(-0.04)[2] == "the zenith face reads 0.0 W/m2"
@@ -114,7 +114,7 @@ def test_a_dark_sensor_reads_no_minus_zero():
     assert "the zenith face reads 0.0 W/m2 in daylight" in rig.minutes(-0.04)[1]
 
 
-def test_a_dark_zenith_face_beside_a_sunlit_one_is_a_fault_and_no_night():
+def test_a_dark_zenith_face_beside_a_sunlit_one_is_not_night_and_bad_data_if_the_law_believes_it():
     rig = Rig()
     rig.sun_deg = 3.0
     data, why, night = rig.minutes(0.0, south=400.0)
@@ -126,14 +126,14 @@ def test_a_dark_zenith_face_beside_a_sunlit_one_is_a_fault_and_no_night():
 
 
 @pytest.mark.parametrize("believes", [False, True])
-def test_a_law_is_asked_whether_the_zenith_face_is_to_be_believed_only_by_day(believes):
+def test_a_law_decides_whether_to_believe_a_dark_zenith_face_only_while_the_sun_is_up(believes):
     rig = Rig(Believing(believes))
     assert rig.minutes(2.0)[0] is (Data.BAD if believes else Data.FRESH)
     rig.sun_deg = -1.0
     assert "zenith face reads 2.0" in rig.minutes(2.0)[2], "below the horizon dark is dark"
 
 
-def test_a_vertical_face_is_sunlit_from_ten_times_the_end_of_night():
+def test_a_vertical_face_counts_as_sunlit_above_ten_times_the_irradiance_that_ends_the_night():
     rig = Rig()
     rig.sun_deg = 5.0
     assert "zenith face reads 4.0" in rig.minutes(4.0, south=95.0)[2], "dusk under clouds"
@@ -141,7 +141,7 @@ def test_a_vertical_face_is_sunlit_from_ten_times_the_end_of_night():
     assert rig.minutes(4.0, south=105.0)[2] is None
 
 
-def test_beside_a_sunlit_face_half_of_its_share_is_enough_to_believe_the_zenith_face():
+def test_beside_a_sunlit_face_the_zenith_face_is_believed_from_half_of_its_expected_irradiance():
     rig = Rig()
     rig.sun_deg = 1.0
     # 0.5 * 200 W/m2 * tan 1 deg = 1.75 W/m2.
@@ -149,20 +149,20 @@ def test_beside_a_sunlit_face_half_of_its_share_is_enough_to_believe_the_zenith_
     assert rig.minutes(1.5, south=200.0)[2] is None
 
 
-def test_a_missing_face_hides_no_sunlit_one():
+def test_a_bad_east_face_does_not_hide_that_the_south_face_is_sunlit():
     rig = Rig(Believing(believes=True))
     rig.sun_deg = 5.0
     assert rig.minutes(4.0, south=600.0, bad=("east",))[0] is Data.BAD
 
 
-def test_a_law_that_needs_the_zenith_face_alone_has_its_night():
+def test_a_law_that_needs_only_one_face_has_night_by_the_zenith_face_alone():
     rig = Rig(Believing(believes=True, faces_needed=1))
     rig.sun_deg = 5.0
     assert "zenith face reads 4.0" in rig.minutes(4.0, bad=("east", "south", "west"))[2]
 
 
 @pytest.mark.parametrize("believes", [False, True])
-def test_without_the_zenith_face_the_sun_alone_makes_the_night_of_a_law_that_needs_three(believes):
+def test_without_the_zenith_face_the_suns_elevation_decides_on_night_for_a_law_that_needs_three(believes):
     rig = Rig(Believing(believes))
     rig.sun_deg = 2.0
     assert rig.minutes(9.0, bad=("zenith",))[::2] == (Data.FRESH, None)
@@ -170,26 +170,26 @@ def test_without_the_zenith_face_the_sun_alone_makes_the_night_of_a_law_that_nee
     assert "the sun stands at -1.0 deg" in rig.minutes(9.0, bad=("zenith",))[2]
 
 
-def test_without_the_zenith_face_and_with_the_clock_in_doubt_nothing_tells_day_from_night():
+def test_without_the_zenith_face_and_with_the_clock_in_doubt_the_readings_are_bad():
     rig = Rig(Believing(believes=False))
     rig.minutes(9.0, bad=("zenith",))
     data, why, _ = rig.judge(sun_known=False)
     assert (data, why) == (Data.BAD, "neither the zenith face nor the clock shows whether it is day or night")
 
 
-def test_a_zenith_face_that_is_not_believed_makes_no_night_while_the_sun_is_up():
+def test_a_dark_zenith_face_that_the_law_does_not_believe_is_not_night_while_the_sun_is_up():
     rig = Rig(Believing(believes=False))
     rig.sun_deg = 0.5
     assert rig.minutes(2.0)[::2] == (Data.FRESH, None)
 
 
-def test_a_dark_zenith_face_is_a_fault_for_every_law_while_the_clock_is_in_doubt():
+def test_with_the_clock_in_doubt_a_dark_zenith_face_makes_readings_bad_even_if_it_is_not_believed():
     rig = Rig(Believing(believes=False))
     rig.minutes(2.0)
     assert rig.judge(sun_known=False)[0] is Data.BAD
 
 
-def test_four_faces_that_are_never_good_in_one_scan_are_no_readings():
+def test_the_readings_are_bad_if_all_four_faces_are_never_good_in_the_same_scan():
     rig = Rig()
     for _ in range(18):
         rig.scan(100.0, bad=("east",))
@@ -198,7 +198,7 @@ def test_four_faces_that_are_never_good_in_one_scan_are_no_readings():
     assert rig.judge()[0] is Data.BAD
 
 
-def test_a_scan_of_which_a_face_is_bad_is_good_enough_for_a_law_that_needs_three():
+def test_a_scan_with_one_bad_face_is_good_enough_only_for_a_law_that_needs_three_faces():
     for law, expected in ((FOUR_FACES, Data.WAITING), (Believing(believes=True), Data.FRESH)):
         rig = Rig(law)
         rig.minutes(100.0)
@@ -217,7 +217,7 @@ def test_a_face_that_has_fallen_silent_drops_out_of_the_mean_when_it_is_stale():
     assert math.isnan(rig.readings.mean(rig.now).east_w_m2)
 
 
-def test_no_mean_outlives_its_readings():
+def test_without_new_scans_the_mean_ends_and_the_readings_are_awaited_and_later_bad():
     rig = Rig()
     rig.minutes(100.0)
     rig.clock.now += 15
@@ -231,7 +231,7 @@ def test_no_mean_outlives_its_readings():
     assert "no good scan for 76 s" in why
 
 
-def test_with_the_clock_in_doubt_the_sun_begins_no_night_and_light_ends_one():
+def test_with_the_clock_in_doubt_the_suns_elevation_begins_no_night_and_only_light_ends_one():
     rig = Rig()
     rig.minutes(100.0)
     rig.sun_deg = -40.0
@@ -247,7 +247,7 @@ def test_with_the_clock_in_doubt_the_sun_begins_no_night_and_light_ends_one():
     assert rig.judge(sun_known=False)[2] is None
 
 
-def test_what_is_missing_is_said_with_the_faces_that_are_bad():
+def test_the_reason_why_no_scan_is_good_names_the_faces_that_are_bad():
     rig = Rig()
     rig.clock.now += 61
     assert rig.judge()[:2] == (Data.BAD, "no good scan for 61 s"), "no scan at all has no face"

@@ -63,7 +63,7 @@ class Desk:
         return [record.text for record in self.records if isinstance(record, Event)]
 
 
-def test_a_positioner_that_has_not_answered_for_a_minute_is_told():
+def test_a_positioner_that_has_not_answered_for_a_minute_raises_an_alarm():
     desk = Desk()
     assert desk.watched() == {}
     desk.motion.connected = False
@@ -86,7 +86,7 @@ def test_a_positioner_that_has_not_answered_for_a_minute_is_told():
     assert desk.watched() == {}, "it has answered until then"
 
 
-def test_a_bad_contact_that_lets_it_answer_for_a_moment_now_and_then_is_told():
+def test_a_positioner_that_answers_only_for_moments_because_of_a_bad_contact_raises_an_alarm():
     desk = Desk()
     desk.watched()
     for _ in range(2):
@@ -104,14 +104,14 @@ def test_a_bad_contact_that_lets_it_answer_for_a_moment_now_and_then_is_told():
     assert set(desk.watched()) == {"positioner-down"}
 
 
-def test_a_positioner_whose_driver_never_comes_back_from_opening_it_is_told():
+def test_a_positioner_whose_driver_never_comes_back_from_opening_it_raises_an_alarm():
     desk = Desk()
     desk.motion.connected = False
     desk.later(60.0)
     assert desk.watched()["positioner-down"].endswith(": its driver has not come back from opening it")
 
 
-def test_a_quarter_of_an_hour_without_readings_is_told_and_counts_anew_each_time():
+def test_a_quarter_of_an_hour_without_readings_raises_an_alarm_and_counts_anew_each_time():
     desk = Desk()
     for _ in range(2):
         assert desk.watched(Mode.FALLBACK) == {}
@@ -125,7 +125,7 @@ def test_a_quarter_of_an_hour_without_readings_is_told_and_counts_anew_each_time
 
 
 @pytest.mark.parametrize(("between", "seen_before"), [(Mode.STARTING, True), (Mode.TRACKING, False)])
-def test_readings_that_stay_away_over_a_restart_are_no_new_alarm_where_somebody_has_seen_it(
+def test_an_acknowledged_no_readings_alarm_is_new_after_a_restart_only_if_readings_came_between(
     tmp_path, between, seen_before
 ):
     for start, first, acknowledged in [("14:00", Mode.TRACKING, True), ("14:20", between, not seen_before)]:
@@ -138,7 +138,7 @@ def test_readings_that_stay_away_over_a_restart_are_no_new_alarm_where_somebody_
 
 
 @pytest.mark.parametrize(("age_s", "first_s"), [(HOUR_S, 23 * HOUR_S), (30 * HOUR_S, 18 * HOUR_S), (None, 24 * HOUR_S)])
-def test_maintenance_is_told_each_day_at_the_hour_at_which_it_began(age_s, first_s):
+def test_a_reminder_of_maintenance_comes_every_day_at_the_hour_at_which_it_began(age_s, first_s):
     desk = Desk()
     began_s = None if age_s is None else desk.utc() - age_s
     wishes = Wishes(maintenance=Wish(why="bearings", by="ana", since_utc_s=began_s))
@@ -167,7 +167,7 @@ def test_maintenance_is_told_each_day_at_the_hour_at_which_it_began(age_s, first
         ("2022-10-12T06:12", "2022-10-12T20:00", False),
     ],
 )
-def test_what_has_outlasted_a_sunrise_is_forgotten(name, since, now, forgotten):
+def test_a_hold_or_snow_that_has_outlasted_a_sunrise_raises_the_alarm_of_a_forgotten_hold(name, since, now, forgotten):
     desk, wishes = Desk(since), Wishes(**{name: Wish(why="measuring", since_utc_s=utc_s(since))})
     assert desk.raised(wishes) == {}
     desk.at(now)
@@ -176,7 +176,7 @@ def test_what_has_outlasted_a_sunrise_is_forgotten(name, since, now, forgotten):
     assert desk.raised() == {}
 
 
-def test_who_asks_anew_after_a_night_has_forgotten_nothing():
+def test_a_hold_or_snow_that_is_asked_for_anew_after_a_night_ends_the_alarm_of_a_forgotten_hold():
     desk = Desk()
     desk.at("2022-10-13T08:00")
     old, new = (Wish(why="measuring", since_utc_s=utc_s(f"2022-10-{day}T07:30")) for day in (12, 13))
@@ -185,7 +185,7 @@ def test_who_asks_anew_after_a_night_has_forgotten_nothing():
         assert desk.raised(Wishes(**{name: new})) == {}
 
 
-def test_where_the_sun_does_not_set_a_day_begins_at_its_lowest_point():
+def test_where_the_sun_does_not_set_a_hold_counts_as_forgotten_from_the_suns_lowest_point_on():
     desk = Desk("2022-06-20T23:00", latitude_deg=78.0, longitude_deg=0.0)
     wishes = Wishes(hold=Wish(why="measuring", since_utc_s=desk.utc()))
     desk.at("2022-06-20T23:50")
@@ -194,7 +194,7 @@ def test_where_the_sun_does_not_set_a_day_begins_at_its_lowest_point():
     assert "hold-forgotten" in desk.raised(wishes)
 
 
-def test_a_hold_by_the_program_is_no_forgotten_one():
+def test_a_hold_by_the_program_raises_release_changed_and_no_alarm_of_a_forgotten_hold():
     desk, began_s = Desk(), utc_s("2022-10-10T14:00")
     wishes = Wishes(hold=Wish(why="another release", by=PROGRAM, since_utc_s=began_s))
     assert list(desk.raised(wishes)) == ["release-changed"]

@@ -10,7 +10,7 @@ from tests.daemon.tracker.days import at, operator
 from tests.support.phases import at_rest, tracking
 
 
-def test_snow_goes_steep_and_stays_and_wind_goes_before_it(run_rig, tmp_path):
+def test_snow_keeps_the_tracker_steep_over_a_restart_and_a_wind_stow_takes_precedence(run_rig, tmp_path):
     async def first(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -44,7 +44,7 @@ def test_snow_goes_steep_and_stays_and_wind_goes_before_it(run_rig, tmp_path):
         run_rig(scenario, store={"directory": tmp_path})
 
 
-def test_after_a_restart_it_goes_to_the_snow_position_only_once_the_wind_has_been_heard(run_rig, tmp_path):
+def test_after_a_restart_the_tracker_goes_to_the_snow_position_only_after_a_wind_message(run_rig, tmp_path):
     async def before(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -65,7 +65,7 @@ def test_after_a_restart_it_goes_to_the_snow_position_only_once_the_wind_has_bee
         run_rig(scenario, store={"directory": tmp_path})
 
 
-def test_snow_under_a_persons_stow_is_refused_and_in_place_of_a_hold_says_so(run_rig):
+def test_snow_is_refused_during_a_persons_stow_and_its_answer_names_a_hold_that_it_replaces(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await operator(rig).hold("test", "bob")

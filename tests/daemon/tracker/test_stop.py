@@ -75,7 +75,7 @@ def test_under_a_stop_every_command_is_refused_with_who_when_why_and_how_it_ends
     run_rig(scenario, cube={"scan_every_s": 20}, safety={"scan_stale_s": 65})
 
 
-def test_no_way_past_the_operators_desk_moves_it_either(run_rig):
+def test_under_a_stop_commands_given_directly_to_control_or_motion_are_refused_too(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -96,7 +96,7 @@ def test_no_way_past_the_operators_desk_moves_it_either(run_rig):
     run_rig(scenario)
 
 
-def test_a_restarted_box_is_not_homed_under_a_stop_and_is_afterwards(run_rig):
+def test_a_power_cycled_unit_makes_no_reference_run_under_a_stop_and_makes_one_after_auto(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -144,7 +144,7 @@ def test_a_second_stop_is_sent_and_noted_beside_the_first_until_both_are_release
         run_rig(scenario, store={"directory": tmp_path})
 
 
-def test_wind_in_maintenance_is_no_alarm_as_the_page_on_security_says(run_rig):
+def test_strong_wind_in_maintenance_raises_no_alarm_as_the_page_on_security_says(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -159,7 +159,7 @@ def test_wind_in_maintenance_is_no_alarm_as_the_page_on_security_says(run_rig):
     assert "Of these a stop raises an alarm then; maintenance raises none" in page
 
 
-def test_wind_under_a_stop_is_an_alarm_that_ends_with_the_stop(run_rig):
+def test_strong_wind_under_a_stop_raises_an_alarm_that_ends_with_the_stop(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -183,7 +183,7 @@ def test_wind_under_a_stop_is_an_alarm_that_ends_with_the_stop(run_rig):
     run_rig(scenario)
 
 
-def test_who_stopped_it_when_and_why_survives_a_restart(run_rig, tmp_path):
+def test_a_stop_survives_a_restart_with_the_person_and_the_time(run_rig, tmp_path):
     async def first(rig):
         await tracking(rig)
         await operator(rig).stop("repair", "ana@lab")
@@ -199,7 +199,7 @@ def test_who_stopped_it_when_and_why_survives_a_restart(run_rig, tmp_path):
         run_rig(scenario, store={"directory": tmp_path})
 
 
-def test_a_file_of_an_earlier_version_is_in_force(run_rig, tmp_path):
+def test_a_stop_and_a_hold_in_a_file_of_an_earlier_version_are_in_force(run_rig, tmp_path):
     (tmp_path / "operator.json").write_text('{"stop": "repair", "stow": null, "hold": "test"}')
 
     async def scenario(rig):
@@ -211,7 +211,7 @@ def test_a_file_of_an_earlier_version_is_in_force(run_rig, tmp_path):
     run_rig(scenario, store={"directory": tmp_path})
 
 
-def test_a_stop_that_cannot_be_sent_is_kept_and_in_force_after_a_restart(run_rig, tmp_path):
+def test_a_stop_that_cannot_be_sent_is_kept_in_the_file_for_a_restart(run_rig, tmp_path):
     async def first(rig):
         await under_way(rig)
         rig.cables.positioner.link_up = False
@@ -222,7 +222,7 @@ def test_a_stop_that_cannot_be_sent_is_kept_and_in_force_after_a_restart(run_rig
     assert Wishes.model_validate_json((tmp_path / "operator.json").read_text()).stop.by == "ana"
 
 
-def test_a_stop_while_unplugged_is_named_beside_the_fault_and_in_force_at_the_return(run_rig):
+def test_a_stop_of_an_unplugged_positioner_is_named_beside_the_fault_and_in_force_when_it_returns(run_rig):
     async def scenario(rig):
         await tracking(rig)
         rig.cables.positioner.link_up = False
@@ -243,7 +243,7 @@ def test_a_stop_while_unplugged_is_named_beside_the_fault_and_in_force_at_the_re
     run_rig(scenario)
 
 
-def test_a_unit_that_does_not_hear_stop_is_never_called_done(run_rig, monkeypatch):
+def test_a_stop_that_the_unit_does_not_receive_is_not_reported_as_done(run_rig, monkeypatch):
     async def scenario(rig):
         await under_way(rig)
         feed = rig.unit.feed
@@ -274,7 +274,7 @@ def test_a_hold_is_done_only_when_telemetry_from_after_it_shows_standstill(run_r
 # A person at the unit
 
 
-def test_a_button_pressed_at_the_unit_holds_it_until_a_person_releases_it(run_rig, tmp_path):
+def test_a_button_pressed_at_the_unit_holds_the_tracker_until_a_person_gives_auto(run_rig, tmp_path):
     async def scenario(rig):
         await under_way(rig)
         let_go = press_a_button(rig)
@@ -314,7 +314,7 @@ def test_auto_while_the_button_is_still_pressed_holds_again(run_rig):
     run_rig(scenario)
 
 
-def test_a_press_that_was_seen_before_the_release_does_not_hold_again(run_rig):
+def test_a_button_press_that_was_seen_before_auto_does_not_hold_the_tracker_again(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -369,7 +369,7 @@ def test_in_maintenance_nothing_moves_no_alarm_sounds_and_a_reminder_comes_after
         run_rig(scenario, **slow)
 
 
-def test_maintenance_while_unplugged_is_in_force_and_says_both(run_rig):
+def test_maintenance_of_an_unplugged_positioner_is_in_force_and_its_reason_names_both(run_rig):
     async def scenario(rig):
         await tracking(rig)
         rig.cables.positioner.link_up = False
@@ -386,7 +386,7 @@ def test_maintenance_while_unplugged_is_in_force_and_says_both(run_rig):
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_over_http_a_refusal_is_the_same_sentence_and_never_an_error_of_the_service(serve, name):
+def test_over_http_a_command_refused_under_a_stop_gets_409_and_the_same_sentence_as_elsewhere(serve, name):
     async def scenario(rig, call_http):
         await tracking(rig)
         await call_http.post("stop", b'{"why": "repair", "by": "ana"}')

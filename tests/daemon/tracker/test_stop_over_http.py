@@ -29,7 +29,7 @@ def test_goto_in_mode_starting_is_refused_with_a_remedy_that_works(serve):
     serve(scenario)
 
 
-def test_the_state_tells_stop_from_hold_with_who_and_since(serve):
+def test_the_state_shows_stop_and_hold_apart_with_who_gave_them_and_since_when(serve):
     async def scenario(rig, call_http):
         await under_way(rig)
         await call_http.post("hold", b'{"why": "measuring", "by": "bob"}')

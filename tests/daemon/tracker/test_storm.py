@@ -16,7 +16,7 @@ def wind_of(rig):
     return state_json(rig.see())["wind"]
 
 
-def test_a_gust_of_two_seconds_between_two_looks_stows(run_rig):
+def test_a_gust_of_two_seconds_between_two_ticks_of_the_control_stows_the_tracker(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 60)
         for _ in range(3):
@@ -60,7 +60,7 @@ def test_a_service_that_was_killed_in_a_storm_comes_back_stowing(run_rig, tmp_pa
     run_rig(after, store={"directory": tmp_path})
 
 
-def test_nothing_is_tracked_before_the_wind_has_been_heard(run_rig):
+def test_tracking_does_not_begin_before_the_first_wind_message(run_rig):
     async def scenario(rig):
         rig.wind_m_s = None
         await asyncio.sleep(120)
@@ -72,7 +72,7 @@ def test_nothing_is_tracked_before_the_wind_has_been_heard(run_rig):
     run_rig(scenario)
 
 
-def test_nothing_goes_to_the_night_position_before_the_wind_has_been_heard(run_rig):
+def test_the_tracker_does_not_go_to_the_night_position_before_the_first_wind_message(run_rig):
     async def scenario(rig):
         rig.wind_m_s = None
         await asyncio.sleep(120)
@@ -87,7 +87,7 @@ def test_nothing_goes_to_the_night_position_before_the_wind_has_been_heard(run_r
     run_rig(scenario, start="2022-10-12T01:00", weather=HandWeather(dni=0, dhi=0), safety={"night_b_deg": 40.0})
 
 
-def test_no_reference_run_is_made_unasked_before_the_wind_has_been_heard(run_rig):
+def test_no_automatic_reference_run_is_made_before_the_first_wind_message(run_rig):
     async def scenario(rig):
         rig.wind_m_s = None
         await rig.until(lambda: rig.motion.connected, 10, "the connection")
@@ -101,7 +101,7 @@ def test_no_reference_run_is_made_unasked_before_the_wind_has_been_heard(run_rig
     run_rig(scenario, motion={"rehome": "automatic"})
 
 
-def test_silence_from_the_start_stows_after_its_time(run_rig):
+def test_a_wind_sensor_that_is_silent_from_the_start_stows_the_tracker_after_the_allowed_silence(run_rig):
     async def scenario(rig):
         rig.wind_m_s = None
         await asyncio.sleep(290)
@@ -111,7 +111,7 @@ def test_silence_from_the_start_stows_after_its_time(run_rig):
     run_rig(scenario)
 
 
-def test_a_button_that_was_let_go_a_moment_before_auto_keeps_no_stow_waiting(run_rig):
+def test_a_stow_begins_after_auto_as_soon_as_telemetry_shows_that_the_button_was_let_go(run_rig):
     async def scenario(rig):
         await quiet(rig)
         show(rig, button_pressed=True, status_monotonic_s=rig.clock.monotonic())
@@ -128,7 +128,7 @@ def test_a_button_that_was_let_go_a_moment_before_auto_keeps_no_stow_waiting(run
     run_rig(scenario)
 
 
-def test_maintenance_in_a_storm_raises_no_alarm_that_nobody_hears_the_end_of(run_rig):
+def test_maintenance_in_a_storm_and_the_auto_that_ends_it_raise_and_clear_no_alarm(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.wind_m_s = 20.0
@@ -146,7 +146,7 @@ def stow_missed(rig):
     return [alarm.text for alarm in rig.tracker.alarms.active if alarm.name == "stow-wanted"]
 
 
-def test_a_stop_of_a_tracker_that_stands_at_stow_misses_no_stow_until_an_axis_leaves_it_or_is_in_doubt(run_rig):
+def test_a_stop_at_the_stow_position_in_a_storm_raises_no_alarm_until_the_pose_is_in_doubt(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.wind_m_s = 20.0
@@ -164,7 +164,7 @@ def test_a_stop_of_a_tracker_that_stands_at_stow_misses_no_stow_until_an_axis_le
     run_rig(scenario)
 
 
-def test_a_stop_on_the_way_to_stow_is_a_stow_that_was_missed_to_the_last_degree(run_rig):
+def test_a_stop_on_the_way_to_stow_raises_an_alarm_even_within_5_degrees_of_the_position(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.wind_m_s = 20.0
@@ -186,7 +186,7 @@ def test_a_stop_on_the_way_to_stow_is_a_stow_that_was_missed_to_the_last_degree(
     run_rig(scenario)
 
 
-def test_a_stop_at_stow_whose_positioner_is_unplugged_is_a_stow_that_nobody_sees(run_rig):
+def test_a_stop_at_the_stow_position_raises_an_alarm_once_the_positioner_is_unplugged(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.wind_m_s = 20.0
@@ -201,7 +201,7 @@ def test_a_stop_at_stow_whose_positioner_is_unplugged_is_a_stow_that_nobody_sees
     run_rig(scenario)
 
 
-def test_a_stop_that_is_released_while_it_is_sent_keeps_no_stow_waiting(run_rig):
+def test_a_stop_that_auto_releases_while_it_is_being_sent_does_not_prevent_the_wind_stow(run_rig):
     async def scenario(rig):
         await quiet(rig)
         rig.wind_m_s = 25.0
@@ -229,7 +229,7 @@ SLEPT_S = 3600.0
 
 
 @pytest.mark.parametrize("cube", ["hears", "lost"])
-def test_a_machine_that_has_slept_moves_by_no_wind_of_before(run_rig, cube):
+def test_after_the_machine_has_slept_no_decision_is_made_before_a_new_wind_message(run_rig, cube):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 60)
         if cube == "lost":
@@ -252,7 +252,7 @@ def test_a_machine_that_has_slept_moves_by_no_wind_of_before(run_rig, cube):
     run_rig(scenario, safety={"wind_stale_s": 1200})
 
 
-def test_a_machine_that_has_slept_in_a_stow_is_calm_for_the_whole_time_before_it_ends(run_rig):
+def test_a_stow_in_which_the_machine_has_slept_ends_only_after_the_whole_time_of_calm_anew(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 60)
         rig.wind_m_s = 25.0
@@ -268,7 +268,7 @@ def test_a_machine_that_has_slept_in_a_stow_is_calm_for_the_whole_time_before_it
     run_rig(scenario)
 
 
-def test_a_machine_that_has_slept_at_night_stays_until_the_wind_is_heard_and_be_it_day(run_rig):
+def test_after_a_sleep_of_the_machine_at_night_tracking_by_day_awaits_a_new_wind_message(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.NIGHT, 60)
         await asyncio.sleep(60)

@@ -33,7 +33,7 @@ def test_stow_stays_until_the_wind_has_been_low_for_the_minimum_time():
     assert wind.at(1000, 9.9) is None
 
 
-def test_a_gust_during_the_stay_begins_it_anew():
+def test_wind_above_the_release_threshold_during_a_wind_stow_starts_its_minimum_time_anew():
     wind = Wind()
     wind.at(0, 20)
     wind.at(800, 11)
@@ -50,7 +50,7 @@ def test_a_silent_or_garbled_wind_sensor_counts_as_strong_wind():
         assert wind.at(302, 2), "one reading after the silence does not end the stay"
 
 
-def test_a_sensor_that_never_spoke_counts_as_strong_wind_after_its_time():
+def test_a_wind_sensor_that_was_never_heard_counts_as_strong_wind_after_the_allowed_silence():
     wind = Wind()
     assert wind.at(0, None) is None
     assert wind.at(400, None)
@@ -65,7 +65,7 @@ def test_an_operators_stow_is_latched_until_released():
     assert stow.reason(1e9) is None
 
 
-def test_a_reading_that_is_none_releases_nothing_however_long_ago_the_storm_was():
+def test_an_invalid_wind_reading_releases_no_stow_however_long_ago_the_storm_was():
     for bad in (None, math.nan, -1.0):
         wind = Wind()
         wind.at(0, 20)
@@ -75,13 +75,13 @@ def test_a_reading_that_is_none_releases_nothing_however_long_ago_the_storm_was(
         assert wind.at(1001, 5.0) is None
 
 
-def test_the_reason_is_the_newest_one():
+def test_the_reason_of_a_wind_stow_is_the_newest_strong_wind():
     wind = Wind()
     wind.at(0, 15.5)
     assert "25.0 m/s" in wind.at(5, 25)
 
 
-def test_a_source_that_stowed_before_a_restart_counts_its_calm_from_its_first_word():
+def test_a_source_that_stowed_before_a_restart_counts_its_time_of_calm_from_its_first_reading():
     wind = Wind()
     wind.source.resume("stowed before the restart", 1000)
     for now in range(1000, 1200, 5):
@@ -100,7 +100,7 @@ def test_the_wind_of_a_source_that_is_silent_for_too_long_is_unknown():
     assert (status.age_s, status.stow_from_m_s) == (301, 15)
 
 
-def test_a_status_shows_speed_age_threshold_and_the_time_to_release_and_takes_nothing():
+def test_a_status_shows_speed_age_thresholds_and_time_to_release_without_polling_the_source():
     wind = Wind()
     assert wind.source.status(0).age_s == math.inf
     wind.at(0, 20)

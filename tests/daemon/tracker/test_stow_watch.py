@@ -59,7 +59,7 @@ def test_a_source_that_stows_does_not_hide_the_storm_of_another():
     assert rig.look(1795, field=3) == ("wind 25.0 m/s, stow from 15 m/s",)
 
 
-def test_the_strongest_wind_since_it_was_taken_is_that_of_every_poll_and_no_old_reading_twice():
+def test_take_gust_gives_the_strongest_wind_of_all_polls_since_the_last_call_and_no_old_reading():
     rig = Rig()
     assert math.isnan(rig.watch.take_gust()), "nothing was read yet"
     rig.look(0, roof=2, field=3)
@@ -75,7 +75,7 @@ def test_the_strongest_wind_since_it_was_taken_is_that_of_every_poll_and_no_old_
     assert rig.watch.take_gust() == 7.0
 
 
-def test_a_sensor_that_died_while_another_stowed_is_silent_and_not_fresh():
+def test_a_wind_sensor_that_died_while_another_sensor_stowed_is_a_reason_to_stow_by_its_silence():
     rig = Rig()
     rig.look(0, roof=20, field=3)
     for now in range(5, 900, 5):
@@ -84,11 +84,11 @@ def test_a_sensor_that_died_while_another_stowed_is_silent_and_not_fresh():
     assert reasons == ("no wind reading for 900 s",)
 
 
-def test_all_reasons_are_told():
+def test_the_reasons_of_all_sources_that_stow_are_returned():
     assert len(Rig().look(0, roof=20, field=21)) == 2
 
 
-def test_nothing_may_be_judged_safe_before_every_source_has_been_heard_once():
+def test_the_stow_watch_is_waiting_until_every_source_has_been_heard_once():
     rig = Rig()
     rig.look(0, roof=3)
     assert rig.watch.waiting_why(0) == "waiting for the first message of field"
@@ -98,7 +98,7 @@ def test_nothing_may_be_judged_safe_before_every_source_has_been_heard_once():
     assert rig.watch.waiting_why(10) is None, "once is enough: from then on silence has its time"
 
 
-def test_a_storm_outlives_a_restart_until_all_have_been_heard_and_calm_for_their_time(tmp_path):
+def test_a_storm_outlives_a_restart_until_all_sources_have_been_heard_and_calm_for_their_time(tmp_path):
     before = Rig(tmp_path)
     before.look(0, roof=3, field=3)
     before.look(5, roof=25)
@@ -114,7 +114,7 @@ def test_a_storm_outlives_a_restart_until_all_have_been_heard_and_calm_for_their
 
 
 @pytest.mark.parametrize("step_s", [-86400.0, 86400.0, 1e9])
-def test_a_clock_that_was_set_releases_nothing_early(tmp_path, step_s):
+def test_a_clock_that_was_set_during_a_restart_in_a_storm_releases_no_stow_early(tmp_path, step_s):
     Rig(tmp_path).look(0, roof=25, field=3)
     after = Rig(tmp_path, now=10.0, utc=1.7e9 + step_s)
     for now in range(10, 910, 5):
@@ -123,17 +123,17 @@ def test_a_clock_that_was_set_releases_nothing_early(tmp_path, step_s):
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"stowing": 3}', '{"stowing": {"a": 1}, "since_utc": ""}', "\x00"])
-def test_a_file_that_cannot_be_read_counts_as_stow(tmp_path, text):
+def test_an_unreadable_safety_file_is_a_reason_to_stow(tmp_path, text):
     (tmp_path / "safety.json").write_text(text)
     assert "cannot be read" in Rig(tmp_path).look(0, roof=3, field=3)[0]
 
 
-def test_a_calm_start_without_a_file_stows_nothing_and_writes_one(tmp_path):
+def test_a_calm_start_without_a_safety_file_does_not_stow_and_writes_the_file(tmp_path):
     assert Rig(tmp_path).look(0, roof=3, field=3) == ()
     assert json.loads((tmp_path / "safety.json").read_text())["stowing"] == {}
 
 
-def test_a_storm_that_a_failing_disk_has_not_taken_is_kept_when_it_works_again(tmp_path, caplog):
+def test_a_storm_that_a_failing_disk_did_not_store_is_written_when_the_disk_works_again(tmp_path, caplog):
     blocked = tmp_path / "folder"
     blocked.write_text("a file where the folder should be")
     rig = Rig(blocked)
@@ -145,7 +145,7 @@ def test_a_storm_that_a_failing_disk_has_not_taken_is_kept_when_it_works_again(t
     assert "25.0" in (blocked / "safety.json").read_text()
 
 
-def test_whoever_waits_is_woken_within_a_second_when_stow_begins_and_only_then():
+def test_the_stow_watch_wakes_the_control_within_a_second_when_a_stow_begins_and_only_then():
     async def scenario():
         loop = asyncio.get_running_loop()
         clock, woken, wind = LoopClock(loop.time, 1.7e9), [], {"roof": 3.0, "field": 3.0}
@@ -183,7 +183,7 @@ def test_whoever_waits_is_woken_within_a_second_when_stow_begins_and_only_then()
         assert runner.run(scenario()) == pytest.approx([11.0, 1013.0], abs=0.6)
 
 
-def test_a_storm_is_kept_as_it_was_however_often_the_service_restarts_in_it(tmp_path):
+def test_the_kept_reason_of_a_storm_stays_the_same_however_often_the_service_restarts_in_it(tmp_path):
     rig = Rig(tmp_path)
     rig.look(0, roof=20, field=18)
     kept = (tmp_path / "safety.json").read_text()
@@ -199,7 +199,7 @@ def test_a_storm_is_kept_as_it_was_however_often_the_service_restarts_in_it(tmp_
     assert Rig(tmp_path).look(0)[0].endswith("Z: wind 20.0 m/s, stow from 15 m/s; wind 18.0 m/s, stow from 15 m/s")
 
 
-def test_what_cannot_be_read_stays_a_reason_over_restarts(tmp_path):
+def test_an_unreadable_safety_file_stays_a_reason_to_stow_over_restarts(tmp_path):
     (tmp_path / "safety.json").write_text("{")
     (first,) = Rig(tmp_path).look(0)
     assert "it is not known whether the tracker was stowed before the restart" in first
@@ -208,7 +208,7 @@ def test_what_cannot_be_read_stays_a_reason_over_restarts(tmp_path):
     assert again == f"stowed before the restart, since 2023-11-14T22:13:20.000Z: {first}"
 
 
-def test_a_source_that_is_silent_for_its_time_is_an_alarm_until_it_is_heard():
+def test_a_stow_source_that_is_silent_for_too_long_raises_an_alarm_until_it_is_heard():
     def alarms():
         return {alarm.name: alarm.text for alarm in rig.alarms.active}
 
@@ -228,7 +228,7 @@ def test_a_source_that_is_silent_for_its_time_is_an_alarm_until_it_is_heard():
     assert alarms() == {}, "they are heard, and strong wind is no fault"
 
 
-def test_a_silent_source_whose_name_is_part_of_that_of_another_is_told_of_its_own():
+def test_a_silent_source_raises_the_alarm_anew_even_if_its_name_is_part_of_that_of_another():
     speeds = [3.0, None]
     watch, alarms = plugged(*(WindStow(SAFETY, lambda place=place: speeds[place], "roof") for place in range(2)))
     watch.reasons(0.0)
@@ -284,7 +284,7 @@ def texts(alarms):
         (False, 0.0, "TypeError: its reason is False, neither a sentence nor None"),
     ],
 )
-def test_a_source_that_fails_or_gives_no_answer_stows_and_is_an_alarm(reason, age_s, words, caplog):
+def test_a_stow_source_that_fails_or_gives_an_invalid_answer_stows_and_raises_an_alarm(reason, age_s, words, caplog):
     watch, alarms = plugged(Plugged(reason, age_s))
     for now in range(5):
         (why,) = watch.reasons(now)
@@ -297,7 +297,7 @@ def test_a_source_that_fails_or_gives_no_answer_stows_and_is_an_alarm(reason, ag
     assert "`waiting for the first message of ...`" in " ".join((DOCS / "operate.md").read_text().split())
 
 
-def test_a_source_that_has_failed_lets_go_after_a_minute_of_work_and_its_own_time_of_calm(caplog):
+def test_a_stow_source_that_failed_releases_after_a_minute_of_work_and_its_own_time_of_calm(caplog):
     source, roof = Plugged(), WindStow(SAFETY, lambda: 3.0, "roof")
     watch, alarms = plugged(source, roof)
     assert watch.reasons(0) == ()
@@ -346,7 +346,7 @@ def test_a_source_whose_resume_fails_stows_after_a_restart_in_a_storm(tmp_path):
     assert watch.reasons(1) == ("the stow source hail has failed (NotImplementedError)",)
 
 
-def test_sources_of_one_name_are_told_apart_and_each_tells_its_reason():
+def test_stow_sources_of_the_same_name_are_numbered_and_each_gives_its_own_reason():
     watch, alarms = plugged(Plugged("hail in the north"), Plugged("hail in the south"), Plugged(OSError("no gauge")))
     north, south, failed = watch.reasons(0)
     assert (north, south) == ("hail in the north", "hail in the south")

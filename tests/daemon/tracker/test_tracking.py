@@ -24,7 +24,7 @@ def plain_mean(scans):
     return [sum(scan.faces[i].irradiance_w_m2 for scan in last) / len(last) for i in range(4)]
 
 
-def test_the_tracker_goes_where_equations_12_to_14_put_it(run_rig):
+def test_mu_prime_sends_the_tracker_where_equations_12_to_14_put_it(run_rig):
     rig = run_rig(half_an_hour, law={"name": "mu-prime"})
     decisions = rig.of(Decision)
     assert len(decisions) >= 5
@@ -45,7 +45,7 @@ def test_the_tracker_goes_where_equations_12_to_14_put_it(run_rig):
     )
 
 
-def test_chronometric_stands_perpendicular_to_the_sun(run_rig):
+def test_the_chronometric_law_keeps_the_module_perpendicular_to_the_sun(run_rig):
     rig = run_rig(half_an_hour, law={"name": "chronometric"})
     truth = rig.truth()
     sun = sun_direction(rig.clock.utc(), *SITE)
@@ -59,7 +59,7 @@ def test_an_overcast_sky_lays_the_tracker_flat(run_rig):
     assert rig.truth().a_deg == pytest.approx(0, abs=1.5)
 
 
-def test_decisions_come_every_five_minutes_from_a_window_of_two_and_scans_at_their_floor(run_rig):
+def test_decisions_come_every_5_minutes_from_a_2_minute_window_and_scans_take_their_shortest_time(run_rig):
     rig = run_rig(half_an_hour)
     times = [decision.time_monotonic_s for decision in rig.of(Decision)]
     assert [later - earlier for earlier, later in itertools.pairwise(times)] == pytest.approx(
@@ -77,12 +77,12 @@ def test_decisions_come_every_five_minutes_from_a_window_of_two_and_scans_at_the
     assert [b - a for a, b in itertools.pairwise(starts)] == pytest.approx([5.0] * (len(starts) - 1), abs=0.01)
 
 
-def test_noise_alone_moves_nothing(run_rig):
+def test_sensor_noise_alone_under_an_overcast_sky_causes_no_move(run_rig):
     rig = run_rig(half_an_hour, weather=HandWeather(dni=0, dhi=200), law={"name": "mu-prime"}, rest_look_s=5.0)
     assert len(rig.of(Move)) == 0, "flat to begin with, flat by the law: nothing to do"
 
 
-def test_night_falls_and_morning_comes(run_rig):
+def test_the_tracker_lies_flat_in_mode_night_and_tracks_again_in_the_morning(run_rig):
     async def through_the_night(rig):
         await rig.until_mode(Mode.NIGHT, 2 * 3600)
         await asyncio.sleep(1800)
@@ -106,7 +106,7 @@ def test_night_falls_and_morning_comes(run_rig):
     assert {(round(pose.a_deg), round(pose.b_deg)) for pose in at_night} == {(0, 90)}
 
 
-def test_a_good_scan_wakes_whoever_waits_for_it(run_rig):
+def test_a_good_scan_ends_fallback_within_a_tenth_of_a_second(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await asyncio.sleep(130)

@@ -15,7 +15,7 @@ def scan(now_s, value, quality=Quality.OK, number=0):
     return Scan("cube", "s", number, now_s, now_s, face, face, face, face)
 
 
-def test_two_minutes_at_five_seconds_are_the_plain_mean_of_the_last_24_samples():
+def test_a_window_of_two_minutes_of_scans_every_5_s_gives_the_plain_mean_of_the_last_24_samples():
     window = Window(120, nominal_s=5, longest_s=60)
     for i in range(100):
         window.add(scan(5.0 * i, float(i)))
@@ -42,7 +42,7 @@ def test_the_oldest_reading_counts_only_as_far_as_it_reaches_into_the_window():
     assert window.mean(25).west_w_m2 == pytest.approx((200 * 5 + 300 * 10 + 400 * 5) / 20)
 
 
-def test_bad_readings_stand_for_nothing():
+def test_bad_readings_add_neither_to_the_mean_nor_to_the_coverage():
     window = Window(60, nominal_s=5, longest_s=60)
     for i in range(12):
         window.add(scan(5.0 * i, 500.0, Quality.OK if i < 6 else Quality.OVER_RANGE))
@@ -58,14 +58,14 @@ def test_a_reading_after_a_long_gap_does_not_stand_for_the_gap():
     assert window.mean(300).east_w_m2 == pytest.approx(500)
 
 
-def test_no_readings_no_mean():
+def test_a_window_without_readings_has_no_mean():
     window = Window(120, 5, 60)
     assert window.mean(0) is None
     window.add(scan(0, 100))
     assert window.mean(500) is None
 
 
-def test_readings_that_stand_for_more_than_the_window_cover_it_once():
+def test_the_coverage_is_1_at_most_if_readings_stand_for_more_than_the_window():
     window = Window(10, nominal_s=20, longest_s=5)
     window.add(scan(0, 100))
     window.add(scan(9, 100))
@@ -85,7 +85,7 @@ def test_the_mean_lies_between_its_readings_and_covers_no_more_than_the_window(s
 
 
 @given(st.lists(st.tuples(st.sampled_from([5.0, 7.5, 40.0]), st.sampled_from([0.0, 5.0, 10.0, 45.0, 3600.0]))))
-def test_a_reading_that_is_told_after_a_later_one_of_its_face_stands_for_nothing(scans):
+def test_readings_dated_before_earlier_ones_leave_the_mean_in_range_and_the_coverage_at_most_1(scans):
     # The bridge accepts face times of up to an hour before their scan, for example from a sender whose clock was set.
     window, now_s = Window(120, 5, 60), 0.0
     window.add(scan(now_s, 100.0))
@@ -97,7 +97,7 @@ def test_a_reading_that_is_told_after_a_later_one_of_its_face_stands_for_nothing
         assert mean is None or (100.0 - 1e-9 <= mean.east_w_m2 <= 900.0 + 1e-9 and 0.0 < mean.coverage <= 1.0)
 
 
-def test_a_reading_that_is_told_too_late_costs_the_others_nothing():
+def test_a_reading_that_arrives_too_late_changes_neither_the_mean_nor_the_coverage_of_the_others():
     window = Window(120, nominal_s=5, longest_s=60)
     for i in range(25):
         window.add(scan(5.0 * i, 100.0))
@@ -135,7 +135,7 @@ def test_coverage_is_that_of_the_worst_face_that_is_needed():
     assert window.mean(55, faces_needed=3).coverage == pytest.approx(0.5)
 
 
-def test_a_face_without_fresh_readings_covers_nothing():
+def test_a_face_without_fresh_readings_has_no_mean_and_no_coverage():
     window = Window(120, nominal_s=5, longest_s=15, stale_s=15)
     for i in range(24):
         window.add(four(5.0 * i, (1, 2, 3, 4)))
@@ -148,14 +148,14 @@ def test_a_face_without_fresh_readings_covers_nothing():
     assert three.south_w_m2 == pytest.approx(2)
 
 
-def test_a_single_reading_at_the_windows_very_start_is_no_mean():
+def test_a_single_reading_exactly_at_the_start_of_the_window_gives_no_mean():
     window = Window(20, nominal_s=5, longest_s=60)
     window.add(scan(5, 100))
     assert window.mean(24.9).coverage > 0
     assert window.mean(25) is None
 
 
-def test_a_window_of_many_says_what_each_ones_own_says_whoever_has_asked_before_and_counts_a_scan_once():
+def test_a_window_shared_by_trackers_gives_the_mean_of_one_of_its_own_and_counts_a_scan_once():
     scans = [scan(5.0 * number, 1000.0 / (number + 3.7), number=number) for number in range(400)]
     one, common = Window(120, 5, 15, 15), Window(120, 5, 15, 15)
     for each in scans:
@@ -167,7 +167,7 @@ def test_a_window_of_many_says_what_each_ones_own_says_whoever_has_asked_before_
     assert one.mean(asked_s) == common.mean(asked_s)
 
 
-def test_all_four_faces_are_asked_for_unless_fewer_will_do():
+def test_the_mean_needs_all_four_faces_unless_fewer_are_asked_for():
     window = Window(60, nominal_s=5, longest_s=60)
     good, bad = FaceReading(500.0, Quality.OK, 0.0, 0.0), FaceReading(math.nan, Quality.LATE, 0.0, 0.0)
     window.add(Scan("cube", "s", 0, 0.0, 0.0, good, bad, good, good))

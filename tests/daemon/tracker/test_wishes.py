@@ -32,26 +32,26 @@ def loaded(tmp_path, text):
         '{"hold": {"why": "x", "colour": "red"}}',
     ],
 )
-def test_what_cannot_be_read_is_a_stop(tmp_path, text):
+def test_an_operator_file_that_cannot_be_read_counts_as_a_stop(tmp_path, text):
     found = loaded(tmp_path, text)
     assert "operator.json cannot be read" in found.stop.why
     assert found.stillness.startswith("stopped: ")
 
 
-def test_the_form_of_earlier_versions_is_read(tmp_path):
+def test_an_operator_file_in_the_form_of_earlier_versions_is_read(tmp_path):
     found = loaded(tmp_path, '{"stop": null, "stow": "storm", "hold": null}')
     assert found == Wishes(stow=Wish(why="storm"))
     assert found.describe("stow") == "stowed: storm"
 
 
-def test_what_was_written_is_read_back(tmp_path):
+def test_wishes_that_were_saved_are_read_back_unchanged(tmp_path):
     wishes = Wishes(maintenance=Wish(why="greasing", by="ana@lab", since_utc_s=1665568803.25))
     WishFile(StateFolder(tmp_path)).save(wishes)
     assert WishFile(StateFolder(tmp_path)).load() == wishes
     assert wishes.stillness == "in maintenance by ana@lab since 2022-10-12 10:00:03 UTC: greasing"
 
 
-def test_of_many_who_want_it_stopped_the_first_stay_and_the_newest(tmp_path):
+def test_of_many_requests_to_stop_the_first_eight_and_the_newest_are_kept(tmp_path):
     stop = Wish(why="repair", by="ana", since_utc_s=100.0)
     for number in range(20):
         stop = stop.joined_by(Wish(why=f"noise {number}", by="bob", since_utc_s=101.0 + number))
@@ -64,13 +64,13 @@ def test_of_many_who_want_it_stopped_the_first_stay_and_the_newest(tmp_path):
     assert WishFile(StateFolder(tmp_path)).load() == Wishes(stop=again)
 
 
-def test_one_stop_alone_is_kept_as_an_earlier_version_reads_it(tmp_path):
+def test_a_single_stop_is_saved_in_the_form_that_an_earlier_version_reads(tmp_path):
     WishFile(StateFolder(tmp_path)).save(Wishes(stop=Wish(why="repair", by="ana", since_utc_s=100.0)))
     kept = json.loads((tmp_path / "operator.json").read_text())
     assert kept == {"stop": {"why": "repair", "by": "ana", "since_utc_s": 100.0}}
 
 
-def test_whoever_did_not_see_the_second_stop_ends_neither():
+def test_both_stops_are_returned_as_unseen_to_a_person_who_was_shown_only_the_first():
     first = Wish(why="repair", by="ana", since_utc_s=100.0)
     wishes = Wishes(stop=first.joined_by(Wish(why="a noise", by="bob", since_utc_s=200.0)))
     for unseen in (wishes.not_in({"stop": first.since}), wishes.later_than(150.0)):
@@ -78,7 +78,7 @@ def test_whoever_did_not_see_the_second_stop_ends_neither():
     assert wishes.not_in({"stop": wishes.stop.latest}) is wishes.later_than(200.0) is None
 
 
-def test_maintenance_goes_before_a_stop_and_a_stop_before_the_buttons():
+def test_maintenance_is_named_before_a_stop_and_a_stop_before_the_buttons():
     wishes = Wishes(buttons=Wish(why="pressed"))
     assert wishes.stillness == "held: pressed"
     wishes = wishes.model_copy(update={"stop": Wish(why="hand")})

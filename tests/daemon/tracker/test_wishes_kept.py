@@ -23,7 +23,9 @@ from tests.support.phases import under_way
         (lambda control: control.goto(0, 90, "it stood so at the start"), Mode.HOLD, "it stood so at the start"),
     ],
 )
-def test_a_restart_keeps_what_was_asked_until_it_is_released(run_rig, tmp_path, ask, mode, why):
+def test_a_hold_stop_stow_or_goto_survives_a_restart_without_a_move_until_auto_releases_it(
+    run_rig, tmp_path, ask, mode, why
+):
     async def first(rig):
         await rig.until_mode(Mode.TRACKING, 120)
         asked = ask(rig.control)
@@ -48,7 +50,7 @@ def test_a_restart_keeps_what_was_asked_until_it_is_released(run_rig, tmp_path, 
 
 
 @pytest.mark.parametrize("name", ["stop", "maintenance"])
-def test_a_stop_is_kept_while_it_is_sent_over_a_link_that_takes_its_time(run_rig, tmp_path, name):
+def test_a_stop_or_maintenance_is_in_the_file_while_it_is_still_being_sent_over_a_slow_link(run_rig, tmp_path, name):
     async def scenario(rig):
         await under_way(rig)
         rig.cables.positioner.write_s = 0.9
@@ -63,7 +65,7 @@ def test_a_stop_is_kept_while_it_is_sent_over_a_link_that_takes_its_time(run_rig
     run_rig(scenario, store={"directory": tmp_path})
 
 
-def test_a_garbled_file_keeps_the_tracker_stopped(run_rig, tmp_path):
+def test_a_garbled_operator_file_keeps_the_tracker_stopped(run_rig, tmp_path):
     (tmp_path / "operator.json").write_text('{"stop": 1')
 
     async def scenario(rig):
@@ -75,7 +77,7 @@ def test_a_garbled_file_keeps_the_tracker_stopped(run_rig, tmp_path):
     run_rig(scenario, store={"directory": tmp_path})
 
 
-def test_a_disk_that_cannot_be_written_hinders_no_command(run_rig, tmp_path):
+def test_a_disk_that_cannot_be_written_does_not_prevent_a_stow(run_rig, tmp_path):
     (tmp_path / "file").write_text("")
 
     async def scenario(rig):

@@ -21,7 +21,7 @@ from sim_drivers.transports import InMemoryModbus
 VOLTS = {0: 0.030, 2: 0.041, 4: 0.006, 6: 0.047}
 
 
-def test_on_a_server_that_is_not_ours():
+def test_four_labjack_inputs_are_set_up_and_read_on_a_pymodbus_server():
     inputs = [value for pair in zip(VOLTS.values(), [0.0] * 4, strict=True) for value in pair]
     registers = [
         SimData(0, values=inputs, datatype=DataType.FLOAT32),
@@ -79,13 +79,13 @@ async def read(cube, _device):
     return await cube.read()
 
 
-def test_the_simulated_one_reads_as_fine_as_its_range():
+def test_the_simulated_labjack_reads_with_the_resolution_of_its_range():
     volts = [face.value for face in on_simulated(read, range_v=0.1).faces]
     assert volts == pytest.approx(list(VOLTS.values()), abs=0.1 / 2**15)
     assert volts != list(VOLTS.values())
 
 
-def test_opening_anew_closes_what_was_open_and_a_scan_loses_no_time_between_inputs():
+def test_a_labjack_can_be_reopened_while_open_and_a_scan_takes_less_than_half_a_second():
     async def work(cube, device):
         await cube.open()
         faces = (await read(cube, device)).faces
@@ -94,7 +94,7 @@ def test_opening_anew_closes_what_was_open_and_a_scan_loses_no_time_between_inpu
     assert 0.0 <= on_simulated(work) < 0.5
 
 
-def test_beyond_its_range_there_is_no_value():
+def test_a_voltage_beyond_the_range_of_the_labjack_is_over_range():
     faces = on_simulated(read, range_v=0.01).faces
     assert [face.flaw for face in faces] == ["over-range", "over-range", None, "over-range"]
 
@@ -106,7 +106,7 @@ def test_an_input_that_cannot_be_measured_gives_no_value(monkeypatch):
 
 
 @pytest.mark.parametrize(("name", "value", "error"), [("product", 4, IdentityError), ("address", 2, LinkLostError)])
-def test_what_is_not_expected_is_not_read(name, value, error):
+def test_opening_fails_with_another_labjack_product_or_another_device_address(name, value, error):
     async def work(cube, device):
         setattr(device, name, value)
         with pytest.raises(error):
@@ -115,7 +115,7 @@ def test_what_is_not_expected_is_not_read(name, value, error):
     on_simulated(work)
 
 
-def test_words_in_another_order_are_no_labjack(monkeypatch):
+def test_a_device_that_sends_its_words_in_another_order_is_refused(monkeypatch):
     monkeypatch.setattr(sim_drivers.modbus.labjack, "TEST_WORDS", (0x2233, 0x0011))
 
     async def work(cube, _device):
@@ -125,7 +125,7 @@ def test_words_in_another_order_are_no_labjack(monkeypatch):
     on_simulated(work)
 
 
-def test_its_line_is_the_one_of_the_settings():
+def test_the_labjack_driver_uses_the_line_of_its_settings():
     clock, lines = SystemClock(), []
     around = CubeSurroundings(clock.utc, clock.monotonic, 2.0, lambda: None)
     for line in ("tcp:192.168.1.60:502", None):
@@ -134,7 +134,7 @@ def test_its_line_is_the_one_of_the_settings():
     assert list(LabjackSettings(line="tcp:192.168.1.60:502").conflicts()) == []
 
 
-def test_odd_inputs_are_for_a_t8_alone():
+def test_odd_inputs_are_accepted_by_a_t8_and_refused_by_a_t7():
     async def work(cube, device):
         with pytest.raises(ProtocolError, match="3 is odd"):
             await cube.open()
@@ -144,7 +144,7 @@ def test_odd_inputs_are_for_a_t8_alone():
     assert on_simulated(work, inputs=(0, 3, 4, 6)).startswith("LabJack T8")
 
 
-def test_inputs_from_8_on_are_for_a_t7_alone():
+def test_inputs_from_8_on_are_accepted_by_a_t7_and_refused_by_a_t8():
     async def work(cube, device):
         identity = await cube.open()
         await cube.close()
@@ -171,7 +171,7 @@ def test_a_t8_measures_in_its_next_wider_range(range_v, wider_v):
     assert on_simulated(work, range_v=range_v) == [wider_v] * 4
 
 
-def test_an_input_that_a_t8_has_not_is_said():
+def test_an_input_that_a_t8_does_not_have_is_refused_by_its_number():
     async def work(cube, device):
         become_t8(device)
         with pytest.raises(ProtocolError, match="has the inputs 0 to 7, and not 8"):
@@ -180,7 +180,7 @@ def test_an_input_that_a_t8_has_not_is_said():
     on_simulated(work, inputs=(0, 2, 4, 8))
 
 
-def test_a_resolution_that_it_has_not_is_said():
+def test_a_resolution_index_that_the_labjack_does_not_take_is_reported():
     async def work(cube, _device):
         with pytest.raises(ProtocolError, match="does not take the resolution index 13 of AIN0"):
             await cube.open()
@@ -197,7 +197,7 @@ SETTINGS_OF_AIN4 = [(40008, "range"), (41004, "negative channel"), (41504, "reso
 
 
 @pytest.mark.parametrize(("register", "name"), SETTINGS_OF_AIN4)
-def test_a_setting_that_is_not_kept_is_said(register, name, monkeypatch):
+def test_a_setting_that_the_labjack_does_not_keep_is_reported_by_name(register, name, monkeypatch):
     def write(device, function, at, values):
         if at != register:
             keep(device, function, at, values)
@@ -235,7 +235,7 @@ def test_a_setting_that_another_program_changes_ends_the_readings(register, name
         ("line = 'rtu-over-tcp:h:1'", "is not Modbus TCP"),
     ],
 )
-def test_mistakes_are_one_sentence(tmp_path, text, line):
+def test_a_mistake_in_the_labjack_configuration_is_refused_in_one_sentence(tmp_path, text, line):
     path = tmp_path / "wrong.toml"
     path.write_text(f"[instruments.cube]\ndriver = 'labjack'\n{text}\n")
     with pytest.raises(ConfigError) as caught:
@@ -244,13 +244,13 @@ def test_mistakes_are_one_sentence(tmp_path, text, line):
     assert line in problem
 
 
-def test_without_a_line_it_is_said_where_to_name_one():
+def test_a_labjack_without_a_line_is_refused_with_the_key_to_set():
     clock = SystemClock()
     with pytest.raises(SettingsError, match=r"instruments\.cube\.line is missing: name the LabJack"):
         build(LabjackSettings(), CubeSurroundings(clock.utc, clock.monotonic, 5.0, lambda: None))
 
 
 @pytest.mark.parametrize("inputs", [(0, 2, 4), (0, 2, 4, 6, 8)])
-def test_four_faces_have_four_inputs(inputs):
+def test_a_number_of_inputs_other_than_four_is_refused(inputs):
     with pytest.raises(ValueError, match="4 items"):
         LabjackSettings(inputs=inputs)

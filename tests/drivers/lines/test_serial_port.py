@@ -59,7 +59,7 @@ def modes(path):
         os.close(descriptor)
 
 
-def test_what_waited_and_what_comes_is_neither_read_nor_echoed_but_what_comes_after(ends):
+def test_bytes_from_before_the_opening_are_neither_read_nor_echoed_and_later_ones_are_read(ends):
     instrument, path = ends
     send(instrument, path, b"old telemetry\n")
     assert os.read(instrument, 100) == b"old telemetry\r\n", "the kernel's echo, before anybody has opened the port"
@@ -105,7 +105,7 @@ def test_a_command_that_is_not_allowed_is_not_sent(ends):
     assert os.read(instrument, 100) == b"$9s\r"
 
 
-def test_what_is_written_is_sent_although_the_process_then_had_no_processor(ends, monkeypatch):
+def test_a_write_is_sent_even_if_the_process_gets_no_processor_time_for_seconds(ends, monkeypatch):
     instrument, path = ends
     looks = itertools.count(step=2.0)
     # Two seconds pass between any two readings of the clock, pyserial's clock too.
@@ -122,7 +122,7 @@ def test_what_is_written_is_sent_although_the_process_then_had_no_processor(ends
     ("8O1", termios.PARODD),
     ("8N2", termios.CSTOPB),
 ])  # fmt: skip
-def test_the_line_is_set_as_it_is_asked_for(ends, form, flags):
+def test_the_port_is_set_to_the_requested_speed_parity_and_stop_bits(ends, form, flags):
     _, path = ends
     with opened(path, baud_rate=19200, form=form):
         _, _, control, local, _, speed, _ = modes(path)
@@ -134,7 +134,7 @@ def test_the_line_is_set_as_it_is_asked_for(ends, form, flags):
 
 
 @pytest.mark.parametrize("flag", [termios.ECHO, termios.ICANON])
-def test_an_echo_that_somebody_switches_on_is_seen(ends, flag):
+def test_an_echo_that_another_program_switches_on_is_detected(ends, flag):
     _, path = ends
     with opened(path) as port:
         assert not port.echoes()
@@ -184,7 +184,7 @@ def test_a_write_that_waits_for_room_ends_when_the_port_is_closed(ends, monkeypa
     assert len(errors) == 1
 
 
-def test_a_port_that_another_program_holds_is_named_with_it(ends):
+def test_a_port_held_by_another_program_is_refused_naming_that_program(ends):
     _, path = ends
     code = f"import fcntl, os; f = os.open({path!r}, os.O_RDWR | os.O_NOCTTY); fcntl.flock(f, fcntl.LOCK_EX)"
     holder = subprocess.Popen(
@@ -202,7 +202,7 @@ def test_a_port_that_another_program_holds_is_named_with_it(ends):
         pass
 
 
-def test_what_cannot_be_a_port_says_so(tmp_path):
+def test_a_plain_file_or_a_missing_port_is_refused_with_the_reason(tmp_path):
     plain = tmp_path / "plain"
     plain.touch()
     with pytest.raises(ConnectError, match="is not a serial port"):
@@ -222,6 +222,6 @@ def test_what_cannot_be_a_port_says_so(tmp_path):
     (OSError(16, "x"), "held by another program"),
     (OSError(5, "broken"), "cannot be opened: .*broken"),
 ])  # fmt: skip
-def test_each_trouble_has_its_remedy(error, words):
+def test_each_error_on_opening_a_port_is_reported_with_its_cause_or_remedy(error, words):
     with pytest.raises(ConnectError, match=words):
         raise cannot_open("positioner", "/dev/ttyS99", error)

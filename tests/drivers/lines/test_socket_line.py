@@ -13,7 +13,7 @@ from drivers.lines.socket_line import SocketLine
 from tests.support import PATIENCE_S
 
 
-def test_who_does_not_answer_is_given_up_after_five_seconds(monkeypatch):
+def test_a_connection_attempt_without_an_answer_is_given_up_after_five_seconds(monkeypatch):
     async def never(*_where, **_keys):
         await asyncio.sleep(3600.0)
 
@@ -30,7 +30,7 @@ def test_who_does_not_answer_is_given_up_after_five_seconds(monkeypatch):
 
 
 @pytest.mark.live
-def test_what_sends_on_and_on_is_told_within_seconds():
+def test_draining_an_instrument_that_never_stops_sending_is_given_up_with_an_error():
     async def act():
         over = asyncio.Event()
 
@@ -54,7 +54,7 @@ def test_what_sends_on_and_on_is_told_within_seconds():
 
 
 @pytest.mark.live
-def test_who_resets_the_connection_while_it_is_drained_is_a_lost_link():
+def test_a_connection_reset_while_the_line_is_drained_is_a_lost_link():
     async def act():
         opened = asyncio.Event()
 
@@ -76,7 +76,7 @@ def test_who_resets_the_connection_while_it_is_drained_is_a_lost_link():
 
 
 @pytest.mark.live
-def test_what_nobody_has_asked_for_is_thrown_away_and_told():
+def test_unrequested_data_is_discarded_and_reported():
     async def act():
         said = asyncio.Queue()
 
@@ -106,7 +106,7 @@ def test_what_nobody_has_asked_for_is_thrown_away_and_told():
     asyncio.run(act())
 
 
-def test_a_line_that_is_not_open_is_a_lost_link_whatever_is_asked_of_it():
+def test_every_call_on_a_line_that_is_not_open_is_a_lost_link():
     async def act():
         line = SocketLine("cube", "127.0.0.1", 9)
         for call in (line.send("*IDN?"), line.receive(1.0), line.drain(0.1), line.has_unasked()):

@@ -52,7 +52,7 @@ def gate():
     event.set()
 
 
-def test_exchanges_pass_in_order_and_the_lines_own_errors_come_back(gate):
+def test_exchanges_run_in_order_and_errors_of_the_blocking_line_reach_the_caller(gate):
     log = []
 
     async def scene():
@@ -76,7 +76,7 @@ def test_exchanges_pass_in_order_and_the_lines_own_errors_come_back(gate):
 
 
 @pytest.mark.live
-def test_a_call_that_hangs_is_a_lost_link_and_the_next_opening_has_a_thread_of_its_own(gate):
+def test_a_call_that_hangs_is_a_lost_link_and_the_next_opening_gets_a_new_thread(gate):
     async def scene():
         line = ThreadedLine("voltmeter", lambda: EchoingLine(gate, []))
         await line.open()

@@ -41,7 +41,7 @@ def test_results_and_errors_come_back_as_they_are_and_calls_keep_their_order():
     asyncio.run(scene())
 
 
-def test_a_call_that_never_returns_loses_the_link_and_the_next_one_has_a_thread_of_its_own(gate):
+def test_a_call_that_never_returns_is_a_lost_link_and_the_next_call_gets_a_new_thread(gate):
     async def scene():
         thread = DeviceThread("multiplexer")
         with pytest.raises(LinkLostError, match="did not return within"):
@@ -53,7 +53,7 @@ def test_a_call_that_never_returns_loses_the_link_and_the_next_one_has_a_thread_
     asyncio.run(scene())
 
 
-def test_a_result_in_time_counts_although_the_loop_was_held_up_beyond_the_deadline():
+def test_a_result_in_time_counts_even_if_the_event_loop_was_blocked_beyond_the_deadline():
     async def scene():
         thread, ready = DeviceThread("positioner"), threading.Event()
         call = asyncio.create_task(thread.call(lambda: ready.set() or "sent", 0.05))
@@ -68,7 +68,7 @@ def test_a_result_in_time_counts_although_the_loop_was_held_up_beyond_the_deadli
     asyncio.run(scene())
 
 
-def test_what_comes_after_nobody_waits_for_it_any_more_is_discarded(gate):
+def test_a_result_that_comes_after_its_deadline_is_discarded(gate):
     discarded = threading.Event()
 
     def connect():
@@ -108,7 +108,7 @@ def test_a_cancelled_call_finishes_in_its_thread_and_its_result_is_discarded(gat
     assert discarded.wait(PATIENCE_S)
 
 
-def test_closing_does_not_wait_for_a_hung_call_and_too_many_of_them_are_an_error_until_they_return(gate):
+def test_closing_does_not_wait_for_hung_calls_and_eight_of_them_are_an_error_until_they_return(gate):
     async def scene():
         thread, hung = DeviceThread("voltmeter"), []
 
@@ -135,7 +135,7 @@ def test_closing_does_not_wait_for_a_hung_call_and_too_many_of_them_are_an_error
     asyncio.run(scene())
 
 
-def test_a_machine_without_room_for_a_thread_is_an_instrument_out_of_reach_until_there_is_some():
+def test_a_thread_that_cannot_be_started_is_a_connect_error_until_there_is_room_for_it():
     async def scene():
         thread, closed = DeviceThread("voltmeter"), []
         # No machine has room for such a stack.

@@ -51,7 +51,7 @@ def modes(path):
         os.close(descriptor)
 
 
-def test_what_nobody_has_asked_for_is_thrown_away_and_told(ends):
+def test_unrequested_data_is_discarded_and_reported(ends):
     instrument, path = ends
     with opened(path) as line:
         assert not line.has_unasked()
@@ -65,7 +65,7 @@ def test_what_nobody_has_asked_for_is_thrown_away_and_told(ends):
 
 
 @pytest.mark.parametrize(("terminator", "end"), [("LF", b"\n"), ("CR", b"\r"), ("LFCR", b"\n\r")])
-def test_lines_go_out_and_come_in_with_the_end_of_the_settings(ends, terminator, end):
+def test_lines_are_sent_and_received_with_the_configured_terminator(ends, terminator, end):
     instrument, path = ends
     tapped = []
     with opened(path, lambda *seen: tapped.append(seen), terminator=terminator) as line:
@@ -82,7 +82,7 @@ def test_lines_go_out_and_come_in_with_the_end_of_the_settings(ends, terminator,
 
 
 @pytest.mark.parametrize(("flow_control", "flag"), [("none", 0), ("xon-xoff", termios.IXON | termios.IXOFF)])
-def test_the_port_is_set_as_the_settings_say_and_held(ends, flow_control, flag):
+def test_the_port_is_set_as_configured_and_held_against_a_second_opening(ends, flow_control, flag):
     _, path = ends
     with opened(path, baud_rate=4800, flow_control=flow_control):
         come, _, control, _, _, speed, _ = modes(path)
@@ -97,14 +97,14 @@ def test_the_port_is_set_as_the_settings_say_and_held(ends, flow_control, flag):
         pass
 
 
-def test_the_time_that_the_line_itself_takes_comes_on_top(ends):
+def test_the_transfer_time_of_a_line_is_that_of_256_bytes_each_way(ends):
     _, path = ends
     with opened(path, baud_rate=9600) as line:
         # A question and an answer of 256 bytes each, ten bits a byte.
         assert line.transfer_s == pytest.approx(2 * 256 * 10 / 9600)
 
 
-def test_an_answer_that_does_not_come_is_told_and_what_waits_can_be_read_away(ends):
+def test_a_missing_answer_is_a_deadline_error_and_waiting_bytes_can_be_drained(ends):
     instrument, path = ends
     with opened(path, baud_rate=19200) as line:
         with pytest.raises(DeadlineError, match="no line came in time"):
@@ -120,7 +120,7 @@ def test_an_answer_that_does_not_come_is_told_and_what_waits_can_be_read_away(en
             line.receive(0.0)
 
 
-def test_nothing_is_kept_of_a_line_that_was_closed(ends):
+def test_a_closed_line_leaves_no_serial_port_object_behind(ends):
     def ports():
         gc.collect()
         return sum(isinstance(each, serial.Serial) for each in gc.get_objects())
@@ -133,7 +133,7 @@ def test_nothing_is_kept_of_a_line_that_was_closed(ends):
 
 
 @pytest.mark.live
-def test_what_sends_on_and_on_is_told_within_seconds(ends):
+def test_draining_an_instrument_that_never_stops_sending_is_given_up_with_an_error(ends):
     instrument, path = ends
     over = threading.Event()
 
@@ -176,12 +176,12 @@ def test_a_line_that_is_gone_is_a_lost_link_and_can_be_closed(ends):
     (VisaSettings("nonsense"), ConnectError, "nonsense cannot be opened: VI_ERROR_INV_RSRC_NAME"),
     (VisaSettings("GPIB0::16::INSTR", prologix_port="/dev/none"), ConnectError, "there is no /dev/none: "),
 ])  # fmt: skip
-def test_what_cannot_be_opened_says_what_to_do(settings, error, words):
+def test_a_resource_that_cannot_be_opened_is_refused_with_the_cause_or_a_remedy(settings, error, words):
     with pytest.raises(error, match=words):
         VisaLine(settings)
 
 
-def test_two_instruments_that_are_opened_at_once_for_the_first_time_get_one_whole_manager(ends, monkeypatch):
+def test_the_first_two_instruments_opened_at_once_get_no_half_made_visa_manager(ends, monkeypatch):
     def slow_set(*members):
         time.sleep(0.2)
         return weakref.WeakSet(*members)
@@ -211,7 +211,7 @@ class Named:
         return [(now, self.name + b"\n")] if b"?" in data else []
 
 
-def test_two_adapters_that_are_opened_at_once_lead_to_an_instrument_each(tmp_path):
+def test_two_gpib_adapters_opened_at_once_each_reach_their_own_instrument(tmp_path):
     ports = [str(tmp_path / name) for name in ("east", "west")]
     adapters = [Prologix(Named(name), tmp_path / name.decode()) for name in (b"east", b"west")]
     begin = threading.Barrier(2)
@@ -234,7 +234,7 @@ def test_two_adapters_that_are_opened_at_once_lead_to_an_instrument_each(tmp_pat
             adapter.end()
 
 
-def test_an_adapter_that_another_line_has_is_told_nothing(tmp_path):
+def test_a_second_line_on_a_gpib_adapter_is_refused_and_sends_nothing_to_it(tmp_path):
     adapter = Prologix(Named(b"meter"), tmp_path / "adapter")
     settings = VisaSettings("GPIB0::16::INSTR", prologix_port=str(tmp_path / "adapter"))
     line = VisaLine(settings)
@@ -253,7 +253,7 @@ def test_an_adapter_that_another_line_has_is_told_nothing(tmp_path):
         adapter.end()
 
 
-def test_an_adapter_that_is_gone_is_a_lost_link_for_a_device_clear_too(tmp_path):
+def test_a_device_clear_over_a_gpib_adapter_that_is_gone_is_a_lost_link(tmp_path):
     adapter = Prologix(Named(b"meter"), tmp_path / "adapter")
     line = VisaLine(VisaSettings("GPIB0::16::INSTR", prologix_port=str(tmp_path / "adapter")))
     try:

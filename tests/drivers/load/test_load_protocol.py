@@ -36,7 +36,7 @@ def never():
 
 
 @pytest.mark.parametrize("make", MAKES)
-def test_the_driver_sends_these_bytes_and_reads_these_replies(transcript, play, tmp_path, make):
+def test_the_load_driver_sends_the_bytes_and_reads_the_replies_of_the_transcript(transcript, play, tmp_path, make):
     pieces = transcript(f"load_{make}")
     player = play(pieces, tmp_path / "load")
 
@@ -58,7 +58,7 @@ def test_the_driver_sends_these_bytes_and_reads_these_replies(transcript, play, 
 
 
 @pytest.mark.parametrize("make", MAKES)
-def test_the_simulated_load_answers_the_same_bytes(transcript, load_host, make):
+def test_the_simulated_load_answers_as_in_the_transcript(transcript, load_host, make):
     async def scene():
         async with load_host(make, channel=3 if make == "chroma63600" else 1) as host:
             core, answered, expected = host.core, [], []
@@ -92,7 +92,7 @@ def test_a_sweep_measures_the_modules_curve_and_leaves_the_input_off(load_host, 
     assert np.array(swept.current_a) == pytest.approx(truth, abs=0.1)
 
 
-def test_the_settling_begins_when_the_load_has_taken_a_voltage(load_host):
+def test_the_settling_time_starts_only_when_the_load_has_taken_the_voltage(load_host):
     async def scene():
         async with load_host() as host:
             feed, taken_s = host.core.feed, [0.0]
@@ -113,7 +113,7 @@ def test_the_settling_begins_when_the_load_has_taken_a_voltage(load_host):
     assert asyncio.run(scene()).voltage_v == pytest.approx(LEVELS, abs=0.02)
 
 
-def test_a_load_that_answers_one_question_a_line_is_asked_one_by_one(load_host):
+def test_a_load_that_answers_only_one_question_per_line_is_asked_one_at_a_time(load_host):
     async def scene():
         async with load_host(one_question=True) as host:
             load = load_on(host.port.link)
@@ -151,7 +151,7 @@ def test_another_instrument_is_refused_before_anything_is_set(load_host, identit
     assert b"".join(asyncio.run(scene())) == b"\x03*IDN?\n"
 
 
-def test_a_channel_that_is_not_there_is_an_error_that_names_it(load_host):
+def test_a_missing_load_channel_is_refused_with_its_number(load_host):
     async def scene():
         async with load_host() as host:
             load = load_on(host.port.link, channel=2)
@@ -162,7 +162,7 @@ def test_a_channel_that_is_not_there_is_an_error_that_names_it(load_host):
     asyncio.run(scene())
 
 
-def test_a_reading_beyond_the_range_is_no_point(load_host):
+def test_a_reading_beyond_the_range_gives_no_point_of_the_curve(load_host):
     async def scene():
         async with load_host() as host:
             load = load_on(host.port.link)
@@ -203,7 +203,7 @@ def test_a_protection_that_trips_ends_the_sweep_and_is_cleared_for_the_next(load
     assert len(second.voltage_v) == 3
 
 
-def test_a_protection_that_cannot_be_cleared_means_no_sweep(load_host):
+def test_no_sweep_is_made_while_a_protection_cannot_be_cleared(load_host):
     async def scene():
         async with load_host() as host:
             load = load_on(host.port.link)
@@ -233,7 +233,7 @@ def test_a_voltage_below_the_minimum_ends_the_sweep(load_host):
     assert not on
 
 
-def test_a_sweep_ends_when_it_is_told_to(load_host):
+def test_a_sweep_ends_when_its_caller_gives_a_reason_to_stop(load_host):
     async def scene():
         async with load_host() as host:
             load = load_on(host.port.link)
@@ -253,7 +253,7 @@ class DefectError(Exception):
     pass
 
 
-def test_the_input_is_off_after_whoever_asked_for_the_sweep_has_failed(load_host):
+def test_the_input_is_off_after_the_caller_of_a_sweep_raised_an_exception(load_host):
     async def scene():
         async with load_host() as host:
             load = load_on(host.port.link)
@@ -298,7 +298,7 @@ def test_the_input_is_off_after_a_sweep_was_cancelled(load_host):
 
 
 @pytest.mark.parametrize("fault", ["drop", "delay", "corrupt", "level not taken"])
-def test_a_doubtful_answer_ends_the_session_with_the_input_off(load_host, fault):
+def test_a_missing_late_or_wrong_answer_ends_the_session_with_the_input_off(load_host, fault):
     async def scene():
         async with load_host() as host:
             load = load_on(host.port.link, deadline_s=2.0)
@@ -374,7 +374,7 @@ def test_a_pulled_plug_is_a_lost_link_and_the_next_open_switches_the_input_off(l
     asyncio.run(scene())
 
 
-def test_a_silent_load_is_told_to_be_looked_at(load_host):
+def test_a_silent_load_is_reported_with_what_to_check(load_host):
     async def scene():
         async with load_host() as host:
             host.freeze()

@@ -14,5 +14,5 @@ AGILENT = {
 }
 
 
-def test_each_bit_has_its_own_protection():
+def test_the_status_bits_of_the_agilent_6063b_mean_the_protections_of_its_manual():
     assert {1 << bit: name for bit, name in AGILENT.items()} == agilent6063b.PROTECTIONS

@@ -43,7 +43,7 @@ def meter_on(link, *, terminator="LF", **options):
     return Keithley2000(visa(settings), deadline_s=options.pop("deadline_s", 5.0), **options)
 
 
-def test_the_driver_sends_these_bytes_and_reads_these_replies(transcript, play, tmp_path):
+def test_the_voltmeter_driver_sends_the_bytes_and_reads_the_replies_of_the_transcript(transcript, play, tmp_path):
     pieces = transcript("voltmeter")
     player = play(pieces, tmp_path / "voltmeter")
 
@@ -61,7 +61,7 @@ def test_the_driver_sends_these_bytes_and_reads_these_replies(transcript, play, 
     assert readings == [0.0123000591, 0.0122998847]
 
 
-def test_the_simulated_meter_answers_the_same_bytes(transcript):
+def test_the_simulated_voltmeter_answers_as_in_the_transcript(transcript):
     core = VoltmeterCore(lambda _now: 0.0123, np.random.default_rng(3))
     expected, answered = [], []
     for piece in transcript("voltmeter"):
@@ -131,7 +131,7 @@ class Telling(InMemoryLine):
 
 @pytest.mark.computes
 @pytest.mark.parametrize("told", ["+1.2201E+00", "-1.2201E+00", "+9.9E37", "-9.9E37"])
-def test_a_conversion_beyond_a_hundred_and_twenty_percent_of_the_range_is_not_believed(told):
+def test_a_reading_beyond_120_percent_of_the_range_is_refused_as_over_range(told):
     async def scene():
         core = VoltmeterCore(lambda _now: 0.0123, np.random.default_rng(3))
         line = Telling("voltmeter", core, asyncio.get_running_loop().time)
@@ -152,7 +152,7 @@ def test_a_conversion_beyond_a_hundred_and_twenty_percent_of_the_range_is_not_be
     "+1", "1", "+0.0123", "+1.0", "+1.0E-0", "+1.0E-02OHM", "+1,0E-02", "1_0E-02", "NAN", "INF", "",
     "+1.0E-02,+1.0E-02",
 ])  # fmt: skip
-def test_what_is_not_written_like_a_conversion_is_none(told):
+def test_an_answer_that_is_not_written_like_a_reading_is_refused(told):
     """A line that noise has broken in two, or the late answer to another question, may look like a number too."""
 
     async def scene():
@@ -181,7 +181,7 @@ class Twice(VoltmeterCore):
 
 
 @pytest.mark.computes
-def test_a_reading_that_is_said_twice_is_not_taken_for_that_of_the_next_face():
+def test_a_reading_that_is_sent_twice_is_not_taken_for_that_of_the_next_face():
     async def scene():
         volts = [0.010]
         core = Twice(lambda _now: volts[0], np.random.default_rng(3))
@@ -224,7 +224,7 @@ def opened(says, **settings):
 
 
 @pytest.mark.computes
-def test_what_is_set_is_taken_for_kept_within_a_millionth_and_a_meter_that_is_opened_anew_is_not_read():
+def test_a_range_counts_as_kept_within_a_millionth_and_a_meter_is_not_read_while_it_is_reopened():
     asked = ":SENS:VOLT:DC:RANG?"
     assert opened({asked: "1.00000005E-01"}, range_v=0.1) == "has to be opened first"
     with pytest.raises(ProtocolError, match=r"did not keep its configuration: :SENS:VOLT:DC:RANG\? is answered by"):
@@ -232,7 +232,7 @@ def test_what_is_set_is_taken_for_kept_within_a_millionth_and_a_meter_that_is_op
 
 
 @pytest.mark.computes
-def test_an_answer_that_is_no_number_proves_nothing():
+def test_opening_the_voltmeter_fails_if_an_answer_is_not_a_number():
     with pytest.raises(ConnectError, match="is it on"):
         opened({"*ESE?": "noise"})
     with pytest.raises(ProtocolError, match=r":SENS:VOLT:DC:RANG\? is answered by noise"):
@@ -243,7 +243,7 @@ def test_an_answer_that_is_no_number_proves_nothing():
     ("KEITHLEY INSTRUMENTS INC.,MODEL 2000,1,A01", True), ("KEITHLEY, MODEL 2000", True), ("MODEL 2000", False),
     ("KEITHLEY,MODEL 2001,1,A01", False), ("", False),
 ])  # fmt: skip
-def test_a_model_is_the_second_word_of_its_identity(identity, right):
+def test_the_model_of_a_voltmeter_is_the_second_field_of_its_identity(identity, right):
     with contextlib.nullcontext() if right else pytest.raises(IdentityError, match="not a Keithley MODEL 2000"):
         require_model(identity)
 
@@ -263,7 +263,7 @@ def test_a_garbled_reply_is_no_reading_and_the_next_one_is_right(voltmeter_host)
     asyncio.run(scene())
 
 
-def test_a_meter_that_was_switched_off_and_on_or_set_by_hand_is_opened_anew(voltmeter_host):
+def test_a_voltmeter_that_was_restarted_or_set_by_hand_is_a_lost_link_until_it_is_reopened(voltmeter_host):
     async def scene():
         async with voltmeter_host() as host:
             meter = meter_on(host.port.link, deadline_s=1.5)
@@ -286,7 +286,7 @@ def test_a_meter_that_was_switched_off_and_on_or_set_by_hand_is_opened_anew(volt
 
 
 @pytest.mark.parametrize("pressed", PRESSED)
-def test_what_is_pressed_at_the_front_panel_is_found_within_two_minutes(pressed):
+def test_a_setting_changed_at_the_front_panel_is_noticed_within_two_minutes(pressed):
     async def scene():
         now = asyncio.get_running_loop().time
         core = VoltmeterCore(lambda _now: 0.0123, np.random.default_rng(3))
@@ -310,7 +310,7 @@ async def read_at_the_default_rhythm(meter):
         await asyncio.sleep(1.25)
 
 
-def test_who_is_not_there_silent_held_or_another_model_is_one_sentence(voltmeter_host, tmp_path):
+def test_a_missing_silent_held_or_different_voltmeter_is_refused_in_one_sentence(voltmeter_host, tmp_path):
     async def scene():
         with pytest.raises(ConnectError, match=r"there is no .*nowhere"):
             await meter_on(tmp_path / "nowhere").open()
@@ -330,7 +330,7 @@ def test_who_is_not_there_silent_held_or_another_model_is_one_sentence(voltmeter
     asyncio.run(scene())
 
 
-def test_a_pulled_cable_is_a_lost_link_and_the_same_name_works_again(voltmeter_host):
+def test_an_unplugged_cable_is_a_lost_link_and_the_same_port_name_works_after_a_replug(voltmeter_host):
     async def scene():
         async with voltmeter_host() as host:
             meter = meter_on(host.port.link)
@@ -378,7 +378,7 @@ def test_a_meter_on_gpib_behind_a_prologix_adapter_is_read(tmp_path):
     assert (adapter.clears, adapter.stuck) == (3, 0)
 
 
-def test_a_bus_or_library_that_is_not_there_is_named_with_the_remedy():
+def test_a_missing_gpib_bus_or_visa_library_is_reported_with_the_remedy():
     async def scene():
         meter = Keithley2000(visa(VisaSettings("GPIB0::16::INSTR")))
         with pytest.raises(ConnectError, match="prologix_port"):

@@ -48,18 +48,18 @@ READ = read_registers(7, 3, 0, 1)
         ("83 0B", UnreachedError, "address 7 "),
     ],
 )
-def test_a_device_that_is_busy_or_not_reached_by_its_gateway_is_silent_and_one_that_cannot_refuses(reply, error, words):
+def test_exceptions_of_busy_or_unreachable_devices_mean_unreached_and_others_mean_refused(reply, error, words):
     with pytest.raises(error, match=words):
         ask(Path(reply), READ)
 
 
-def test_one_question_waits_for_the_other_and_the_pause_after_it():
+def test_a_question_waits_for_the_reply_to_the_one_before_and_the_pause_after_it():
     path = Path("03 02 00 07")
     assert ask(path, READ, READ, READ, gap_s=0.05) == [path.reply] * 3
     assert [then - path.asked_s[0] for then in path.asked_s] == pytest.approx([0.0, 0.15, 0.3])
 
 
-def test_a_line_that_is_for_reading_writes_nothing():
+def test_a_read_only_line_refuses_to_write():
     path = Path("06 00 01 00 02")
     with pytest.raises(ValueError, match="function 6 writes"):
         ask(path, write_register(7, 1, 2))

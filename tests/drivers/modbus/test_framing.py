@@ -39,7 +39,7 @@ PUBLISHED = [
 
 
 @pytest.mark.parametrize(("request_", "sent", "came", "registers"), PUBLISHED)
-def test_published_bytes(request_, sent, came, registers):
+def test_rtu_questions_and_replies_match_published_bytes(request_, sent, came, registers):
     framing = RtuClient()
     assert framing.begin(request_) == bytes.fromhex(sent)
     assert registers_of(framing.feed(bytes.fromhex(came))) == registers
@@ -53,24 +53,24 @@ def test_a_reply_is_found_behind_bytes_that_look_like_its_beginning(noise):
     assert registers_of(framing.feed(bytes.fromhex(noise) + reply + crc16(reply))) == (500,)
 
 
-def test_a_coil_of_the_manual_is_written():
+def test_the_rtu_frame_that_writes_a_coil_is_that_of_the_manual():
     framing = RtuClient()
     frame = framing.begin(write_coil(1, 10, on=True))
     assert frame == bytes.fromhex("01 05 00 0A FF 00 AC 38")
     assert framing.feed(frame) is not None
 
 
-def test_numbers_of_the_manual():
+def test_register_values_of_the_manual_are_decoded():
     assert number((1, 0x7C4F), "int32") / 100 == 973.59
     assert number((0xFFFB,), "int16") == -5.0
 
 
 @given(some.floats(-2e9, 2e9), some.sampled_from(["int32", "float32"]), some.sampled_from(["high-first", "low-first"]))
-def test_numbers_come_back(value, kind, order):
+def test_numbers_encoded_in_registers_are_decoded_to_the_same_numbers(value, kind, order):
     assert number(words_for(value, kind, order), kind, order) == pytest.approx(value, rel=1e-6, abs=0.5)
 
 
-def test_what_a_float_says_instead_of_a_number_is_none():
+def test_nan_and_infinity_in_float_registers_are_decoded_as_nan():
     assert str(number((0x7FC0, 0), "float32")) == "nan"
     assert str(number((0x7F80, 0), "float32")) == "nan"
 
@@ -98,14 +98,14 @@ ANSWER = rtu(2, 4, 2, 0, 7)
     ],
     ids=["of another device", "of another length", "of another function", "noise", "wrong checksum", "cut off", "echo"],
 )
-def test_what_does_not_belong_to_the_question_is_passed_over(before):
+def test_rtu_bytes_that_do_not_belong_to_the_question_are_skipped(before):
     framing = RtuClient()
     framing.begin(ASKED)
     assert framing.feed(before) is None
     assert registers_of(framing.feed(ANSWER)) == (7,)
 
 
-def test_bytes_one_by_one():
+def test_an_rtu_reply_that_arrives_byte_by_byte_is_found_when_complete():
     framing = RtuClient()
     framing.begin(ASKED)
     replies = [framing.feed(bytes((byte,))) for byte in ANSWER]
@@ -113,7 +113,7 @@ def test_bytes_one_by_one():
     assert registers_of(replies[-1]) == (7,)
 
 
-def test_what_came_before_a_question_is_not_its_answer():
+def test_rtu_bytes_received_before_a_question_are_not_used_for_its_answer():
     framing = RtuClient()
     framing.begin(ASKED)
     framing.feed(ANSWER[:4])
@@ -122,20 +122,20 @@ def test_what_came_before_a_question_is_not_its_answer():
     assert framing.feed(ANSWER) is not None
 
 
-def test_an_exception_is_an_answer():
+def test_an_rtu_exception_is_taken_as_the_answer():
     framing = RtuClient()
     framing.begin(ASKED)
     reply = framing.feed(rtu(2, 0x84, 2))
     assert exception_text(reply) == "has no such register (exception 2)"
 
 
-def test_an_exception_is_found_before_a_byte_of_noise():
+def test_an_rtu_exception_that_is_followed_by_a_byte_of_noise_is_found():
     framing = RtuClient()
     framing.begin(ASKED)
     assert exception_text(framing.feed(rtu(2, 0x84, 2) + bytes(1))) == "has no such register (exception 2)"
 
 
-def test_over_tcp_a_late_reply_bears_the_number_of_its_own_question():
+def test_over_tcp_a_late_reply_to_an_earlier_question_is_ignored():
     client, server = TcpClient(), TcpServer()
     (late,) = server.feed(client.begin(ASKED), 0.0)
     (second,) = server.feed(client.begin(ASKED), 0.0)
@@ -153,20 +153,20 @@ def test_over_tcp_frames_may_be_cut_and_joined_anywhere():
 
 
 @pytest.mark.parametrize("end", [TcpClient(), TcpServer()], ids=["client", "server"])
-def test_over_tcp_what_is_no_modbus_ends_the_connection(end):
+def test_over_tcp_data_that_is_not_modbus_is_a_broken_stream(end):
     with pytest.raises(BrokenStreamError):
         end.feed(b"GET / HTTP/1.1\r\n", 0.0) if isinstance(end, TcpServer) else end.feed(b"HTTP/1.1 400 Bad\r\n")
 
 
 @given(some.binary(max_size=60))
-def test_no_garbage_makes_a_server_of_rtu_fall_over_or_answer(noise):
+def test_an_rtu_server_takes_the_next_question_after_any_noise(noise):
     server = RtuServer()
     assert all(crc16(noise) or asked for asked in server.feed(noise, 0.0))
     (asked,) = server.feed(RtuClient().begin(ASKED), 1.0)
     assert asked.request == ASKED
 
 
-def test_a_server_of_rtu_takes_questions_that_are_joined_and_split():
+def test_an_rtu_server_finds_questions_that_arrive_joined_and_split():
     server, client = RtuServer(), RtuClient()
     wanted = [ASKED, write_register(3, 1, 2), write_registers(4, 0, [1, 2, 3])]
     stream = b"".join(client.begin(each) for each in wanted)
@@ -174,7 +174,7 @@ def test_a_server_of_rtu_takes_questions_that_are_joined_and_split():
     assert [asked.request for asked in found] == wanted
 
 
-def test_what_was_cut_off_long_ago_does_not_spoil_the_next_question():
+def test_an_rtu_question_cut_off_a_second_ago_does_not_spoil_the_next_question():
     server, client = RtuServer(), RtuClient()
     server.feed(client.begin(ASKED)[:5], 0.0)
     assert [asked.request for asked in server.feed(client.begin(ASKED), 1.0)] == [ASKED]
@@ -191,9 +191,7 @@ ALL_KINDS = [
 
 
 @pytest.mark.parametrize(("client", "server"), [(RtuClient, RtuServer), (TcpClient, TcpServer)])
-def test_a_server_takes_questions_byte_by_byte_with_noise_of_one_byte_between_them_where_there_can_be_one(
-    client, server
-):
+def test_a_server_finds_questions_byte_by_byte_and_over_rtu_with_a_noise_byte_between_them(client, server):
     asking, answering = client(), server()
     noise = b"\x00" if client is RtuClient else b""
     # Bytes that look like the head of a longer question make the server wait for the rest of it.
@@ -202,7 +200,7 @@ def test_a_server_takes_questions_byte_by_byte_with_noise_of_one_byte_between_th
     assert found == ALL_KINDS
 
 
-def test_a_pause_of_a_tenth_of_a_second_ends_a_frame_of_rtu():
+def test_a_pause_of_more_than_0_1_s_ends_an_rtu_frame():
     frame = RtuClient().begin(ASKED)
     for pause_s, whole in ((0.09, True), (0.11, False)):
         server = RtuServer()
@@ -211,7 +209,7 @@ def test_a_pause_of_a_tenth_of_a_second_ends_a_frame_of_rtu():
         assert bool(server.feed(frame[5:], 50.0 + 2 * pause_s)) == whole
 
 
-def test_an_answer_is_found_behind_noise_wherever_it_is_cut():
+def test_an_rtu_answer_is_found_after_noise_wherever_it_is_cut():
     for cut in range(len(ANSWER)):
         framing = RtuClient()
         framing.begin(ASKED)
@@ -219,13 +217,13 @@ def test_an_answer_is_found_behind_noise_wherever_it_is_cut():
         assert registers_of(framing.feed(ANSWER[cut:])) == (7,)
 
 
-def test_what_comes_behind_an_answer_does_not_hide_it():
+def test_a_byte_after_an_rtu_answer_does_not_hide_it():
     framing = RtuClient()
     framing.begin(ASKED)
     assert registers_of(framing.feed(ANSWER + b"\x00")) == (7,)
 
 
-def test_over_tcp_questions_are_counted_from_one_and_never_bear_the_number_of_nobody():
+def test_over_tcp_questions_are_numbered_from_1_to_65535_and_never_0():
     client = TcpClient()
     numbers = [int.from_bytes(client.begin(ASKED)[:2], "big") for _ in range(0x10001)]
     assert numbers == [*range(1, 0x10000), 1, 2]
@@ -250,7 +248,7 @@ def test_over_tcp_the_reply_of_another_unit_is_not_taken():
         ("0001 0001 0002 02", False),
     ],
 )
-def test_over_tcp_a_head_says_at_once_whether_it_can_be_one(head, can_be):
+def test_over_tcp_a_wrong_frame_header_is_refused_as_soon_as_it_is_complete(head, can_be):
     server, data = TcpServer(), bytes.fromhex(head)
     assert server.feed(data[:-1], 0.0) == []
     if can_be:
@@ -260,19 +258,19 @@ def test_over_tcp_a_head_says_at_once_whether_it_can_be_one(head, can_be):
             server.feed(data[-1:], 0.0)
 
 
-def test_a_request_knows_its_unit():
+def test_a_read_request_has_its_unit_function_register_and_count():
     assert read_registers(9, 3, 1, 1) == ModbusRequest(9, b"\x03\x00\x01\x00\x01")
 
 
 @pytest.mark.parametrize("pdu", [b"\x07", b"\x03\x00\x00\x00\x01", b"\x10\x00\x01\x00\x01\x02\x00\x07"])
-def test_a_server_finds_questions_of_every_length_byte_by_byte(pdu):
+def test_an_rtu_server_finds_questions_of_every_length_byte_by_byte(pdu):
     server, frame = RtuServer(), rtu(9, *pdu)
     found = [server.feed(bytes((byte,)), 0.0) for byte in frame + frame]
     assert [len(asked) for asked in found] == ([0] * (len(frame) - 1) + [1]) * 2
     assert found[-1][0].request == ModbusRequest(9, pdu)
 
 
-def test_noise_is_not_kept_for_ever_and_hides_no_answer():
+def test_rtu_noise_is_buffered_only_up_to_a_limit_and_hides_no_answer():
     framing = RtuClient()
     framing.begin(ASKED)
     for _ in range(100):

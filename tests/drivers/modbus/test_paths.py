@@ -26,7 +26,7 @@ MISSED_S = 0.05
         ("/dev/serial/by-id/usb-line", None),
     ],
 )
-def test_a_lines_name_says_where_it_leads(line, where):
+def test_the_name_of_a_line_gives_its_network_endpoint_or_none_for_a_serial_port(line, where):
     assert endpoint(line) == where
 
 
@@ -36,7 +36,7 @@ LONG = "x" * 64
 @pytest.mark.parametrize(
     "line", ["tcp:host:0", "tcp:host:65536", "tcp:host", "udp:host:502", "tcp:a..b:502", f"tcp:{LONG}:502"]
 )
-def test_what_is_neither_a_port_nor_a_network_is_refused(line):
+def test_a_line_name_that_is_neither_a_serial_port_nor_a_network_endpoint_is_refused(line):
     with pytest.raises(ValueError, match=r"."):
         endpoint(line)
     with pytest.raises(ValueError, match=r"."):
@@ -101,7 +101,7 @@ def test_a_late_answer_spoils_neither_the_connection_nor_the_next_question(late_
         assert await path.exchange(READ, PATIENCE_S) == REPLY
 
 
-def test_silence_and_noise_are_told_apart_anew_for_each_question():
+def test_silence_and_noise_are_distinguished_for_each_question_by_itself():
     noise = bytes.fromhex("FFFF 0000 0002 01 83")
 
     @exchange_with(noise, b"")
@@ -115,7 +115,7 @@ def test_silence_and_noise_are_told_apart_anew_for_each_question():
         assert "sent" not in str(silent.value)
 
 
-def test_a_connection_that_ends_is_gone_for_this_question_and_the_next():
+def test_a_connection_that_ends_is_a_lost_link_for_this_question_and_the_next():
     @exchange_with("end")
     async def _(path, device):
         for _ in range(2):
@@ -123,7 +123,7 @@ def test_a_connection_that_ends_is_gone_for_this_question_and_the_next():
                 await path.exchange(READ, PATIENCE_S)
 
 
-def test_what_is_no_modbus_ends_the_connection():
+def test_data_that_is_not_modbus_ends_the_connection():
     @exchange_with(b"HTTP/1.1 400 Bad Request\r\n")
     async def _(path, device):
         with pytest.raises(LinkLostError):
@@ -144,7 +144,7 @@ def test_a_serial_line_has_to_be_opened_first():
         asyncio.run(path.exchange(READ, PATIENCE_S))
 
 
-def test_nobody_at_the_other_end_is_said_with_place_and_reason():
+def test_a_refused_connection_is_reported_with_its_port_and_the_reason():
     async def refused():
         server = await asyncio.start_server(lambda *_: None, "127.0.0.1", 0)
         port = server.sockets[0].getsockname()[1]

@@ -21,7 +21,7 @@ from drivers.modbus.pdu import belongs, exception_text, number, words_for, words
     ("uint32", -5.0, (0, 0)),
     ("float32", 1.5, (0x3FC0, 0)),
 ])  # fmt: skip
-def test_a_number_is_written_or_becomes_the_nearest_that_its_type_has(kind, value, words):
+def test_a_number_is_encoded_or_clamped_to_the_nearest_value_of_its_register_type(kind, value, words):
     assert words_for(value, kind) == words
     assert words_for(value, kind, "low-first") == tuple(reversed(words))
     assert words_for(number(words, kind), kind) == words
@@ -29,7 +29,7 @@ def test_a_number_is_written_or_becomes_the_nearest_that_its_type_has(kind, valu
 
 
 @pytest.mark.parametrize("words", [(0x7FC0, 0), (0x7F80, 0), (0xFF80, 0)])
-def test_what_is_no_finite_number_is_none(words):
+def test_nan_and_infinity_in_float_registers_are_read_as_nan(words):
     assert math.isnan(number(words, "float32"))
 
 
@@ -54,7 +54,7 @@ def test_what_is_no_finite_number_is_none(words):
     ("10 0000 0002 04 000A 000B", "10 0000 0003", False),
     ("2B 0E 01 00", "2B 0E 01 00", False),
 ])  # fmt: skip
-def test_a_reply_belongs_to_its_question_by_function_length_and_what_it_echoes(request_, reply, its_own):
+def test_a_reply_is_matched_to_its_question_by_function_length_and_echoed_fields(request_, reply, its_own):
     assert belongs(bytes.fromhex(request_), bytes.fromhex(reply)) == its_own
 
 
@@ -70,10 +70,10 @@ def test_a_reply_belongs_to_its_question_by_function_length_and_what_it_echoes(r
     ("83 0B", "does not answer the gateway (exception 11)"),
     ("03 02 0001", ""),
 ])  # fmt: skip
-def test_an_exception_is_said_in_words(reply, text):
+def test_a_modbus_exception_is_described_in_words(reply, text):
     assert exception_text(bytes.fromhex(reply)) == text
 
 
-def test_how_many_registers_a_number_takes():
+def test_a_number_takes_one_register_if_it_has_16_bits_and_two_if_it_has_32():
     kinds = ("int16", "uint16", "int32", "uint32", "float32")
     assert [words_of(kind) for kind in kinds] == [1, 1, 2, 2, 2]

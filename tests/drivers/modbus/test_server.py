@@ -57,7 +57,7 @@ WRONG = {
 }
 
 
-def test_what_is_right_is_answered():
+def test_valid_questions_are_answered():
     answers = {question: answer(Table(), bytes.fromhex(question)) for question in RIGHT}
     assert answers == {question: bytes.fromhex(reply) for question, reply in RIGHT.items()}
 
@@ -69,7 +69,7 @@ def test_a_table_is_told_by_which_function_it_is_written(question):
     assert table.written_by == asked[0]
 
 
-def test_what_is_written_is_there():
+def test_written_registers_and_coils_are_stored():
     table = Table()
     answer(table, bytes.fromhex("10 0000 0002 04 000A 000B"))
     answer(table, bytes.fromhex("0F 0000 000A 02 0502"))
@@ -88,12 +88,12 @@ def test_coils_are_written_bit_by_bit(count, data):
     assert answer(table, bytes((0x0F, 0, 0, 0, count, len(sent) + 1)) + sent + b"\0") == bytes((0x8F, ILLEGAL_VALUE))
 
 
-def test_what_is_wrong_gets_its_exception():
+def test_invalid_questions_are_answered_with_the_right_exception():
     answers = {question: answer(Table(), bytes.fromhex(question)) for question in WRONG}
     assert answers == {question: bytes((bytes.fromhex(question)[0] | 0x80, code)) for question, code in WRONG.items()}
 
 
-def test_a_table_may_keep_silent():
+def test_a_question_that_the_table_leaves_unanswered_gets_no_reply():
     assert answer(Table(), bytes.fromhex("03 0009 0001")) is None
 
 
@@ -122,14 +122,14 @@ class Wide:
     ("05 0004 FF00", (5, 4, (True,))),
     ("05 0004 0000", (5, 4, (False,))),
 ])  # fmt: skip
-def test_one_register_or_coil_is_written(question, written):
+def test_functions_5_and_6_write_a_single_coil_or_register(question, written):
     table = Wide()
     assert answer(table, bytes.fromhex(question)) == bytes.fromhex(question)
     assert table.written == written
 
 
 @pytest.mark.parametrize(("function", "most"), [(1, 2000), (2, 2000), (3, 125), (4, 125), (15, 1968), (16, 123)])
-def test_as_many_as_the_standard_allows_and_not_one_more(function, most):
+def test_counts_up_to_the_limit_of_the_standard_are_accepted_and_one_more_is_refused(function, most):
     def asked(count):
         question = struct.pack(">BHH", function, 0, count)
         if function < 15:

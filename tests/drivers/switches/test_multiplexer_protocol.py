@@ -36,7 +36,7 @@ def selected(server):
     return server.core.selected(server._now())
 
 
-def test_each_input_is_one_write_of_these_values(transcript):
+def test_the_multiplexer_driver_selects_each_input_by_one_write_as_in_the_transcript(transcript):
     pieces = transcript("multiplexer")
 
     async def scene():
@@ -54,7 +54,7 @@ def test_each_input_is_one_write_of_these_values(transcript):
     asyncio.run(scene())
 
 
-def test_the_simulated_switch_selects_each_input_by_the_same_values(transcript):
+def test_the_simulated_multiplexer_selects_each_input_by_the_values_of_the_transcript(transcript):
     core = MultiplexerCore(lambda channel, _now: float(channel), latency_s=0.0)
     for channel, piece in enumerate(transcript("multiplexer")):
         core.write(int(piece.data), piece.time_s)
@@ -62,7 +62,7 @@ def test_the_simulated_switch_selects_each_input_by_the_same_values(transcript):
 
 
 @pytest.mark.parametrize(("enable", "level"), [("active-low", False), ("active-high", True)])
-def test_wiring_and_enable_are_configuration(enable, level):
+def test_the_address_wiring_and_the_enable_line_can_be_configured(enable, level):
     async def scene():
         async with ni_server(enable=enable, address_lines=(2, 1, 0)) as server:
             addresses = (0, 4, 2, 6, 1, 5, 3, 7)
@@ -78,7 +78,7 @@ def test_wiring_and_enable_are_configuration(enable, level):
     asyncio.run(scene())
 
 
-def test_a_device_that_is_gone_is_a_lost_link_and_is_built_anew():
+def test_an_unplugged_multiplexer_is_a_lost_link_and_works_again_after_reopening():
     async def scene():
         async with ni_server() as server:
             multiplexer = multiplexer_at(server)
@@ -102,7 +102,7 @@ def test_a_device_that_is_gone_is_a_lost_link_and_is_built_anew():
 
 
 @pytest.mark.live
-def test_a_server_that_ends_or_hangs_is_a_lost_link_within_the_deadline():
+def test_an_ni_server_that_ends_or_hangs_is_a_lost_link_within_the_deadline():
     async def scene():
         async with ni_server() as server:
             multiplexer = multiplexer_at(server, deadline_s=1.5)
@@ -144,7 +144,7 @@ def test_the_session_of_a_program_that_died_is_taken_over():
     asyncio.run(scene())
 
 
-def test_lines_that_another_program_holds_are_named_and_free_again_when_it_ends():
+def test_digital_lines_held_by_another_program_are_refused_by_name_until_they_are_released():
     async def scene():
         async with ni_server() as server:
             other = multiplexer_at(server, addresses=(0, 1))
@@ -174,7 +174,7 @@ def test_lines_that_another_program_holds_are_named_and_free_again_when_it_ends(
     asyncio.run(scene())
 
 
-def test_the_mock_server_takes_no_value_for_a_task_that_does_not_run_and_no_two_at_once():
+def test_the_mock_ni_server_refuses_a_value_for_a_stopped_task_and_two_values_at_once():
     def write(server, value, *, start):
         with grpc.insecure_channel(f"127.0.0.1:{server.port}") as channel:
             options = nidaqmx.GrpcSessionOptions(channel, "hasty")
@@ -197,7 +197,7 @@ def test_the_mock_server_takes_no_value_for_a_task_that_does_not_run_and_no_two_
     asyncio.run(scene())
 
 
-def test_a_wrong_name_and_a_missing_driver_are_one_sentence():
+def test_a_wrong_port_name_and_a_missing_ni_driver_are_each_refused_in_one_sentence():
     async def scene():
         async with ni_server() as server:
             with pytest.raises(ConnectError, match="no device for Dev9/port0/line0:2"):

@@ -56,7 +56,7 @@ async def mbpoll(*arguments):
 
 @needs_mbpoll
 @pytest.mark.live
-def test_mbpoll_reads_and_writes(tmp_path):
+def test_mbpoll_reads_the_simulated_sensors_over_tcp_and_a_serial_line(tmp_path):
     async def work():
         async with served(tmp_path) as host:
             tcp = ("-m", "tcp", "-p", host.tcp_port)
@@ -81,7 +81,7 @@ def test_mbpoll_reads_and_writes(tmp_path):
     assert nobody == []
 
 
-def test_pymodbus_reads_and_writes(tmp_path):
+def test_pymodbus_reads_and_writes_the_simulated_sensors_over_tcp_and_reads_a_serial_line(tmp_path):
     async def work():
         async with served(tmp_path) as host:
             client = AsyncModbusTcpClient("127.0.0.1", port=host.tcp_port, timeout=5, retries=0)
@@ -124,7 +124,7 @@ def test_a_reply_that_was_sent_leaves_no_timer_behind(tmp_path):
 
 
 @pytest.mark.live
-def test_our_driver_on_the_same_line_and_the_cable_pulled(tmp_path):
+def test_the_pyranometer_driver_reads_all_faces_before_and_after_its_cable_was_pulled(tmp_path):
     keys = {"line": str(tmp_path / "cube"), "serial_form": "8N1", "answer_within_s": 5.0}
     keys |= {"west": {"make": "hukseflux", "serial": 103}, "zenith": {"make": "apogee"}}
 

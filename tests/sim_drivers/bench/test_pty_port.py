@@ -76,7 +76,7 @@ def test_bytes_go_both_ways_and_again_for_the_next_user(on_port):
     on_port(scene)
 
 
-def test_what_a_user_says_before_leaving_arrives(on_port):
+def test_bytes_that_a_user_writes_just_before_closing_the_port_arrive(on_port):
     async def scene(rig):
         user = rig.open()
         os.write(user, b"stop")
@@ -86,7 +86,7 @@ def test_what_a_user_says_before_leaving_arrives(on_port):
     on_port(scene)
 
 
-def test_nothing_is_kept_for_a_user_who_is_not_there_yet(on_port):
+def test_bytes_sent_while_nobody_has_the_port_open_are_dropped(on_port):
     async def scene(rig):
         assert not rig.port.send(b"stale")
         user = rig.open()
@@ -97,7 +97,7 @@ def test_nothing_is_kept_for_a_user_who_is_not_there_yet(on_port):
     on_port(scene)
 
 
-def test_what_one_user_left_unread_does_not_reach_the_next(on_port):
+def test_bytes_that_one_user_left_unread_do_not_reach_the_next_user(on_port):
     async def scene(rig):
         first = rig.open()
         os.write(first, b"here")
@@ -113,7 +113,7 @@ def test_what_one_user_left_unread_does_not_reach_the_next(on_port):
     on_port(scene)
 
 
-def test_what_finds_no_room_with_a_user_who_does_not_read_is_lost(on_port):
+def test_bytes_that_find_no_room_because_the_user_does_not_read_are_lost(on_port):
     async def scene(rig):
         user = rig.open()
         while rig.port.send(b"x" * 64):
@@ -140,7 +140,7 @@ def test_a_paused_port_takes_in_nothing_until_it_is_resumed(on_port):
     on_port(scene)
 
 
-def test_a_fresh_port_echoes_and_forgets_a_former_users_mode_at_a_replug(on_port):
+def test_a_replugged_port_echoes_again_and_forgets_the_mode_of_its_former_user(on_port):
     async def scene(rig):
         user = rig.open()
         assert not termios.tcgetattr(user)[3] & termios.ECHO

@@ -57,7 +57,7 @@ def agilent(**options):
     return talk
 
 
-def test_each_make_says_who_it_is_with_its_own_line_end():
+def test_each_make_of_load_answers_its_identity_with_its_own_line_end():
     assert Talk().core.feed(b"*IDN?\n", 0.0)[0][1] == b"CHROMA,63600-5,636000001234,1.20\n"
     assert Talk("agilent6063b").core.feed(b"*IDN?\n", 0.0)[0][1] == b"HEWLETT-PACKARD,6063B,0,A.02.01\r\n"
 
@@ -69,7 +69,7 @@ def test_with_the_input_off_the_module_is_in_open_circuit():
 
 
 @given(st.floats(5.0, 37.0))
-def test_the_load_holds_the_voltage_it_was_told_and_draws_what_the_module_gives_there(level_v):
+def test_the_load_keeps_the_set_voltage_and_draws_the_current_of_the_module_at_it(level_v):
     talk = chroma()
     talk.say(f"VOLT:STAT:L1 {level_v:.3f};:LOAD ON")
     expected = float(curve(Q_PEAK_G4_1_305, 800.0, 40.0, level_v))
@@ -95,7 +95,7 @@ def test_the_voltage_does_not_go_below_what_the_transistors_can_hold():
     assert float(talk.ask("VOLT?")) == 1.0
 
 
-def test_a_measurement_that_comes_too_early_is_of_a_voltage_that_is_still_moving():
+def test_a_measurement_too_early_after_a_change_of_voltage_reads_a_voltage_that_still_settles():
     talk = chroma()
     talk.say("VOLT:STAT:L1 30;:LOAD ON")
     assert talk.numbers("MEAS:VOLT?", wait_s=0.001)[0] > 31.0
@@ -114,7 +114,7 @@ def test_a_change_of_mode_drops_the_input_for_a_moment_and_leaves_it_on(make, mo
     assert talk.numbers("MEAS:CURR?")[0] > 5.0
 
 
-def test_too_much_power_latches_until_it_is_cleared():
+def test_the_overpower_protection_latches_until_it_is_cleared():
     talk = agilent(source=Module(1000.0, 20.0))
     talk.say("VOLT 32;:INP ON")
     talk.ask("MEAS:CURR?")
@@ -127,7 +127,7 @@ def test_too_much_power_latches_until_it_is_cleared():
     assert talk.numbers("MEAS:CURR?")[0] > 9.0
 
 
-def test_the_6063b_draws_no_more_than_its_rating_and_the_module_goes_up_to_where_it_gives_that():
+def test_the_6063b_draws_no_more_than_its_rated_current_and_the_module_voltage_rises():
     talk = agilent(source=Module(1150.0, 25.0, scale=0.5))
     talk.say("VOLT 5;:INP ON")
     voltage_v, current_a = talk.numbers("MEAS:VOLT?;CURR?")
@@ -135,13 +135,13 @@ def test_the_6063b_draws_no_more_than_its_rating_and_the_module_goes_up_to_where
     assert voltage_v > 12.0
 
 
-def test_a_voltage_beyond_the_load_is_9_9e37_and_trips():
+def test_a_voltage_beyond_the_range_of_the_load_reads_9_9e37_and_trips_its_protection():
     talk = chroma(source=Module(scale=4.0))
     assert talk.ask("MEAS:VOLT?") == "9.9E+37"
     assert int(talk.ask("LOAD:PROT?")) == 2
 
 
-def test_modules_with_one_input_take_every_other_channel_and_the_others_are_refused():
+def test_single_input_load_modules_take_every_other_channel_and_the_others_are_refused():
     talk = chroma(channel=3)
     assert talk.ask("CHAN?") == "1"
     assert talk.numbers("MEAS:VOLT?")[0] == 0.0
@@ -158,7 +158,7 @@ def test_modules_with_one_input_take_every_other_channel_and_the_others_are_refu
 @pytest.mark.parametrize(
     "line", ["VOLTT 3", "VOLT:STAT:L1", "VOLT:STAT:L1 x", "VOLT:STAT:L1 999", "INP ON", "?", ";;:"]
 )
-def test_what_is_not_understood_changes_nothing_and_is_noted(line):
+def test_an_invalid_command_is_not_answered_and_changes_neither_level_nor_input(line):
     talk = chroma()
     talk.say("*CLS")
     level = talk.core.level_v
@@ -167,7 +167,7 @@ def test_what_is_not_understood_changes_nothing_and_is_noted(line):
     assert not talk.core.on
 
 
-def test_the_front_of_the_error_queue_names_the_error():
+def test_the_error_queue_names_the_error_of_an_unknown_command():
     talk = agilent()
     talk.say("*CLS")
     talk.say("NONSENSE 3")
@@ -175,7 +175,7 @@ def test_the_front_of_the_error_queue_names_the_error():
     assert int(talk.ask("*ESR?")) == 32
 
 
-def test_control_c_makes_it_forget_half_a_line():
+def test_control_c_discards_a_half_received_line():
     talk = chroma()
     talk.core.feed(b"LOAD O", talk.now)
     talk.core.feed(b"\x03", talk.now)
@@ -194,7 +194,7 @@ def test_a_power_cycle_leaves_the_input_off_and_nothing_latched():
 
 
 @given(st.binary(max_size=40))
-def test_no_bytes_whatever_break_it(data):
+def test_random_bytes_never_break_the_simulated_load(data):
     talk = chroma()
     talk.core.feed(data, talk.now)
     talk.core.feed(b"\n\x03", talk.now)

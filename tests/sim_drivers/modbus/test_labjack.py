@@ -33,7 +33,7 @@ def device(product=7):
         (7, 60000, (0, 0)),
     ],
 )
-def test_what_a_real_one_does_not_take_is_refused(product, register, words):
+def test_the_simulated_labjack_refuses_writes_that_a_real_one_does_not_take(product, register, words):
     with pytest.raises(RefusedRequestError):
         device(product).write(16, register, words)
 
@@ -47,19 +47,19 @@ def test_a_t8_ignores_negative_channel_and_settling_time():
 
 
 @pytest.mark.parametrize(("register", "count"), [(0, 1), (1, 2), (40001, 1), (60000, 3), (28, 2)])
-def test_half_a_value_is_not_told(register, count):
+def test_reading_part_of_a_value_or_beyond_the_inputs_is_refused(register, count):
     with pytest.raises(RefusedRequestError):
         device().read(3, register, count)
 
 
-def test_against_ground_an_input_reads_what_the_resistor_drops_as_well():
+def test_an_input_read_against_ground_includes_the_voltage_drop_of_the_ground_resistor():
     labjack = device()
     against_ground_v = number(labjack.read(3, 4, 2), "float32")
     labjack.write(16, 41002, (3,))
     assert against_ground_v - number(labjack.read(3, 4, 2), "float32") == pytest.approx(0.002, abs=10 / 2**15)
 
 
-def test_a_power_cycle_forgets_what_was_set():
+def test_a_power_cycle_resets_range_and_resolution_of_the_labjack():
     labjack = device()
     labjack.write(16, 40000, words_for(0.1, "float32"))
     labjack.write(16, 41500, (8,))

@@ -22,9 +22,9 @@ def answers_after(pause_s, client, server=None):
 @pytest.mark.parametrize(
     ("pause_s", "heard"), [(0.001, 1), (REPLY_S + 0.001, 0), (REPLY_S + 0.029, 0), (REPLY_S + 0.031, 1)]
 )
-def test_a_question_soon_after_a_reply_is_missed(pause_s, heard):
+def test_sensors_on_a_serial_line_miss_a_question_that_comes_too_soon_after_a_reply(pause_s, heard):
     assert answers_after(pause_s, RtuClient()) == heard
 
 
-def test_a_box_on_the_network_keeps_the_pause_itself():
+def test_a_modbus_gateway_on_the_network_keeps_the_pause_between_questions_itself():
     assert answers_after(0.01, TcpClient(), TcpServer()) == 1

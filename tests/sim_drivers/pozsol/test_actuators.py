@@ -25,7 +25,7 @@ def test_a_triangle_that_cannot_be_built_is_refused(low, high):
         Actuator(300.0, 300.0, 90.0, low, high)
 
 
-def test_a_holder_and_a_zero_offset_change_where_an_angle_lies():
+def test_a_holder_and_a_zero_offset_change_the_position_that_belongs_to_an_angle():
     held = Actuator(300.0, 300.0, 90.0, -52.0, 52.0, holder_mm=39.6)
     assert abs(held.position_mm(20.0) - A_ACTUATOR.position_mm(20.0)) > 1.0
     assert held.angle_deg(held.position_mm(20.0)) == pytest.approx(20.0)

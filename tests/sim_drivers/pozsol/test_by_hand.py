@@ -26,7 +26,7 @@ def test_an_angle_command_takes_over_from_a_jog():
     assert core.truth(60.0).a_deg == pytest.approx(20.0, abs=0.4)
 
 
-def test_a_jog_of_b_ends_where_a_would():
+def test_a_jog_of_axis_b_ends_at_the_end_point_of_axis_a():
     shorter = Actuator(300.0, 300.0, 90.0, -52.0, 10.0)
     core = PositionerCore(setup=Setup(start=Angles(0.0, 20.0), a_actuator=shorter))
     for i in range(1000):
@@ -42,7 +42,7 @@ def test_an_unknown_action_ends_a_move_as_a_jog_that_is_not_repeated():
     assert core.truth(6.0) == core.truth(100.0)
 
 
-def test_a_button_that_is_held_drives_an_axis_and_shows_for_as_long():
+def test_a_held_button_drives_an_axis_and_shows_in_the_status_until_it_is_released():
     core = PositionerCore()
     core.inject("button", 10.0)
     assert status(core, 10.1).button_pressed
@@ -53,7 +53,7 @@ def test_a_button_that_is_held_drives_an_axis_and_shows_for_as_long():
     assert core.truth(13.0) == core.truth(100.0)
 
 
-def test_a_short_press_of_a_button_stops_nothing():
+def test_a_short_press_of_a_button_does_not_stop_a_move():
     core = PositionerCore()
     point(core, 0.0, a_deg=40.0)
     core.inject("button_in", 10.0)
@@ -61,7 +61,7 @@ def test_a_short_press_of_a_button_stops_nothing():
     assert core.truth(100.0).a_deg == pytest.approx(40.0, abs=0.4)
 
 
-def test_both_buttons_choose_the_other_axis():
+def test_pressing_both_buttons_selects_the_other_axis():
     core = PositionerCore()
     core.inject("buttons_both", 0.0)
     core.repair("buttons_both", 0.5)

@@ -10,7 +10,7 @@ from solar.frames import Angles
 from tests.sim_drivers.pozsol.exchange import CLEAR, HOME_A, HOME_B, JOG_A_OUT, STOP, TRACKING_OFF, own, status
 
 
-def test_an_idle_unit_has_one_event_left_and_then_none():
+def test_an_idle_unit_has_one_event_left_at_900_s_and_then_none():
     core = PositionerCore()
     assert core.next_event(0.0) == 900.0
     assert core.next_event(86_400.0) is None
@@ -28,7 +28,7 @@ ENDS = ((A_ACTUATOR, -1.0), (B_ACTUATOR, -1.0))
 
 
 @given(STEPS)
-def test_whatever_happens_the_axes_stay_on_their_tracks_and_the_screens_stay_readable(steps):
+def test_axes_stay_within_their_travel_and_screens_readable_after_any_commands_and_faults(steps):
     core, now = PositionerCore(setup=own(wind_stow=Angles(0.0, 90.0))), 0.0
     for wait, step in steps:
         now += wait
@@ -43,7 +43,7 @@ def test_whatever_happens_the_axes_stay_on_their_tracks_and_the_screens_stay_rea
 
 
 @given(STEPS, st.integers(1, 40))
-def test_how_often_it_is_looked_at_changes_nothing(steps, looks):
+def test_the_unit_behaves_the_same_however_often_it_is_advanced(steps, looks):
     seldom, often, now = PositionerCore(setup=own()), PositionerCore(setup=own()), 0.0
     for wait, step in steps:
         for i in range(1, looks):

@@ -9,7 +9,7 @@ from sim_drivers.pozsol.unit import SELF_CLEAR_S
 from tests.sim_drivers.pozsol.exchange import CLEAR, HOME_A, HOME_B, STOP, fields, moves, number, point, status
 
 
-def test_overcurrent_forgets_the_axis_target_and_the_other_axis_pending_move_begins():
+def test_overcurrent_discards_the_target_of_its_axis_and_the_pending_move_of_the_other_begins():
     core = PositionerCore()
     point(core, 0.0, a_deg=40.0, b_deg=50.0)
     core.inject("a_overcurrent", 5.0)
@@ -22,7 +22,7 @@ def test_overcurrent_forgets_the_axis_target_and_the_other_axis_pending_move_beg
     assert core.truth(200.0).b_deg == pytest.approx(50.0, abs=0.4)
 
 
-def test_a_stop_before_the_clearing_leaves_nothing_pending():
+def test_a_stop_before_clearing_an_overcurrent_leaves_no_move_pending():
     core = PositionerCore()
     point(core, 0.0, a_deg=40.0)
     core.inject("a_overcurrent", 10.0)
@@ -49,7 +49,7 @@ def test_a_latched_fault_clears_itself_once_15_minutes_after_power_up():
     assert status(core, 90_000.0).faults
 
 
-def test_a_target_that_was_given_up_shows_until_it_is_cleared():
+def test_a_destination_error_of_each_axis_shows_in_the_status_until_it_is_cleared():
     core = PositionerCore()
     core.inject("a_destination", 0.0)
     core.inject("b_destination", 0.0)
@@ -98,7 +98,7 @@ def test_a_broken_cable_latches_again_however_often_it_is_cleared():
     assert status(core, 6.0).faults == ()
 
 
-def test_a_switch_stuck_closed_stops_inward_moves_and_fakes_a_home():
+def test_an_end_switch_stuck_closed_stops_inward_moves_and_ends_a_reference_run_on_the_spot():
     core = PositionerCore()
     core.inject("a_switch_closed", 0.0)
     here = core.truth(0.0).a_deg
@@ -165,14 +165,14 @@ def test_a_power_cycle_stops_everything_sets_the_reset_mark_and_keeps_the_count(
     assert not status(core, 503.0).was_reset
 
 
-def test_the_unit_takes_back_its_reset_mark_by_itself_15_minutes_after_power_up():
+def test_the_reset_mark_clears_itself_15_minutes_after_power_up():
     core = PositionerCore()
     core.power_cycle(100.0, keep_position=False)
     assert status(core, 100.0 + SELF_CLEAR_S - 1.0).was_reset
     assert not status(core, 100.0 + SELF_CLEAR_S + 1.0).was_reset
 
 
-def test_an_axis_that_a_fault_has_disabled_takes_no_target_after_a_power_cycle_before_the_status_is_cleared():
+def test_an_axis_disabled_by_a_fault_takes_no_target_after_a_power_cycle_until_status_is_cleared():
     core = PositionerCore()
     point(core, 0.0, a_deg=40.0)
     core.inject("a_hall_loss", 10.0)
@@ -192,7 +192,7 @@ def test_a_fresh_unit_has_no_reset_mark():
     assert not status(PositionerCore(), 0.0).was_reset
 
 
-def test_a_deaf_unit_shows_telemetry_and_takes_no_command():
+def test_a_deaf_unit_takes_no_command_until_it_is_repaired():
     core = PositionerCore()
     core.inject("deaf", 0.0)
     point(core, 1.0, a_deg=40.0)
@@ -202,7 +202,7 @@ def test_a_deaf_unit_shows_telemetry_and_takes_no_command():
     assert core.truth(120.0).a_deg > 39.0
 
 
-def test_an_axis_may_ignore_its_targets_and_a_count_may_slip():
+def test_injected_faults_make_an_axis_ignore_its_targets_or_its_count_slip():
     core = PositionerCore()
     core.inject("a_ignores_targets", 0.0)
     before = number(core, Field.A_DESTINATION, 0.0)
@@ -216,7 +216,7 @@ def test_an_axis_may_ignore_its_targets_and_a_count_may_slip():
     assert number(core, Field.B_REMAIN, 400.0) == pytest.approx(5.0, abs=0.03)
 
 
-def test_what_it_cannot_do_is_refused_by_name():
+def test_unknown_faults_repairs_of_what_cannot_be_ended_and_backward_times_are_refused():
     core = PositionerCore()
     with pytest.raises(ValueError, match=r"no fault 'melt'.*a_overcurrent"):
         core.inject("melt", 0.0)

@@ -36,7 +36,7 @@ def test_homing_b_while_a_moves_leaves_a_without_control():
     assert status(core, 13.5).faults == ("a_hall_fault",)
 
 
-def test_homing_an_axis_that_moves_outwards_is_lost():
+def test_homing_an_axis_that_moves_outwards_ends_early_short_of_its_switch():
     core = PositionerCore()
     point(core, 0.0, a_deg=40.0)
     before = number(core, Field.A_POSITION, 3.0)
@@ -46,7 +46,7 @@ def test_homing_an_axis_that_moves_outwards_is_lost():
     assert number(core, Field.A_POSITION, 100.0) == pytest.approx(before + 3.1 - 10.0, abs=0.3)
 
 
-def test_during_homing_targets_of_that_axis_are_refused_and_those_of_the_other_are_taken_and_lost_at_its_end():
+def test_homing_refuses_targets_of_its_axis_and_loses_those_taken_by_the_other_axis_at_its_end():
     core = PositionerCore()
     core.feed(HOME_A, 0.0)
     point(core, 1.0, a_deg=20.0, b_deg=50.0)
@@ -58,7 +58,7 @@ def test_during_homing_targets_of_that_axis_are_refused_and_those_of_the_other_a
     assert core.truth(400.0).a_deg == pytest.approx(20.0, abs=0.4)
 
 
-def test_a_supply_dip_breaks_homing_off_without_a_word():
+def test_a_supply_dip_breaks_homing_off_without_any_report_in_the_status():
     core = PositionerCore()
     core.feed(HOME_A, 0.0)
     core.inject("undervoltage", 5.0)
@@ -89,7 +89,7 @@ def test_homing_gives_up_after_600_s():
     assert core.truth(601.0) == core.truth(800.0)
 
 
-def test_remain_tells_how_far_the_count_had_slipped():
+def test_the_remain_field_tells_after_homing_how_far_the_count_had_slipped():
     core = PositionerCore()
     core.inject("reset_position_lost", 0.0)
     assert number(core, Field.A_POSITION, 0.1) == 0.0
@@ -97,7 +97,7 @@ def test_remain_tells_how_far_the_count_had_slipped():
     assert number(core, Field.A_REMAIN, 200.0) == pytest.approx(-A_ACTUATOR.position_mm(0.0), abs=0.03)
 
 
-def test_a_re_reference_homes_b_unasked_and_a_not_even_if_it_is_due_as_well():
+def test_an_automatic_re_reference_homes_axis_b_but_not_axis_a_although_both_are_due():
     core = PositionerCore()
     core.inject("re_reference", 0.0)
     assert status(core, 5.0).homing

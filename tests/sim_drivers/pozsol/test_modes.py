@@ -9,7 +9,7 @@ from solar.frames import Angles
 from tests.sim_drivers.pozsol.exchange import STOP, TRACKING_OFF, fields, number, own, point, status
 
 
-def test_its_own_tracking_moves_by_itself_and_ignores_the_host_until_switched_off():
+def test_own_tracking_moves_the_axes_and_ignores_the_host_until_it_is_switched_off():
     core = PositionerCore(setup=own())
     core.inject("own_tracking", 0.0)
     assert status(core, 0.1).own_tracking
@@ -25,14 +25,14 @@ def test_its_own_tracking_moves_by_itself_and_ignores_the_host_until_switched_of
     assert core.truth(3000.0).a_deg == pytest.approx(40.0, abs=0.6)
 
 
-def test_switching_its_tracking_off_does_not_stop_a_running_motor():
+def test_switching_own_tracking_off_does_not_stop_a_running_motor():
     core = PositionerCore(setup=own())
     core.inject("own_tracking", 0.0)
     core.feed(TRACKING_OFF, 5.0)
     assert core.truth(100.0).a_deg == pytest.approx(-30.0, abs=0.4)
 
 
-def test_a_slave_that_is_led_takes_targets_and_off_puts_it_on_standby():
+def test_a_slave_unit_takes_targets_and_the_tracking_off_command_puts_it_on_standby():
     core = PositionerCore(setup=own())
     core.inject("slave_mode", 0.0)
     assert fields(core, 1.0)[Field.MODE] == b"sigma tracking"
@@ -47,7 +47,7 @@ def test_a_slave_that_is_led_takes_targets_and_off_puts_it_on_standby():
     assert fields(core, 8.0)[Field.MODE] == b"tracker ok"
 
 
-def test_wind_stows_after_half_a_second_and_is_left_after_its_hold():
+def test_wind_stow_begins_after_half_a_second_of_wind_and_ends_after_its_hold_time():
     core = PositionerCore(setup=own(wind_stow=Angles(0.0, 90.0), wind_hold_s=120.0))
     core.inject("own_tracking", 0.0)
     core.inject("wind", 200.0)
@@ -73,7 +73,7 @@ def test_a_gust_shorter_than_half_a_second_and_wind_without_a_stow_position_do_n
     assert not status(bare, 299.0).wind
 
 
-def test_snow_stows_after_ten_seconds_and_only_with_its_own_tracking_on():
+def test_snow_stow_begins_only_while_own_tracking_is_on():
     core = PositionerCore(setup=own(snow_stow=Angles(0.0, 20.0)))
     core.inject("snow", 0.0)
     assert core.truth(100.0).b_deg == pytest.approx(90.0)

@@ -28,7 +28,7 @@ def test_the_whole_working_range_is_reached_to_within_one_millimetre(a_deg, b_de
     assert -0.2 <= B_ACTUATOR.position_mm(b_deg) - B_ACTUATOR.position_mm(end.b_deg) < 1.2
 
 
-def test_a_move_takes_the_time_of_its_speed_and_ramps_and_counts_as_one_for_another_four_tenths_of_a_second():
+def test_a_move_takes_the_time_of_speed_and_ramps_and_shows_its_target_for_another_0_4_s():
     core = PositionerCore()
     start = number(core, Field.A_POSITION, 0.0)
     core.feed(encode_command(Field.A_DESTINATION, int(start) + 65), 0.001)
@@ -41,7 +41,7 @@ def test_a_move_takes_the_time_of_its_speed_and_ramps_and_counts_as_one_for_anot
     assert number(core, Field.A_DESTINATION, arrival_s + 0.5) == number(core, Field.A_POSITION, arrival_s + 0.5)
 
 
-def test_what_it_is_told_while_it_brakes_at_its_target_is_lost():
+def test_a_target_sent_while_the_axis_brakes_at_its_old_target_is_lost():
     core = PositionerCore()
     core.feed(encode_command(Field.A_DESTINATION, 239), 0.001)
     crosses_s = next(i / 100 for i in range(1, 1000) if number(core, Field.A_POSITION, i / 100) >= 239)
@@ -51,7 +51,7 @@ def test_what_it_is_told_while_it_brakes_at_its_target_is_lost():
     assert number(core, Field.A_POSITION, 60.0) == pytest.approx(239.1, abs=0.1)
 
 
-def test_b_waits_until_a_has_stopped():
+def test_axis_b_begins_its_move_only_after_axis_a_has_stopped():
     core = PositionerCore()
     now = point(core, 0.0, a_deg=10.0, b_deg=60.0)
     assert number(core, Field.B_DESTINATION, now) == int(B_ACTUATOR.position_mm(60.0))
@@ -61,14 +61,14 @@ def test_b_waits_until_a_has_stopped():
     assert core.truth(now + 200.0).b_deg == pytest.approx(60.0, abs=0.4)
 
 
-def test_a_synchronous_unit_says_so_and_takes_turns_all_the_same():
+def test_a_synchronous_unit_says_so_but_still_moves_one_axis_after_the_other():
     core = PositionerCore(setup=Setup(synchronous=True))
     now = point(core, 0.0, a_deg=10.0, b_deg=60.0)
     assert not moves(core, now + 2.0, "b")
     assert fields(core, now + 2.0)[Field.SERVICE].startswith(b"Run:synch")
 
 
-def test_a_move_smaller_than_the_dead_band_waits_until_it_is_the_axis_turn():
+def test_a_move_smaller_than_the_dead_band_keeps_its_target_but_does_not_begin():
     core = PositionerCore(setup=Setup(drive=AxisDrive(dead_band_mm=1.0)))
     before = number(core, Field.B_POSITION, 0.0)
     core.feed(encode_command(Field.B_DESTINATION, int(before)), 0.0)
@@ -85,7 +85,7 @@ def test_overshoot_leaves_the_axis_beyond_its_target_in_the_direction_of_the_mov
     assert core.next_event(200.0) == 900.0
 
 
-def test_after_a_stop_the_destination_is_the_position_and_no_bit_tells_that_the_axis_runs_out():
+def test_after_a_stop_the_destination_is_the_position_and_the_run_out_shows_in_no_status_bit():
     core = PositionerCore()
     now = point(core, 0.0, a_deg=40.0, b_deg=30.0)
     core.feed(STOP, 10.0)
@@ -101,7 +101,7 @@ def test_after_a_stop_the_destination_is_the_position_and_no_bit_tells_that_the_
     assert core.truth(now + 500.0).b_deg == pytest.approx(90.0)
 
 
-def test_on_a_reversal_it_drives_the_old_way_for_another_second():
+def test_on_a_reversal_the_axis_drives_the_old_way_for_another_second():
     core = PositionerCore()
     point(core, 0.0, a_deg=40.0)
     turn = number(core, Field.A_POSITION, 10.0)
@@ -114,13 +114,13 @@ def test_on_a_reversal_it_drives_the_old_way_for_another_second():
 
 
 @pytest.mark.parametrize(("angle_deg", "end_mm"), [(80.0, int(A_ACTUATOR.travel_mm)), (-85.0, 0)])
-def test_angles_beyond_the_range_are_silently_held_in_it(angle_deg, end_mm):
+def test_angles_beyond_the_range_are_silently_limited_to_it(angle_deg, end_mm):
     core = PositionerCore()
     point(core, 0.0, a_deg=angle_deg)
     assert number(core, Field.A_DESTINATION, 0.1) == end_mm
 
 
-def test_a_destination_beyond_the_range_is_silently_held_in_it():
+def test_a_destination_beyond_the_range_is_silently_limited_to_it():
     core = PositionerCore()
     core.feed(encode_command(Field.B_DESTINATION, 9999), 0.0)
     assert number(core, Field.B_DESTINATION, 0.1) == int(B_ACTUATOR.travel_mm)

@@ -9,7 +9,7 @@ from tests.sim_drivers.pozsol.exchange import STOP, fields, moves, number, point
 
 
 @pytest.mark.parametrize("text", [b"-5", b"-1", b"99999999999", b"-99999999999"])
-def test_a_negative_destination_becomes_the_largest_one(text):
+def test_a_negative_or_too_large_destination_becomes_the_largest_one(text):
     core = PositionerCore()
     core.feed(b"$." + text + b"\r", 0.0)
     assert number(core, Field.A_DESTINATION, 0.1) == int(A_ACTUATOR.travel_mm)
@@ -26,7 +26,7 @@ def test_numbers_are_read_as_the_c_library_reads_them(text, angle_deg):
 
 
 @pytest.mark.parametrize("text", [b"nan", b"inf", b"-INF", b"nan(5)", b"1e400", b"0x1p5000", b"-120"])
-def test_an_angle_without_a_triangle_is_the_low_end(text):
+def test_an_angle_for_which_no_triangle_exists_is_taken_as_the_low_end(text):
     core = PositionerCore()
     core.feed(b"$," + text + b"\r", 0.0)
     assert number(core, Field.A_DESTINATION, 0.1) == 0.0
@@ -54,7 +54,7 @@ def test_a_packet_longer_than_64_bytes_is_overwritten_by_its_own_end():
     assert number(core, Field.B_DESTINATION, 1.1) == int(B_ACTUATOR.position_mm(60.0))
 
 
-def test_digits_of_an_earlier_command_stay_behind_a_shorter_one_that_is_not_closed():
+def test_digits_of_an_earlier_command_remain_behind_a_shorter_one_without_a_terminator():
     core = PositionerCore()
     core.feed(b"$.205.5", 1.0)
     core.feed(b"$.30", 2.0)
@@ -73,7 +73,7 @@ def test_only_a_dollar_at_the_very_beginning_makes_a_command():
     assert number(core, Field.A_DESTINATION, 63.0) == 100.0
 
 
-def test_a_lone_dollar_carries_out_what_is_left_of_the_command_before():
+def test_a_lone_dollar_after_foreign_bytes_leaves_the_destination_unchanged():
     core = PositionerCore()
     core.feed(b"$.100\r", 1.0)
     core.feed(STOP, 2.0)
@@ -94,7 +94,7 @@ def test_the_first_packet_after_each_connection_of_the_cable_is_lost():
     assert core.truth(6.5) == core.truth(100.0)
 
 
-def test_its_own_telemetry_echoed_back_cancels_a_move():
+def test_telemetry_echoed_back_to_the_unit_cancels_a_move():
     core = PositionerCore()
     point(core, 0.0, a_deg=40.0)
     echo = core.next_screen(10.0), core.next_screen(10.0)
@@ -103,7 +103,7 @@ def test_its_own_telemetry_echoed_back_cancels_a_move():
     assert core.truth(300.0).a_deg < 15.0
 
 
-def test_its_own_slow_screens_echoed_back_change_parameters():
+def test_slow_screens_echoed_back_to_the_unit_change_its_parameters():
     core = PositionerCore()
     core.feed(b"$F299.9$G299.9", 0.0)
     assert fields(core, 0.1)[70] == b"299.9"

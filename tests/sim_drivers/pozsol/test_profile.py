@@ -14,7 +14,9 @@ SPEEDS = st.floats(-3.13, 3.13)
 
 
 @given(POSITIONS, SPEEDS, POSITIONS)
-def test_a_move_is_continuous_keeps_to_its_speed_and_ends_a_little_beyond_its_target(start, velocity, target):
+def test_a_move_is_continuous_never_exceeds_its_speed_and_ends_within_its_overshoot_of_the_target(
+    start, velocity, target
+):
     drive = AxisDrive()
     profile = drive_to(10.0, start, velocity, target, drive)
     assert abs(profile.end - target) <= drive.overshoot_mm + 1e-9

@@ -54,7 +54,7 @@ def test_the_live_screens_say_the_same_as_all_screens():
     assert all(every[code] == value for code, value in live.items())
 
 
-def test_b_shows_its_motion_where_the_layout_of_its_build_has_it():
+def test_axis_b_shows_its_motion_in_the_status_bits_of_the_configured_layout():
     core = PositionerCore(setup=Setup(b_out_bit=16))
     core.feed(HOME_B, 0.0)
     word = int(fields(core, 1.0)[Field.STATUS])

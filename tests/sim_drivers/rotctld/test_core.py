@@ -38,12 +38,12 @@ def session():
         "\n\np\n",
     ],
 )
-def test_it_answers_as_the_real_one_does(start_rotctld, session, text):
+def test_the_simulated_rotctld_answers_each_command_as_the_real_one_does(start_rotctld, session, text):
     real = start_rotctld().ask(text)
     assert session.feed(text.encode(), 0.0) == real
 
 
-def test_it_says_its_range_as_the_real_one_does(start_rotctld):
+def test_the_simulated_rotctld_reports_and_enforces_its_range_as_the_real_one_does(start_rotctld):
     turns = RotatorRange(azimuth_min_deg=-50.0, azimuth_max_deg=50.0, elevation_min_deg=15.0, elevation_max_deg=80.0)
     session = RotctldSession(RotatorCore(0.0, turns))
     real = start_rotctld("-C", "min_az=-50,max_az=50,min_el=15,max_el=80")
@@ -69,14 +69,14 @@ def test_both_axes_turn_at_once_and_stop_where_they_are(session):
         ("stopless", b"RPRT 0\n0.00\n0.00\nRPRT -11\n"),
     ],
 )
-def test_its_faults_show_as_facts_say(fault, answers):
+def test_each_fault_of_the_rotator_shows_in_the_answers_of_the_simulated_rotctld(fault, answers):
     core = RotatorCore(0.0)
     core.faults.add(fault)
     assert RotctldSession(core).feed(b"P 60 30\np\nS\n", 0.0) == answers
     assert core.destination()[0] == (60.0 if fault == "stopless" else 0.0)
 
 
-def test_a_rotator_that_is_gone_goes_on_with_what_it_was_told_before():
+def test_a_rotator_that_rotctld_cannot_reach_keeps_its_earlier_target():
     core = RotatorCore(0.0)
     session = RotctldSession(core)
     session.feed(b"P 60 30\n", 0.0)
@@ -85,7 +85,7 @@ def test_a_rotator_that_is_gone_goes_on_with_what_it_was_told_before():
     assert core.destination() == (60.0, 30.0)
 
 
-def test_clients_share_the_rotator_and_each_has_a_line_of_its_own():
+def test_clients_of_rotctld_share_the_rotator_and_each_has_a_line_buffer_of_its_own():
     core = RotatorCore(0.0)
     one, other = RotctldSession(core), RotctldSession(core)
     assert one.feed(b"+P 1", 0.0) == b""

@@ -83,14 +83,14 @@ def test_a_published_scan_gives_four_readings_with_their_channels(make):
         ("keithley2000-scan", "SYST:CARD1:IDN?", "-113"),
     ],
 )
-def test_what_a_make_does_not_know_or_cannot_do_is_an_error_of_its_queue(make, line, error):
+def test_a_command_that_a_make_does_not_know_or_cannot_do_puts_an_error_into_its_queue(make, line, error):
     core = core_of(make)
     core.feed(b"*RST\n", 0.0)
     assert ask(core, line) == []
     assert ask(core, "SYST:ERR?")[0][1].startswith(error)
 
 
-def test_a_new_configuration_takes_back_what_was_said_of_the_format():
+def test_configuring_an_agilent_34970a_anew_resets_its_reading_format():
     core = core_of("agilent34970a")
     for line in ("CONF:VOLT:DC 0.1,DEF,(@101:104)", "FORM:READ:CHAN ON", "CONF:VOLT:DC 0.1,DEF,(@101:104)"):
         ask(core, line)
@@ -100,7 +100,7 @@ def test_a_new_configuration_takes_back_what_was_said_of_the_format():
 
 
 @pytest.mark.parametrize(("between", "answers"), [("", 0), ("*WAI;", 1), ("*OPC?;", 1)])
-def test_a_scan_of_a_daq6510_goes_on_behind_the_line_unless_it_is_waited_for(between, answers):
+def test_a_daq6510_scan_is_not_finished_when_read_in_the_same_line_unless_the_line_waits_for_it(between, answers):
     core = core_of("daq6510")
     for line in PUBLISHED["daq6510"][:-3]:
         ask(core, line)
@@ -135,7 +135,7 @@ def test_a_trigger_takes_as_many_channels_as_samples_are_asked_for(count, channe
 
 
 @pytest.mark.parametrize("source", ["BUS", "EXT", "MAN"])
-def test_a_scan_waits_for_its_trigger(source):
+def test_a_scan_waits_for_its_trigger_source_and_trg_starts_only_a_scan_on_bus(source):
     core = scanning(f"TRIG:SOUR {source}")
     assert ask(core, "READ?", 1.0) == []
     ask(core, "*TRG", 2.0)
@@ -152,7 +152,7 @@ def test_another_trigger_source_silences_an_agilent_until_it_is_configured_anew(
     assert len(ask(core, "READ?", 2.0)) == 1
 
 
-def test_an_open_channel_of_a_2000_keeps_about_what_the_one_before_it_had():
+def test_an_open_channel_of_a_2000_keeps_about_the_voltage_of_the_channel_before_it():
     core = ScannerCore("keithley2000-scan", lambda channel, _now: {1: 0.05, 4: 0.01}.get(channel), rng())
     for line in PUBLISHED["keithley2000-scan"][:-1]:
         ask(core, line)
@@ -160,12 +160,12 @@ def test_an_open_channel_of_a_2000_keeps_about_what_the_one_before_it_had():
     assert 0.051 < open_v < still_open_v < 0.06
 
 
-def test_an_open_channel_of_a_meter_with_10_megohm_reads_nothing():
+def test_an_open_channel_of_a_meter_with_10_megohm_input_resistance_reads_zero():
     core = ScannerCore("agilent34970a", lambda channel, _now: {101: 0.05}.get(channel), rng())
     ask(core, "*RST")
     ask(core, "CONF:VOLT:DC 0.1,DEF,(@101:104)")
     assert float(ask(core, "READ?", 1.0)[0][1].split(",")[1]) == pytest.approx(0.0, abs=1e-5)
 
 
-def test_the_function_of_channels_is_told_in_quotes():
+def test_the_function_of_each_channel_is_answered_in_quotes():
     assert ask(core_of("daq6510"), "SENS:FUNC? (@101:102)")[0][1] == '"VOLT:DC","VOLT:DC"'

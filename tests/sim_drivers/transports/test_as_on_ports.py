@@ -42,7 +42,7 @@ def assert_same(core, pieces):
     assert [NUMBER.sub(b"#", reply) for reply in core.answered] == [NUMBER.sub(b"#", reply) for reply in expected]
 
 
-def test_the_voltmeters_line_carries_what_its_port_does(transcript):
+def test_the_voltmeter_line_in_memory_carries_the_bytes_recorded_on_its_port(transcript):
     async def scene(now):
         core = Recorded(VoltmeterCore(lambda _now: 0.0123, np.random.default_rng(3)))
         meter = Keithley2000(InMemoryLine("voltmeter", core, now))
@@ -55,7 +55,7 @@ def test_the_voltmeters_line_carries_what_its_port_does(transcript):
 
 
 @pytest.mark.parametrize("make", ["chroma63600", "agilent6063b"])
-def test_the_loads_line_carries_what_its_port_does(transcript, make):
+def test_the_load_line_in_memory_carries_the_bytes_recorded_on_its_port(transcript, make):
     async def scene(now):
         channel = 3 if make == "chroma63600" else 1
         core = Recorded(LoadCore(Module(), np.random.default_rng(3), make=make, channel=channel))
@@ -72,7 +72,7 @@ def test_the_loads_line_carries_what_its_port_does(transcript, make):
     virtually(scene)
 
 
-def test_the_multiplexers_port_takes_the_same_values(transcript):
+def test_the_multiplexer_port_in_memory_takes_the_values_recorded_on_the_real_port(transcript):
     async def scene(now):
         cube = Cube(now)
         await cube.open()

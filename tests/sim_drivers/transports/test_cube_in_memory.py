@@ -23,7 +23,7 @@ from sim_drivers.voltmeter.core import VoltmeterCore
 from tests.sim_drivers.transports.in_memory import VOLTS, Cube, virtually
 
 
-def test_a_scan_reads_each_channel_in_its_physical_time():
+def test_a_scan_reads_four_channels_in_the_time_of_settling_and_conversion():
     async def scene(now):
         cube = Cube(now)
         await cube.open()
@@ -36,7 +36,7 @@ def test_a_scan_reads_each_channel_in_its_physical_time():
     virtually(scene)
 
 
-def test_two_runs_are_alike_to_the_last_digit():
+def test_two_runs_of_the_simulated_cube_are_identical_to_the_last_digit():
     async def scene(now):
         cube = Cube(now)
         await cube.open()
@@ -61,7 +61,7 @@ def test_opening_identifies_configures_and_reads_the_configuration_back():
     virtually(scene)
 
 
-def test_a_meter_that_is_something_else_or_cannot_be_set_is_not_opened():
+def test_a_meter_of_another_model_or_one_that_rejects_its_settings_is_not_opened():
     async def scene(now):
         core = VoltmeterCore(lambda _now: 0.0, np.random.default_rng(1), identity="KEITHLEY,MODEL 2700,1,A01")
         other = Keithley2000(InMemoryLine("voltmeter", core, now))
@@ -234,7 +234,7 @@ def test_a_cable_pulled_during_an_exchange_is_noticed_in_it():
     virtually(scene)
 
 
-def test_without_its_usb_the_multiplexer_falls_back_to_its_last_input():
+def test_the_multiplexer_falls_back_to_input_7_when_its_usb_is_unplugged():
     async def scene(now):
         cube = Cube(now)
         await cube.open()
@@ -248,7 +248,7 @@ def test_without_its_usb_the_multiplexer_falls_back_to_its_last_input():
     virtually(scene)
 
 
-def test_an_error_of_the_port_ends_the_session_and_names_its_number():
+def test_a_multiplexer_port_error_ends_the_session_and_is_reported_with_its_number():
     async def scene(now):
         cube = Cube(now)
         await cube.open()
@@ -265,7 +265,7 @@ def test_an_error_of_the_port_ends_the_session_and_names_its_number():
     virtually(scene)
 
 
-def test_the_enable_line_of_the_configuration_is_that_of_the_switch():
+def test_the_multiplexer_selects_an_input_only_with_the_right_enable_level_and_an_existing_line():
     async def scene(now):
         switch = MultiplexerCore(lambda _channel, _now: 1.0, enable="active-low")
         for level, expected in ((True, None), (False, 3)):

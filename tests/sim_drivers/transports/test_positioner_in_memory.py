@@ -31,7 +31,7 @@ class Tracker:
         return self.core.truth(self.now())
 
 
-def test_the_positioner_says_who_it_is_and_that_it_is_simulated():
+def test_opening_returns_the_identity_of_the_positioner_and_that_it_is_simulated():
     async def scene(now):
         identity = await Tracker(now).positioner.open()
         assert identity.board == "36A1"
@@ -72,7 +72,7 @@ def test_a_move_returns_once_the_unit_has_taken_both_targets():
     virtually(scene)
 
 
-def test_the_destination_of_a_reference_run_is_told_from_that_of_a_move_and_its_switch_is_named():
+def test_telemetry_distinguishes_a_reference_run_from_a_move_and_names_its_end_switch():
     async def scene(now):
         tracker = Tracker(now)
         await tracker.positioner.open()
@@ -115,7 +115,7 @@ def test_targets_outside_the_limits_are_refused_before_anything_is_sent(target):
         ("deaf", "no reason"),
     ],
 )
-def test_a_silent_refusal_is_told_with_its_likely_cause(fault, cause):
+def test_a_target_that_the_unit_silently_ignores_is_refused_with_its_likely_cause(fault, cause):
     async def scene(now):
         tracker = Tracker(now, own_target=lambda _now: Angles(5.0, 80.0))
         await tracker.positioner.open()
@@ -160,7 +160,7 @@ def test_stop_in_the_middle_of_a_move_ends_it_on_the_ramp():
     virtually(scene)
 
 
-def test_a_stop_right_after_a_command_takes_its_place():
+def test_a_stop_right_after_a_move_command_replaces_it():
     async def scene(now):
         tracker = Tracker(now)
         await tracker.positioner.open()
@@ -176,7 +176,7 @@ def test_a_stop_right_after_a_command_takes_its_place():
 
 
 @pytest.mark.parametrize(("axis", "end"), [("a", (-52.0, 90.0)), ("b", (0.0, 13.0))])
-def test_homing_returns_once_it_shows_and_ends_at_the_low_switch(axis, end):
+def test_home_returns_once_telemetry_shows_the_run_and_the_axis_ends_at_its_low_switch(axis, end):
     async def scene(now):
         tracker = Tracker(now)
         await tracker.positioner.open()
@@ -268,7 +268,7 @@ def test_a_move_goes_on_with_the_link_pulled():
     virtually(scene)
 
 
-def test_the_drive_of_the_setup_sets_the_pace():
+def test_the_configured_drive_speed_determines_how_fast_the_axis_moves():
     async def scene(now):
         reached = []
         for speed in (1.6, 3.2):

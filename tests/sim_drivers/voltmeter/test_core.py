@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from tests.sim_drivers.voltmeter.exchange import READING, ask, errors, idle, meter
 
 
-def test_it_says_who_it_is_with_two_blanks_in_the_revision():
+def test_the_identity_of_the_voltmeter_has_two_blanks_in_its_revision():
     fields = ask(meter(), "*IDN?").split(",")
     assert fields[1] == "MODEL 2000"
     assert fields[3] == "A20  /A02"
@@ -43,7 +43,7 @@ def test_more_than_2048_characters_without_an_end_are_lost():
     assert core.feed(b"*OPC?;" * 300 + b"\n", 0.5) != []
 
 
-def test_a_mute_a_late_a_lossy_and_a_noisy_line():
+def test_the_line_of_the_voltmeter_can_be_made_mute_late_lossy_or_noisy():
     core = idle(meter())
     core.mute = True
     assert core.feed(b"*OPC?\n", 1.0) == []
@@ -89,7 +89,7 @@ def test_a_line_frequency_that_no_grid_has_is_refused():
 
 
 @given(st.lists(st.binary(max_size=60), max_size=20))
-def test_no_bytes_whatever_upset_it(pieces):
+def test_random_bytes_never_break_the_simulated_voltmeter(pieces):
     core = meter()
     for index, piece in enumerate(pieces):
         core.feed(piece, float(index))

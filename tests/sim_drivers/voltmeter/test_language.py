@@ -20,7 +20,7 @@ def test_long_and_short_forms_and_optional_nodes_mean_the_same(header):
 @pytest.mark.parametrize(
     "header", [":SENSE:VOLTA:NPLC", ":SENS:NPLC", "SENS2:VOLT:NPLC", ":VOLT:DC:DC:NPLC", "*IDNN", "@"]
 )
-def test_other_spellings_are_undefined(header):
+def test_other_spellings_of_a_header_are_undefined(header):
     core = idle(meter())
     assert core.feed(f"{header} 5\n".encode(), 0.5) == []
     assert errors(core) == [-113]
@@ -41,7 +41,7 @@ def test_the_path_is_kept_after_a_semicolon_and_left_with_a_colon():
     assert ask(core, ":VOLT:NPLC?;DIG?") == "3;6"
 
 
-def test_semicolons_and_commas_inside_quotes_do_not_cut():
+def test_semicolons_and_commas_inside_quotes_do_not_split_a_command():
     found, error = messages(":A 'x;y,z',2;B?")
     assert [tuple(message) for message in found] == [("A", False, ("'x;y,z'", "2")), ("B", True, ())]
     assert error == 0
@@ -77,7 +77,7 @@ def test_the_rest_of_a_line_is_dropped_at_its_first_error_and_a_bad_query_is_sil
         ("*IDN? 3", -108),
     ],
 )
-def test_each_mistake_has_its_error(line, code):
+def test_each_mistake_in_a_command_gives_its_own_error_code(line, code):
     core = idle(meter())
     assert core.feed(line.encode() + b"\n", 0.5) == []
     assert errors(core) == [code]
@@ -114,7 +114,7 @@ def test_the_function_is_answered_in_quotes():
     assert ask(core, ":SENS:FUNC?;:CONF?") == '"VOLT:DC";"VOLT:DC"'
 
 
-def test_named_limits_are_taken_for_numbers():
+def test_the_words_max_min_and_inf_are_taken_as_numbers():
     core = idle(meter())
     core.feed(b":VOLT:NPLC MAX;AVER:COUN MIN;:TRIG:COUN INF\n", 0.5)
     assert ask(core, ":VOLT:NPLC?;AVER:COUN?;:TRIG:COUN?") == "10;1;9999"

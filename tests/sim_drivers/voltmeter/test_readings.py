@@ -23,7 +23,7 @@ def test_a_frozen_meter_gives_its_last_reading_to_the_digit_until_it_thaws():
     assert float(ask(core, ":READ?", 20.0)) == pytest.approx(0.02, abs=1e-4)
 
 
-def test_a_reference_is_taken_off_every_reading_until_it_is_switched_off_or_reset():
+def test_a_reference_is_subtracted_from_every_reading_until_it_is_switched_off_or_reset():
     core = idle(meter(0.05))
     core.feed(b":SENS:VOLT:DC:REF 0.02;REF:STAT ON\n", 0.5)
     assert float(ask(core, ":READ?", 1.0)) == pytest.approx(0.03, abs=3e-6)
@@ -35,7 +35,7 @@ def test_a_reference_is_taken_off_every_reading_until_it_is_switched_off_or_rese
     assert errors(core) == []
 
 
-def test_a_factor_is_on_every_reading_until_it_is_switched_off_or_reset():
+def test_a_scale_factor_multiplies_every_reading_until_it_is_switched_off_or_reset():
     core = idle(meter(0.05))
     core.feed(b":CALC1:KMAT:MMF 10;:CALC1:STAT ON\n", 0.5)
     assert float(ask(core, ":READ?", 1.0)) == pytest.approx(0.5, abs=3e-5)
@@ -61,7 +61,9 @@ def test_a_factor_is_on_every_reading_until_it_is_switched_off_or_reset():
         (":SAMP:COUN 3", 50.0, 0.12),
     ],
 )
-def test_a_reading_takes_its_integration_autozero_filter_delay_and_count(settings, line_frequency_hz, expected_s):
+def test_a_reading_takes_the_time_of_integration_autozero_filter_delay_and_count(
+    settings, line_frequency_hz, expected_s
+):
     core = idle(meter(line_frequency_hz=line_frequency_hz))
     core.feed(settings.encode() + b"\n", 0.5)
     [(due, _)] = core.feed(b":READ?\n", 1.0)
@@ -94,7 +96,7 @@ def test_noise_falls_with_the_range_and_with_a_repeating_filter():
     assert filtered == pytest.approx(4e-6 / 5, rel=0.2)
 
 
-def test_the_same_seed_reads_the_same():
+def test_two_meters_with_the_same_seed_give_the_same_readings():
     first, second = (idle(meter()) for _ in range(2))
     for now in range(1, 2000):
         assert first.feed(b":READ?\n", float(now)) == second.feed(b":READ?\n", float(now))
@@ -109,17 +111,17 @@ def test_without_autozero_the_zero_wanders():
 
 
 @pytest.mark.parametrize(("voltage", "range_v"), [(0.13, 0.1), (1.25, 1.0), (-1.25, 1.0), (1200.0, 1000.0)])
-def test_beyond_120_percent_of_the_range_it_overflows(voltage, range_v):
+def test_a_voltage_beyond_120_percent_of_the_range_overflows(voltage, range_v):
     core = idle(meter(voltage))
     core.feed(f":SENS:VOLT:RANG {range_v}\n".encode(), 0.5)
     assert core.feed(b":READ?\n", 1.0)[0][1] == (b"+9.9E37\n" if voltage > 0 else b"-9.9E37\n")
 
 
-def test_what_cannot_be_measured_overflows():
+def test_a_voltage_that_is_not_a_number_overflows():
     assert ask(idle(meter(float("nan"))), ":READ?") == "+9.9E37"
 
 
-def test_just_below_120_percent_it_reads():
+def test_a_voltage_just_below_120_percent_of_the_range_is_read():
     core = idle(meter(0.119))
     core.feed(b":SENS:VOLT:RANG 0.1\n", 0.5)
     assert float(ask(core, ":READ?")) == pytest.approx(0.119, abs=1e-5)
@@ -152,7 +154,7 @@ def test_an_overflow_is_sent_without_unit():
     assert ask(core, ":FETC?") == "+9.9E37,0INTCHAN"
 
 
-def test_the_moving_filter_mixes_what_was_switched_and_the_repeating_one_does_not():
+def test_the_moving_filter_mixes_voltages_across_a_switch_and_the_repeating_filter_does_not():
     level = [0.0]
     core = idle(meter(lambda _now: level[0]))
     core.feed(b":SENS:VOLT:AVER:TCON MOV;COUN 10;STAT ON\n", 0.5)

@@ -7,7 +7,7 @@ import pytest
 from tests.sim_drivers.voltmeter.exchange import READING, ask, errors, idle, meter
 
 
-def test_after_power_up_it_measures_freely_and_refuses_a_read_in_silence():
+def test_after_power_up_the_meter_measures_freely_and_refuses_a_read_without_an_answer():
     core = meter()
     assert core.feed(b":READ?\n", 1.0) == []
     assert core.feed(b":INIT\n", 1.0) == []
@@ -28,7 +28,7 @@ def test_free_running_readings_repeat_until_the_next_one_is_done():
     assert float(again) == pytest.approx(0.00998, abs=3e-5)
 
 
-def test_the_power_up_format_has_units_and_channel_until_it_is_told_otherwise():
+def test_the_power_up_format_has_units_and_channel_until_another_format_is_set():
     core = meter(0.05)
     assert re.fullmatch(r"[+]\d\.\d{8}E-02VDC,0INTCHAN", ask(core, ":FETC?"))
     core.feed(b":FORM:ELEM READ,UNIT\n", 1.0)
@@ -55,7 +55,7 @@ def test_a_command_during_a_measurement_waits_until_it_is_done():
     assert core.feed(b":READ?\n", 1.002)[0][0] == pytest.approx(1.08)
 
 
-def test_a_bus_trigger_lets_the_reading_go():
+def test_a_reading_with_bus_trigger_starts_only_at_the_trigger():
     core = idle(meter())
     core.feed(b":TRIG:SOUR BUS\n", 0.5)
     assert core.feed(b":READ?\n", 1.0) == []

@@ -15,7 +15,7 @@ def clouds(utc_s):
     return 500.0 + 200.0 * np.sin(utc_s / 97.0) + 100.0 * np.sin(utc_s / 41.0 + 1.0)
 
 
-def test_means_are_over_the_readings_that_are_there():
+def test_block_means_are_taken_over_the_readings_that_exist():
     utc_s = np.array([0.0, 10.0, 50.0, 60.0, 200.0])
     middles, means = block_means(
         utc_s, np.array([[1.0, 2.0], [2.0, np.nan], [3.0, 4.0], [5.0, 6.0], [7.0, np.nan]]), 60.0
@@ -26,7 +26,7 @@ def test_means_are_over_the_readings_that_are_there():
     assert (middles.shape, means.shape) == ((0,), (0, 4))
 
 
-def test_a_clear_day_is_clear_whatever_the_gain_and_a_cloudy_one_is_not():
+def test_a_clear_day_is_selected_despite_a_gain_10_percent_too_low_and_a_cloudy_one_is_not():
     utc_s = MIDNIGHT + np.arange(0.0, 86400.0, 60.0)
     clear, _, _ = clear_sky_ghi(SIRTA, utc_s)
     high = clear_and_stable(utc_s, clear, SIRTA)
@@ -40,7 +40,7 @@ def test_a_clear_day_is_clear_whatever_the_gain_and_a_cloudy_one_is_not():
     assert not clear_and_stable(utc_s[:2], clear[:2], SIRTA).any()
 
 
-def test_the_night_offset_is_the_median_of_the_dark():
+def test_the_night_offset_is_the_median_of_the_dark_readings_and_nan_without_any():
     utc_s = MIDNIGHT + np.arange(0.0, 86400.0, 60.0)
     readings = np.where(utc_s < MIDNIGHT + 3 * 3600.0, 0.05, 40.0)[:, None] * [1.0, -1.0]
     readings[0] = 30.0, 30.0
@@ -62,7 +62,7 @@ def test_night_begins_six_degrees_below_the_horizon():
     assert count == np.count_nonzero(elevation_deg < -6.0)
 
 
-def test_readings_of_half_an_hour_at_night_count_as_one():
+def test_in_the_error_of_the_night_offset_the_readings_of_half_an_hour_count_as_one():
     utc_s = MIDNIGHT + np.arange(0.0, 3 * 3600.0, 60.0)
     strays = np.where(np.arange(utc_s.size) % 2, 0.01, -0.01)[:, None] * [1.0, 3.0]
     _, error, _ = night_offset(utc_s, 0.05 + strays, SIRTA)
@@ -71,14 +71,14 @@ def test_readings_of_half_an_hour_at_night_count_as_one():
 
 
 @pytest.mark.parametrize(("share", "stable"), [(0.79, False), (0.81, True), (1.24, True), (1.26, False)])
-def test_a_sensor_may_be_a_quarter_wrong_and_no_more(share, stable):
+def test_readings_from_0_8_to_1_25_of_the_clear_sky_are_accepted_as_clear_and_no_others(share, stable):
     utc_s = MIDNIGHT + np.arange(36_000.0, 50_400.0, 60.0)
     clear, _, _ = clear_sky_ghi(SIRTA, utc_s)
     assert clear_and_stable(utc_s, share * clear, SIRTA)[60:180].all() == stable
 
 
 @pytest.mark.parametrize(("percent", "stable"), [(0.99, True), (1.01, False)])
-def test_a_percent_of_spread_in_half_an_hour_is_the_most(percent, stable):
+def test_a_sky_counts_as_stable_up_to_1_percent_of_spread_in_half_an_hour(percent, stable):
     utc_s = MIDNIGHT + np.arange(36_000.0, 50_400.0, 60.0)
     clear, _, _ = clear_sky_ghi(SIRTA, utc_s)
     wave = 1.0 + percent / 100.0 * np.where(np.arange(utc_s.size) % 2, 1.0, -1.0)
@@ -86,14 +86,14 @@ def test_a_percent_of_spread_in_half_an_hour_is_the_most(percent, stable):
 
 
 @pytest.mark.parametrize(("missing", "stable"), [(6, True), (7, True), (8, False)])
-def test_four_fifths_of_half_an_hour_must_be_there(missing, stable):
+def test_a_sky_counts_as_stable_only_with_four_fifths_of_the_half_hours_readings_present(missing, stable):
     utc_s = MIDNIGHT + np.arange(36_000.0, 50_400.0, 60.0)
     clear, _, _ = clear_sky_ghi(SIRTA, utc_s)
     clear[105 : 105 + missing] = np.nan
     assert clear_and_stable(utc_s, clear, SIRTA)[[104, 105 + missing]].all() == stable
 
 
-def test_the_sun_must_be_ten_degrees_up():
+def test_clear_sky_is_selected_only_with_the_sun_at_least_10_degrees_up():
     utc_s = MIDNIGHT + np.arange(0.0, 86_400.0, 60.0)
     clear, _, _ = clear_sky_ghi(SIRTA, utc_s)
     high = sun_position(utc_s, *SIRTA).elevation_deg[clear_and_stable(utc_s, clear, SIRTA)]
@@ -101,34 +101,34 @@ def test_the_sun_must_be_ten_degrees_up():
 
 
 @pytest.mark.parametrize("ahead_s", [-90.0, -7.5, 0.0, 37.0, 200.0])
-def test_clouds_tell_how_far_a_clock_is_ahead(ahead_s):
+def test_the_lag_between_two_clocks_is_found_from_passing_clouds(ahead_s):
     reference, sensor = np.arange(0.0, 7200.0, 10.0), np.arange(3.0, 7200.0, 5.0)
     found = lag_s(reference, clouds(reference), sensor + ahead_s, 0.1 * clouds(sensor))
     assert found == pytest.approx(ahead_s, abs=1.0)
 
 
 @pytest.mark.parametrize(("first", "second"), [((0.0, 7200.0), (0.0, 2400.0)), ((0.0, 7200.0), (6000.0, 7200.0))])
-def test_only_the_time_that_both_were_there_tells_the_lag(first, second):
+def test_the_lag_is_found_from_the_time_that_both_series_cover(first, second):
     for reference_s, sensor_s in ((first, second), (second, first)):
         reference, sensor = np.arange(*reference_s, 10.0), np.arange(*sensor_s, 10.0)
         found = lag_s(reference, clouds(reference), sensor + 37.0, clouds(sensor))
         assert found == pytest.approx(37.0, abs=1.0)
 
 
-def test_readings_of_every_second_are_searched_second_by_second():
+def test_the_lag_between_readings_of_every_second_is_found_to_a_tenth_of_a_second():
     utc_s = np.arange(0.0, 3600.0)
     assert lag_s(utc_s, clouds(utc_s), utc_s + 2.3, clouds(utc_s), largest_s=3.0) == pytest.approx(2.3, abs=0.1)
 
 
 @pytest.mark.parametrize("step_s", [10.0, 60.0])
-def test_slow_readings_do_not_draw_the_lag_to_whole_steps(step_s):
+def test_the_lag_between_slow_readings_is_not_biased_to_whole_steps(step_s):
     sky = Scene(SIRTA, GeneratedWeather("variable", SIRTA, 1))
     utc_s = MIDNIGHT + np.arange(0.0, 86400.0, step_s)
     ghi = np.array([sky.irradiances(now).zenith_w_m2 for now in utc_s.tolist()])
     assert lag_s(utc_s, ghi, utc_s + 37.0, 0.1 * ghi) == pytest.approx(37.0, abs=0.05 * step_s)
 
 
-def test_a_steady_sky_tells_no_lag():
+def test_no_lag_is_found_under_a_steady_sky_or_from_five_readings():
     utc_s = np.arange(0.0, 7200.0, 10.0)
     noise = np.random.default_rng(1).standard_normal((2, utc_s.size))
     assert np.isnan(lag_s(utc_s, 500.0 + noise[0], utc_s, 50.0 + noise[1]))
@@ -136,14 +136,14 @@ def test_a_steady_sky_tells_no_lag():
     assert np.isnan(lag_s(utc_s[:5], clouds(utc_s[:5]), utc_s[:5], clouds(utc_s[:5])))
 
 
-def test_a_drift_of_the_sensor_does_not_hide_the_clouds():
+def test_the_lag_is_found_from_the_clouds_in_spite_of_a_drift_of_the_sensor():
     utc_s = np.arange(0.0, 7200.0, 10.0)
     found = lag_s(utc_s, clouds(utc_s), utc_s + 37.0, 0.1 * clouds(utc_s) + 0.1 * utc_s)
     assert found == pytest.approx(37.0, abs=1.0)
 
 
 @pytest.mark.parametrize(("lasts_s", "tells"), [(640.0, False), (760.0, True)])
-def test_what_is_left_between_both_largest_lags_has_to_be_long_enough(lasts_s, tells):
+def test_a_lag_is_found_only_if_the_series_are_long_enough_for_the_largest_lag_on_both_sides(lasts_s, tells):
     utc_s = np.arange(0.0, lasts_s, 10.0)
     found = lag_s(utc_s, clouds(utc_s), utc_s, clouds(utc_s))
     assert found == pytest.approx(0.0, abs=1.0) if tells else np.isnan(found)
@@ -152,14 +152,14 @@ def test_what_is_left_between_both_largest_lags_has_to_be_long_enough(lasts_s, t
 
 
 @pytest.mark.parametrize(("count", "tells"), [(19, False), (20, True)])
-def test_fewer_than_twenty_readings_tell_no_lag(count, tells):
+def test_fewer_than_twenty_readings_give_no_lag(count, tells):
     many, few = np.arange(0.0, 7200.0, 10.0), np.linspace(0.0, 7190.0, count)
     for first, second in ((few, many), (many, few)):
         found = lag_s(first, first % 3000.0, second, second % 3000.0, largest_s=1500.0)
         assert np.isfinite(found) == tells
 
 
-def test_a_lag_at_the_end_of_what_is_searched_is_none():
+def test_a_lag_at_the_edge_of_the_searched_range_is_rejected():
     utc_s = np.arange(0.0, 3600.0, 5.0)
     assert np.isnan(lag_s(utc_s, clouds(utc_s), utc_s + 60.0, clouds(utc_s), largest_s=60.0))
     assert np.isfinite(lag_s(utc_s, clouds(utc_s), utc_s + 50.0, clouds(utc_s), largest_s=60.0))
@@ -168,7 +168,7 @@ def test_a_lag_at_the_end_of_what_is_searched_is_none():
 @pytest.mark.parametrize(
     ("per_series", "volts", "used"), [(4, 50.0, 0), (5, 50.0, 3), (5, 0.1, 3), (5, 0.0, 0), (5, -1.0, 0)]
 )
-def test_a_series_has_five_readings_and_some_light(per_series, volts, used):
+def test_a_series_counts_only_with_five_readings_and_a_positive_voltage(per_series, volts, used):
     utc_s = np.concatenate([1200.0 * place + np.arange(per_series) for place in range(3)])
     if used:
         found = series_gain(utc_s, np.full(utc_s.size, 500.0), np.full(utc_s.size, volts))
@@ -179,7 +179,7 @@ def test_a_series_has_five_readings_and_some_light(per_series, volts, used):
 
 
 @pytest.mark.parametrize(("off", "kept"), [(0.019, True), (0.021, False), (-0.019, True), (-0.021, False)])
-def test_a_series_may_stray_by_two_percent_of_the_others(off, kept):
+def test_a_series_is_kept_within_2_percent_of_the_others_and_dropped_beyond(off, kept):
     found = series_gain(*series([10.0] * 300 + [10.0 * (1.0 + off)]))
     assert found.kept[-1] == kept
 
@@ -196,7 +196,7 @@ def test_the_gain_is_the_mean_of_the_series_with_students_interval():
     assert found.gain_w_m2_per_mv.half_width == pytest.approx(4.302653 * 0.1 / np.sqrt(3.0), rel=1e-6)
 
 
-def test_a_series_that_strays_is_dropped():
+def test_a_series_that_strays_is_dropped_and_fewer_than_three_series_are_refused():
     found = series_gain(*series([10.0, 10.1, 9.9, 10.0, 12.0]))
     assert found.kept.tolist() == [True] * 4 + [False]
     assert found.gain_w_m2_per_mv.value == pytest.approx(10.0)
@@ -206,7 +206,7 @@ def test_a_series_that_strays_is_dropped():
         series_gain(*series([10.0, 10.0]))
 
 
-def test_a_day_that_midnight_of_utc_divides_is_one_day():
+def test_a_solar_day_that_utc_midnight_divides_counts_as_one_day():
     # Two days at 180 E, each in two halves of UTC days: the six-hourly ratios are not independent days.
     utc_s = np.concatenate([day * 86400.0 + 64800.0 + np.arange(720) * 60.0 for day in range(2)])
     reference = np.repeat([495.0, 505.0, 495.0, 505.0], 360)
@@ -216,7 +216,7 @@ def test_a_day_that_midnight_of_utc_divides_is_one_day():
     assert found.gain_w_m2_per_mv.half_width == pytest.approx(by_series, rel=1e-6)
 
 
-def test_days_count_and_not_series_where_there_are_three():
+def test_with_three_days_the_interval_of_the_gain_is_based_on_days_and_not_on_series():
     utc_s = np.concatenate([day * 86400.0 + np.arange(120) * 60.0 for day in range(3)])
     reference = np.repeat([495.0, 500.0, 505.0], 120)
     found = series_gain(utc_s, reference, np.full(utc_s.size, 50.0))
@@ -224,7 +224,7 @@ def test_days_count_and_not_series_where_there_are_three():
     assert found.gain_w_m2_per_mv.half_width == pytest.approx(4.302653 * 0.1 / np.sqrt(3.0), rel=1e-6)
 
 
-def test_a_line_tells_the_offset_where_no_night_was_recorded():
+def test_the_offset_is_found_from_a_fitted_line_and_a_fit_to_two_readings_is_refused():
     irradiance = np.array([200.0, 400.0, 600.0, 800.0])
     found = fitted_offset(np.arange(4.0), irradiance, 0.1 * irradiance + 0.05)
     assert found.value == pytest.approx(0.05)
@@ -233,7 +233,7 @@ def test_a_line_tells_the_offset_where_no_night_was_recorded():
         fitted_offset(np.arange(2.0), irradiance[:2], irradiance[:2])
 
 
-def test_the_line_s_interval_by_hand():
+def test_the_confidence_interval_of_the_fitted_offset_matches_a_calculation_by_hand():
     # The residuals are +-0.01 mV and change neither mean nor slope: s2 = 4e-4/2, Student's t 4.302653.
     irradiance, left = np.array([0.0, 200.0, 400.0, 600.0]), np.array([0.01, -0.01, -0.01, 0.01])
     found = fitted_offset(np.arange(4.0), irradiance, 0.1 * irradiance + 0.05 + left)
@@ -243,7 +243,7 @@ def test_the_line_s_interval_by_hand():
 
 
 @pytest.mark.parametrize("days", [1, 5])
-def test_the_line_s_interval_holds_the_offset_for_a_sensor_out_of_level_that_misses_grazing_light(days):
+def test_the_interval_of_the_fitted_offset_holds_for_a_tilted_sensor_that_misses_grazing_light(days):
     # Tilted half a degree towards the south-east, and 2 % missed at 80 deg: the line is bent alike on every day.
     times = MIDNIGHT + np.arange(0.0, days * DAY_S, 60.0)
     sun = sun_direction(times, *SIRTA)
@@ -255,14 +255,14 @@ def test_the_line_s_interval_holds_the_offset_for_a_sensor_out_of_level_that_mis
     assert abs(found.value - 0.05) < found.half_width < 1.0
 
 
-def test_three_readings_around_one_instant_are_enough_for_it_alone():
+def test_three_readings_that_fill_a_half_hour_make_only_the_middle_one_clear_and_stable():
     utc_s = MIDNIGHT + 43_200.0 + np.array([-700.0, 0.0, 700.0])
     clear, _, _ = clear_sky_ghi(SIRTA, utc_s)
     # Three readings of 700 s fill the half hour around the middle one; around the first and the last are only two.
     assert clear_and_stable(utc_s, clear, SIRTA).tolist() == [False, True, False]
 
 
-def test_means_stand_at_the_middle_of_their_readings():
+def test_block_means_are_placed_at_the_middle_of_their_readings():
     assert [part.tolist() for part in block_means(np.array([600.0, 630.0]), np.array([1.0, 3.0]), 60.0)] == [
         [615.0],
         [2.0],
@@ -270,7 +270,7 @@ def test_means_stand_at_the_middle_of_their_readings():
     assert block_means(np.array([630.0]), np.array([3.0]), 60.0)[0].tolist() == [630.0]
 
 
-def test_a_night_reading_that_lacks_a_face_is_left_out():
+def test_a_night_reading_with_a_missing_face_is_left_out_of_the_offset():
     utc_s = MIDNIGHT + 60.0 * np.arange(7)
     readings = np.stack([np.arange(7.0), -np.arange(7.0)], axis=-1)
     readings[6, 1] = np.nan
@@ -279,7 +279,7 @@ def test_a_night_reading_that_lacks_a_face_is_left_out():
 
 
 @pytest.mark.parametrize("ahead_s", [34.0, -26.0])
-def test_a_lag_is_told_between_two_steps_of_the_search_and_in_any_unit(ahead_s):
+def test_a_lag_between_two_steps_of_the_search_is_found_whatever_the_unit_of_the_readings(ahead_s):
     def slow(utc_s):
         return 500.0 + 200.0 * np.sin(utc_s / 400.0) + 100.0 * np.sin(utc_s / 170.0 + 1.0)
 

@@ -52,7 +52,7 @@ def calibrated(site, days=3):
     return calibrate_in_place(*clear(site, days), site)
 
 
-def test_two_days_are_two_days_where_midnight_of_utc_falls_in_daylight():
+def test_two_days_count_as_two_where_utc_midnight_falls_in_daylight():
     hawaii = Site(20.0, -155.0, 10.0)
     two = readings(hawaii, ClearSky(hawaii), MAY + 155.0 * 240.0, 2)
     with pytest.raises(UndeterminedError, match="clear and stable sky on 2 days, where at least 3 are needed"):
@@ -60,7 +60,9 @@ def test_two_days_are_two_days_where_midnight_of_utc_falls_in_daylight():
 
 
 @given(angles, st.floats(0.01, 20), st.floats(0, 359.99), st.sampled_from([-50.0, 50.0]))
-def test_the_zenith_face_leans_where_it_is_said_to(yaw_deg, tilt_deg, azimuth_deg, latitude_deg):
+def test_the_zenith_face_leans_by_the_tilt_and_towards_the_azimuth_of_the_attitude(
+    yaw_deg, tilt_deg, azimuth_deg, latitude_deg
+):
     azimuth, tilt = face_orientations(attitude(yaw_deg, tilt_deg, azimuth_deg, latitude_deg), latitude_deg)
     assert tilt[3] == pytest.approx(tilt_deg, abs=1e-9)
     assert np.cos(np.radians(azimuth[3] - azimuth_deg)) == pytest.approx(1.0, abs=1e-9)
@@ -81,13 +83,13 @@ def test_a_rotation_keeps_lengths_and_angles(yaw_deg, equator_deg, east_deg, lat
     assert np.linalg.det(turned) == pytest.approx(1.0)
 
 
-def test_what_a_turned_cube_sees_is_turned_back():
+def test_a_direction_seen_by_a_turned_cube_is_turned_back_to_the_site_frame():
     seen = to_site([0.0, 1.0, 0.0], Attitude(2.0, 0.0, 0.0), 50.0)
     azimuth, elevation = azimuth_from_direction(seen, 50.0)
     assert (float(azimuth), float(elevation)) == pytest.approx((92.0, 0.0))
 
 
-def test_the_jackknife_by_hand():
+def test_the_jackknife_error_of_a_mean_is_its_standard_error():
     # The means of each two of the numbers 1, 2, 6: the jackknife of a mean is its standard error.
     each = np.array([[4.0], [3.5], [1.5]])
     assert jackknife_error(each)[0] == pytest.approx(np.std([1.0, 2.0, 6.0], ddof=1) / np.sqrt(3.0))
@@ -117,7 +119,7 @@ def test_five_mixed_days_of_measured_weather_give_gains_yaw_tilt_and_albedo(meas
     assert (np.abs(found.response - GAINS) < 2.0 * found.errors.response).all()
 
 
-def test_a_face_that_reads_more_has_that_much_more_response_and_nothing_else_changes():
+def test_a_face_that_reads_4_percent_more_gets_4_percent_more_response_and_nothing_else_changes():
     utc_s, faces = clear(SIRTA)
     before = calibrated(SIRTA)
     after = calibrate_in_place(utc_s, faces * [1.04, 1.0, 1.0, 1.0], SIRTA)
@@ -127,7 +129,7 @@ def test_a_face_that_reads_more_has_that_much_more_response_and_nothing_else_cha
     assert after.attitude.yaw_deg == pytest.approx(before.attitude.yaw_deg, abs=0.05)
 
 
-def test_a_wrong_sky_model_shows_in_what_is_left_and_in_the_horizon():
+def test_a_wrong_sky_model_shows_in_the_residual_and_in_the_fitted_horizon():
     isotropic = clear(SIRTA, model="isotropic")
     assumed = calibrate_in_place(*isotropic, SIRTA, model="perez1990")
     right = calibrate_in_place(*isotropic, SIRTA, model="isotropic")
@@ -148,14 +150,14 @@ def test_overcast_days_are_refused():
     assert missing(utc_s[:0], faces[:0]) == ("clear and stable sky on 0 days, where at least 3 are needed",)
 
 
-def test_haze_from_which_the_level_cannot_be_told_is_refused():
+def test_hazy_days_that_do_not_determine_the_level_of_the_gains_are_refused():
     # The vertical faces' level is known to 2.6 %, where 2.5 % would do, and the zenith face's to 2.4 %.
     (clause,) = missing(*readings(SIRTA, ClearSky(SIRTA, (0.165,)), MAY, 4))
     assert clause.startswith("clear sky that determines the level of the gains: it is known to 5.2 % (k = 2) only")
     assert "of a face from its certificate" in clause
 
 
-def test_where_days_agree_the_errors_are_those_of_the_clear_sky_s_level():
+def test_if_the_days_agree_the_stated_errors_are_those_of_the_clear_sky_level():
     found = calibrated(SIRTA)
     shape, errors = found.shape, found.errors
     global_w_m2 = shape.beam_w_m2 * sun_direction(shape.utc_s, *SIRTA)[:, 2] + shape.uniform_w_m2
@@ -168,7 +170,7 @@ def test_where_days_agree_the_errors_are_those_of_the_clear_sky_s_level():
     assert (errors.response > of_level).all()
 
 
-def test_more_days_are_surer_but_never_surer_than_the_model():
+def test_more_days_reduce_the_stated_errors_but_not_below_that_of_the_clear_sky_model():
     few, more = calibrated(SIRTA), calibrated(SIRTA, days=4)
     assert (more.errors.response > 0.012).all()
     assert (more.errors.response < few.errors.response).all()
@@ -186,7 +188,7 @@ def test_more_days_are_surer_but_never_surer_than_the_model():
         (5, 0.0, np.nan, "yaw and tilt"),
     ],
 )
-def test_days_that_disagree_are_refused_by_what_they_disagree_on(place, sure, unsure, words):
+def test_days_that_disagree_are_refused_by_naming_gains_yaw_and_tilt_or_albedo(place, sure, unsure, words):
     spread = np.zeros(8)
     spread[place] = sure
     assert _unsure(spread, 0.0, 0.0) == []
@@ -201,14 +203,14 @@ def test_two_days_are_refused():
     assert missing(utc_s[early], faces[early]) == ("clear and stable sky on 2 days, where at least 3 are needed",)
 
 
-def test_mornings_alone_lack_the_west_face():
+def test_mornings_alone_are_refused_for_lack_of_sun_on_the_west_face():
     utc_s, faces = clear(SIRTA)
     morning = sun_direction(utc_s, *SIRTA)[:, 1] > 0.0
     (clause,) = missing(utc_s[morning], faces[morning])
     assert clause.startswith("clear sky with the sun on the west face (afternoons): 0 min")
 
 
-def test_noons_alone_lack_three_things():
+def test_noons_alone_are_refused_for_lack_of_mornings_afternoons_and_a_high_and_a_low_sun():
     utc_s, faces = clear(SIRTA)
     noon = np.abs(sun_direction(utc_s, *SIRTA)[:, 1]) < 0.3
     assert [clause.split(":")[0] for clause in missing(utc_s[noon], faces[noon])] == [
@@ -218,13 +220,13 @@ def test_noons_alone_lack_three_things():
     ]
 
 
-def test_faces_exchanged_fit_no_sky():
+def test_exchanged_east_and_west_faces_are_refused_as_not_fitting_a_clear_sky():
     utc_s, faces = clear(SIRTA)
     (clause,) = missing(utc_s, faces[:, [2, 1, 0, 3]])
     assert "faces exchanged" in clause or "fit no clear sky" in clause
 
 
-def test_readings_without_a_number_are_left_out():
+def test_readings_with_nan_faces_are_left_out():
     utc_s, faces = clear(SIRTA)
     holed = faces.copy()
     holed[::7, 0] = np.nan
@@ -254,7 +256,7 @@ def known(**faces):
     ],
     ids=["zenith", "south", "zenith and east", "GHI"],
 )
-def test_what_is_known_of_the_level_is_found_again_and_no_more_surely_than_it_is_known(level, surest):
+def test_a_known_level_of_the_gains_is_reproduced_with_no_smaller_error_than_it_was_given(level, surest):
     level = level or Level(ghi_w_m2=ghi_of(clear(SIRTA)[0]), ghi_error=0.0025)
     found, before = calibrate_in_place(*clear(SIRTA), SIRTA, level=level), calibrated(SIRTA)
     errors = found.errors.response / found.response
@@ -267,7 +269,7 @@ def test_what_is_known_of_the_level_is_found_again_and_no_more_surely_than_it_is
         assert found.albedo == pytest.approx(0.35, abs=0.01)
 
 
-def test_two_references_are_weighed():
+def test_two_references_of_the_level_are_weighted_by_their_errors():
     wrong = GAINS[3] * 1.01
     ghi = ghi_of(clear(SIRTA)[0])
     between = calibrate_in_place(*clear(SIRTA), SIRTA, level=Level((None, None, None, Tie(wrong, 0.002)), ghi, 0.004))
@@ -287,13 +289,13 @@ def test_two_references_are_weighed():
         ),
     ],
 )
-def test_a_ghi_that_does_not_go_with_the_zenith_face_is_refused_in_words(change, words):
+def test_a_ghi_that_does_not_fit_the_zenith_face_is_refused_with_the_reason(change, words):
     utc_s, faces = clear(SIRTA)
     with pytest.raises(UndeterminedError, match=words):
         calibrate_in_place(utc_s, faces, SIRTA, level=Level(ghi_w_m2=change(utc_s), ghi_error=0.005))
 
 
-def test_clouds_over_the_other_instrument_alone_and_its_gaps_do_no_harm():
+def test_clouds_over_the_ghi_instrument_alone_and_its_gaps_do_not_spoil_the_zenith_gain():
     utc_s, faces = clear(SIRTA)
     ghi = ghi_of(utc_s)
     ghi[::9] = np.nan

@@ -79,7 +79,7 @@ def faces_of(model, standing=STANDING):
         ),
     ],
 )
-def test_the_shape(model, kept, numbers):
+def test_the_fit_of_the_shape_under_clear_sky_has_the_pinned_values(model, kept, numbers):
     found = fit_shape(UTC_S, faces_of(model), SITE, model=model, vertical=1.02)
     assert found.utc_s.size == found.beam_w_m2.size == kept
     got = [*found.response, *found.attitude, found.albedo, found.horizon, found.residual]
@@ -87,7 +87,7 @@ def test_the_shape(model, kept, numbers):
     assert got == pytest.approx(numbers, rel=2e-4, abs=1e-6)
 
 
-def test_the_anchor():
+def test_the_clear_sky_anchor_has_the_pinned_values():
     rng = np.random.default_rng(5)
     ghi, dni, dhi = clear_sky_ghi(SITE, UTC_S, np.where(UTC_S[37] > UTC_S, 0.08, 0.2), 2.0)
     overhead = sky("perez1990", sun_direction(UTC_S, *SITE), dni, dhi, extraterrestrial_dni(UTC_S))
@@ -109,6 +109,6 @@ def test_the_anchor():
         (Attitude(3.0, 1.0, -25.0), 2, -20.0),
     ],
 )
-def test_a_cube_that_stands_askew_beyond_all_belief_ends_at_the_bound(standing, which, bound_deg):
+def test_the_fitted_attitude_of_an_implausibly_turned_cube_ends_at_its_bound(standing, which, bound_deg):
     found = fit_shape(UTC_S, faces_of("haydavies", standing), SITE, model="haydavies", vertical=1.02)
     assert found.attitude[which] == pytest.approx(bound_deg, abs=0.01)

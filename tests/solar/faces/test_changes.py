@@ -38,13 +38,13 @@ def test_sound_faces_change_together_under_every_sky_and_over_every_ground(model
     assert found.accused == ()
 
 
-def test_of_its_own_light_it_leaves_next_to_nothing_over():
+def test_under_an_isotropic_sky_with_exact_gains_almost_no_change_is_left_unexplained():
     faces, _, sun = half_hour(model="isotropic", off=0.0)
     assert changes(faces, sun).as_they_are < 0.02
 
 
 @pytest.mark.parametrize("beam_w_m2", [250.0, 700.0])
-def test_a_south_face_in_the_shade_of_a_low_sun_is_named_although_a_weaker_beam_would_explain_its_readings(beam_w_m2):
+def test_a_south_face_in_shade_under_a_low_sun_is_accused_though_a_weaker_beam_would_explain_it(beam_w_m2):
     faces, shaded, sun = half_hour(DECEMBER_UTC_S, beam_w_m2=beam_w_m2)
     faces[:, 1] = shaded[:, 1]
     assert misfits(faces, sun).accused == ()
@@ -52,20 +52,20 @@ def test_a_south_face_in_the_shade_of_a_low_sun_is_named_although_a_weaker_beam_
 
 
 @pytest.mark.parametrize(("face", "hours"), [(0, -1.0), (1, 2.0), (2, 5.0)])
-def test_a_face_that_stands_still_but_for_its_noise_is_named(face, hours):
+def test_a_face_that_does_not_change_except_for_noise_is_accused(face, hours):
     faces, _, sun = half_hour(JUNE_UTC_S + 3600.0 * hours)
     faces[:, face] = np.random.default_rng(1).normal(300.0, 0.3, 30)
     assert changes(faces, sun).accused == (face,)
 
 
-def test_a_face_that_changes_half_as_much_is_named():
+def test_a_face_that_changes_half_as_much_as_the_light_is_accused():
     faces, _, sun = half_hour(DECEMBER_UTC_S - 3600.0)
     faces[:, 1] *= 0.5
     assert changes(faces, sun).accused == (1,)
 
 
 @pytest.mark.parametrize("pair", PAIRS)
-def test_two_faces_that_are_swapped_are_named_and_nobody_else_is(pair):
+def test_two_swapped_faces_are_accused_at_some_hour_and_no_other_face_ever_is(pair):
     named = set()
     for hours in range(-3, 7):
         faces, _, sun = half_hour(JUNE_UTC_S + 3600.0 * hours)
@@ -75,13 +75,13 @@ def test_two_faces_that_are_swapped_are_named_and_nobody_else_is(pair):
     assert named <= {pair, ()}
 
 
-def test_a_cloud_now_and_then_tells_nothing():
+def test_too_few_passing_clouds_give_no_verdict_on_the_faces():
     for clouds in (np.ones(30), np.where(MINUTES < 15, 1.0, 0.2), np.where(MINUTES < 10, PASSING, 1.0)):
         faces, _, sun = half_hour(clouds=clouds)
         assert changes(faces, sun) is None
 
 
-def test_minutes_that_are_missing_are_left_out():
+def test_missing_minutes_are_left_out_and_a_face_without_readings_gives_no_verdict():
     faces, shaded, sun = half_hour(DECEMBER_UTC_S)
     faces[:, 1] = shaded[:, 1]
     faces[[4, 11], [0, 2]] = np.nan
@@ -90,7 +90,7 @@ def test_minutes_that_are_missing_are_left_out():
     assert changes(faces, sun) is None
 
 
-def test_nothing_is_told_by_a_sun_that_is_lower_than_five_degrees():
+def test_a_sun_lower_than_five_degrees_gives_no_verdict_on_the_faces():
     faces, _, sun = half_hour(DECEMBER_UTC_S + 4 * 3600.0)
     assert sun[-1, 2] < np.sin(np.radians(5.0))
     assert changes(faces, sun) is None
@@ -106,5 +106,5 @@ def test_nothing_is_told_by_a_sun_that_is_lower_than_five_degrees():
         (Changes(0.3, SOUND + 0.3, np.array([0.4, 0.4, 0.07, 0.4, 0.4, 0.4])), (1, 2)),
     ],
 )
-def test_it_takes_a_contradiction_that_one_thing_explains_and_no_other_about_as_well(found, accused):
+def test_faces_are_accused_only_of_a_contradiction_that_nothing_else_explains_about_as_well(found, accused):
     assert found.accused == accused

@@ -42,7 +42,7 @@ def test_sound_faces_agree_under_every_sky_and_over_every_ground(model, beam_w_m
 
 
 @pytest.mark.parametrize(("face", "at_w_m2"), [(0, 60.0), (1, 900.0), (2, 700.0), (3, 150.0)])
-def test_the_face_that_others_contradict_is_named(face, at_w_m2):
+def test_the_face_that_the_others_contradict_is_accused(face, at_w_m2):
     faces, sun = half_hour(at_utc_s=MORNING_UTC_S + 3600.0)
     faces[:, face] = at_w_m2
     found = misfits(faces, sun)
@@ -52,7 +52,7 @@ def test_the_face_that_others_contradict_is_named(face, at_w_m2):
 
 
 @pytest.mark.parametrize("pair", PAIRS)
-def test_two_faces_that_are_swapped_are_named_or_nobody_is(pair):
+def test_two_swapped_faces_are_never_found_in_order_and_are_accused_at_some_hour(pair):
     named = set()
     for hours in range(-3, 7):
         faces, sun = half_hour(at_utc_s=MORNING_UTC_S + 3600.0 * hours)
@@ -65,14 +65,14 @@ def test_two_faces_that_are_swapped_are_named_or_nobody_is(pair):
     assert len([each for each in named if each not in (pair, ())]) <= 1
 
 
-def test_two_faces_are_swapped_only_where_no_face_alone_explains_the_readings_about_as_well():
+def test_two_faces_are_accused_as_swapped_only_if_no_single_face_explains_the_readings_as_well():
     swapped = np.array([0.05, 0.4, 0.4, 0.4, 0.4, 0.4])
     assert unexplained(without=np.array([0.4, 0.15, 0.101, 0.4]), swapped=swapped).accused == (0, 1)
     # Two faces might be wrong and cannot be told apart; then other faces are not called swapped either.
     assert unexplained(without=np.array([0.4, 0.15, 0.099, 0.4]), swapped=swapped).accused == ()
 
 
-def test_what_snow_or_a_bright_horizon_would_explain_is_not_explained_by_ordinary_light():
+def test_readings_that_only_snow_or_a_bright_horizon_explains_do_not_fit_ordinary_light():
     faces, sun = half_hour(beam_w_m2=0.0)
     faces[:, 3] *= 0.45
     found = misfits(faces, sun)
@@ -81,7 +81,7 @@ def test_what_snow_or_a_bright_horizon_would_explain_is_not_explained_by_ordinar
     assert misfits(*half_hour(albedo=0.8)).ordinary > 0.15
 
 
-def test_faces_in_order_are_told_from_faces_of_which_nothing_can_be_said():
+def test_faces_are_found_in_order_only_where_the_light_can_tell_them_apart():
     sound = misfits(*half_hour())
     assert sound.in_order((0, 1))
     assert not sound.in_order((0, 3)), "the sun stands as much in the east as it stands high"
@@ -98,13 +98,13 @@ def test_a_fault_of_the_last_minutes_only_is_no_contradiction_yet():
 
 
 @pytest.mark.parametrize(("share", "missing", "known"), [(1.0, 6, True), (1.0, 7, False), (0.02, 0, False)])
-def test_gaps_and_dusk_tell_nothing(share, missing, known):
+def test_seven_missing_minutes_or_dusk_give_no_verdict_on_the_faces_and_six_missing_minutes_do(share, missing, known):
     faces, sun = half_hour()
     faces[:missing, 1] = np.nan
     assert (misfits(share * faces, sun) is not None) is known
 
 
-def test_a_sun_at_the_horizon_tells_nothing():
+def test_a_sun_at_the_horizon_gives_no_verdict_on_the_faces():
     faces, sun = half_hour()
     assert misfits(faces, sun * [1.0, 1.0, 0.05]) is None
 
@@ -121,7 +121,7 @@ def test_a_sun_at_the_horizon_tells_nothing():
         ((0.081, 0.4, 0.4, 0.02), (3,)),
     ],
 )
-def test_who_is_accused_leaves_little_and_the_others_clearly_more(without, accused):
+def test_a_face_is_accused_if_without_it_little_is_unexplained_and_without_any_other_clearly_more(without, accused):
     assert unexplained(without=np.array(without), least=0.151).accused == accused
     assert unexplained(without=np.array(without), least=0.149).accused == ()
 
@@ -129,7 +129,7 @@ def test_who_is_accused_leaves_little_and_the_others_clearly_more(without, accus
 @pytest.mark.parametrize(
     ("whole", "swapped", "in_order"), [(0.079, 0.151, True), (0.081, 0.151, False), (0.079, 0.149, False)]
 )
-def test_faces_are_in_order_that_agree_and_would_contradict_each_other_swapped(whole, swapped, in_order):
+def test_faces_are_found_in_order_if_they_agree_and_would_contradict_each_other_when_swapped(whole, swapped, in_order):
     found = unexplained(whole=whole, swapped=np.array([swapped, *[0.0] * 5]))
     assert found.in_order((0, 1)) == in_order
     # A single face cannot be swapped.
@@ -139,20 +139,22 @@ def test_faces_are_in_order_that_agree_and_would_contradict_each_other_swapped(w
 @pytest.mark.parametrize(
     ("ordinary", "doubled", "in_full"), [(0.079, 0.081, True), (0.081, 0.3, False), (0.079, 0.079, False)]
 )
-def test_a_face_reads_in_full_where_the_faces_agree_and_would_not_if_it_read_twice_as_much(ordinary, doubled, in_full):
+def test_a_face_is_found_to_read_in_full_if_all_agree_and_would_not_if_it_read_twice_as_much(
+    ordinary, doubled, in_full
+):
     found = unexplained(ordinary=ordinary, doubled=np.array([0.0, 0.0, doubled, 0.0]))
     assert found.in_full(2) == in_full
 
 
 @pytest.mark.parametrize("face", [0, 1, 3])
-def test_what_a_face_at_half_its_gain_reads_agrees_when_it_is_doubled(face):
+def test_a_face_at_half_its_gain_agrees_with_the_others_when_its_readings_are_doubled(face):
     faces, sun = half_hour()
     assert misfits(faces, sun).doubled[face] > 0.1
     faces[:, face] *= 0.5
     assert misfits(faces, sun).doubled[face] < 0.06
 
 
-def test_a_face_is_to_blame_alone_only_where_the_three_others_agree():
+def test_a_face_can_be_blamed_alone_only_if_the_three_others_agree():
     faces, sun = half_hour()
     faces[:, 1] *= 0.3
     found = misfits(faces, sun)
@@ -164,25 +166,25 @@ def test_a_face_is_to_blame_alone_only_where_the_three_others_agree():
 
 
 @pytest.mark.parametrize(("share", "bears"), [(0.079, True), (0.081, False)])
-def test_three_faces_agree_that_leave_less_than_8_percent_over(share, bears):
+def test_three_faces_agree_if_they_leave_less_than_8_percent_unexplained(share, bears):
     found = unexplained(without=np.full(4, share))
     assert found.bears(0) == bears
 
 
 @pytest.mark.parametrize(("least", "instead"), [(0.149, None), (0.151, 2)])
-def test_another_face_is_to_blame_only_where_the_rest_contradicts_itself_without_this_one(least, instead):
+def test_another_face_is_blamed_instead_only_if_the_rest_contradicts_itself_without_this_one(least, instead):
     without = np.array([0.4, 0.4, 0.02, 0.4])
     found = unexplained(without=without, least_without=np.array([least, 0.2, 0.01, 0.2]))
     assert found.instead_of(0) == instead
 
 
-def test_nobody_is_to_blame_instead_where_two_may_be_swapped():
+def test_no_other_face_is_blamed_instead_where_two_faces_may_be_swapped():
     found = unexplained(swapped=np.array([0.01, *[0.4] * 5]))
     assert found.accused == (0, 1)
     assert found.instead_of(2) is None
 
 
-def test_how_bright_the_light_is_makes_no_difference():
+def test_misfits_do_not_depend_on_the_brightness_of_the_light():
     faces, sun = half_hour()
     bright, dim = misfits(faces, sun), misfits(0.15 * faces, sun)
     assert (dim.without.shape, dim.swapped.shape) == ((4,), (6,))
@@ -193,12 +195,12 @@ def test_how_bright_the_light_is_makes_no_difference():
 @pytest.mark.parametrize(
     ("faces_w_m2", "enough"), [((400.0, 10.0, 10.0, 10.0), False), ((400.0, 10.0, 10.0, 400.0), True)]
 )
-def test_light_on_two_faces_is_enough_and_on_one_alone_is_not(faces_w_m2, enough):
+def test_light_on_two_faces_is_enough_for_a_verdict_and_light_on_one_alone_is_not(faces_w_m2, enough):
     _, sun = half_hour()
     assert (misfits(np.full((30, 4), faces_w_m2), sun) is not None) is enough
 
 
 @pytest.mark.parametrize(("horizon", "vertical"), [(-50.0, 30.0), (-10.0, 40.0), (60.0, 110.0), (90.0, 120.0)])
-def test_a_horizon_is_not_darker_than_a_fifth_less_nor_brighter_than_seven_tenths_of_the_sky(horizon, vertical):
+def test_the_light_of_the_horizon_is_bounded_to_minus_0_2_and_plus_0_7_of_that_of_the_sky(horizon, vertical):
     light = Light(np.array(0.0), np.array(100.0), np.array(horizon))
     np.testing.assert_allclose(faces_of(light, np.array([0.6, 0.0, 0.8]), 0.0), [vertical] * 3 + [100.0])

@@ -24,7 +24,7 @@ def half_hour(at_utc_s, passing, model="perez1990"):
 
 @pytest.mark.parametrize("model", ["perez1990", "perez1993", "cie"])
 @pytest.mark.parametrize("at_utc_s", [JUNE_UTC_S, DECEMBER_UTC_S])
-def test_what_a_cloud_takes_for_a_minute_is_no_jump_of_a_face(at_utc_s, model):
+def test_a_cloud_of_one_minute_is_not_taken_for_a_jump_of_a_face(at_utc_s, model):
     faces, sun = half_hour(at_utc_s, MINUTES % 10 == 5, model)
     found = jumps(faces)
     assert not found.sure.any()
@@ -42,7 +42,7 @@ def by_sorting(faces):
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.05, 0.5])
-def test_whatever_the_faces_read_it_is_compared_with_the_median_of_five_minutes(missing):
+def test_jumps_are_found_by_the_median_of_five_minutes_even_with_missing_readings(missing):
     random = np.random.default_rng(3)
     for size in (3.0, 10.0, 30.0) * 10:
         faces = 300.0 + random.normal(0.0, size, (random.integers(5, 31), 4))
@@ -55,7 +55,9 @@ def test_whatever_the_faces_read_it_is_compared_with_the_median_of_five_minutes(
 @pytest.mark.parametrize("length", [1, 2])
 @pytest.mark.parametrize("at_w_m2", [0.0, 1350.0])
 @pytest.mark.parametrize("face", [1, 3])
-def test_a_face_that_jumps_for_a_minute_or_two_reads_what_it_did_before_and_after(face, at_w_m2, length):
+def test_a_face_that_jumps_repeatedly_for_a_minute_or_two_is_found_and_its_jumps_are_smoothed_out(
+    face, at_w_m2, length
+):
     faces, sun = half_hour(JUNE_UTC_S, MINUTES < 0)
     sound = faces.copy()
     jumped = np.isin(MINUTES % 10, [3, 4][:length])
@@ -66,13 +68,13 @@ def test_a_face_that_jumps_for_a_minute_or_two_reads_what_it_did_before_and_afte
     assert found.settled == pytest.approx(sound, abs=5.0)
 
 
-def test_one_jump_accuses_nobody_and_neither_does_one_that_may_not_come_back():
+def test_one_jump_accuses_no_face_and_neither_does_one_at_the_end_that_may_not_come_back():
     faces, sun = half_hour(JUNE_UTC_S, MINUTES < 0)
     faces[[10, 11, 29], 1] = 0.0
     assert not jumps(faces).repeated(sun, ALL).any()
 
 
-def test_beside_a_dead_zenith_face_a_cloud_before_a_low_sun_accuses_no_other():
+def test_beside_a_dead_zenith_face_a_cloud_before_a_low_sun_accuses_no_other_face():
     faces, sun = half_hour(DECEMBER_UTC_S + 3000.0, MINUTES % 10 == 5)
     faces[:, 3] = np.random.default_rng(2).normal(0.0, 0.3, 30)
     found = jumps(faces)

@@ -40,14 +40,14 @@ def test_the_faces_that_the_sun_reaches_follow_the_light(model):
 
 @pytest.mark.parametrize("stuck_w_m2", [0.0, 80.0, 600.0])
 @pytest.mark.parametrize("face", [0, 1, 3])
-def test_a_face_that_stays_while_the_light_changes_is_named_and_no_other(face, stuck_w_m2):
+def test_a_face_that_stays_constant_while_the_light_changes_is_found_and_no_other_is(face, stuck_w_m2):
     faces, sun = half_hour()
     faces[:, face] = stuck_w_m2 + np.random.default_rng(2).normal(0.0, 0.3, 30)
     assert those(Response.STAYS, responses(faces, sun, ALL)) == [face]
 
 
 @pytest.mark.parametrize("face", range(4))
-def test_one_wrong_minute_of_a_face_accuses_no_other(face):
+def test_after_one_wrong_minute_of_a_face_no_face_is_found_to_stay_constant(face):
     utc_s = MORNING_UTC_S + 60.0 * np.arange(30)
     sun = sun_direction(utc_s, *SITE)
     light = sky("isotropic", sun, np.full(30, 850.0), np.full(30, 60.0), np.full(30, 1330.0))
@@ -57,14 +57,14 @@ def test_one_wrong_minute_of_a_face_accuses_no_other(face):
 
 
 @pytest.mark.parametrize(("minutes", "expected"), [(1, Response.UNKNOWN), (2, Response.STAYS)])
-def test_a_face_that_stays_is_named_by_a_change_of_two_minutes(minutes, expected):
+def test_a_constant_face_is_found_by_a_change_of_two_minutes_and_not_of_one(minutes, expected):
     bright = range(12, 12 + minutes)
     faces, sun = half_hour(cloud_minutes=[minute for minute in range(30) if minute not in bright])
     faces[:, 3] = 300.0
     assert responses(faces, sun, ALL)[3] == expected
 
 
-def test_nothing_is_known_of_a_face_in_its_own_shade_without_another_that_is_lit_or_under_an_even_sky():
+def test_a_face_is_not_judged_in_shade_without_another_lit_vertical_face_or_under_an_even_sky():
     faces, sun = half_hour()
     faces[:, 2] = 40.0
     assert responses(faces, sun, ALL)[2] == Response.UNKNOWN
@@ -76,20 +76,20 @@ def test_nothing_is_known_of_a_face_in_its_own_shade_without_another_that_is_lit
     assert responses(faces, sun, ALL) == [Response.UNKNOWN] * 4
 
 
-def test_a_face_that_is_the_only_vertical_one_in_the_sun_is_not_judged_and_is_no_company_for_itself():
+def test_the_only_vertical_face_in_the_sun_is_not_judged():
     faces, sun = half_hour(at_utc_s=1655283600.0 + 2.5 * 3600)
     found = responses(faces, sun, ALL)
     assert found == [Response.UNKNOWN, Response.UNKNOWN, Response.UNKNOWN, Response.FOLLOWS]
 
 
 @pytest.mark.parametrize("face", [0, 1, 3])
-def test_a_face_is_judged_by_what_the_other_three_are_believed(face):
+def test_a_face_that_is_not_believed_is_judged_by_the_other_three_that_are(face):
     faces, sun = half_hour()
     believed = [other != face for other in range(4)]
     assert those(Response.FOLLOWS, responses(faces, sun, believed)) == [face]
 
 
-def test_a_gap_in_a_face_and_a_low_sun_tell_nothing():
+def test_faces_are_not_judged_with_a_gap_in_one_of_them_or_under_a_low_sun():
     faces, sun = half_hour()
     faces[3, 1] = np.nan
     assert responses(faces, sun, ALL) == [Response.UNKNOWN] * 4
@@ -140,7 +140,7 @@ DIFFERENT_MV = (1.0, 5.0, 2.0, 7.0)
         ((np.nan, 300.0, 0.0, 400.0), 40.0, (OK, OK, DEAD, OK)),
     ],
 )
-def test_what_a_face_cannot_be(faces_w_m2, elevation_deg, expected):
+def test_readings_beyond_their_bounds_are_doubted_as_dead_dark_or_too_bright(faces_w_m2, elevation_deg, expected):
     assert tuple(doubts(faces_w_m2, DIFFERENT_MV, towards_south(elevation_deg), NORMALS)) == expected
 
 
@@ -169,12 +169,12 @@ def test_what_a_face_cannot_be(faces_w_m2, elevation_deg, expected):
         ((5.0, 2.0, 2.0, np.nan), False),
     ],
 )
-def test_two_inputs_that_are_taken_for_one_show_in_pairs_of_voltages(voltages_mv, same):
+def test_voltages_that_are_equal_in_pairs_are_doubted_as_two_inputs_taken_for_one(voltages_mv, same):
     found = doubts((100.0, 300.0, 80.0, 400.0), voltages_mv, towards_south(40.0), NORMALS)
     assert tuple(found) == (SAME if same else OK,) * 4
 
 
-def test_of_two_reasons_the_graver_one_is_named():
+def test_of_several_reasons_to_doubt_a_face_the_gravest_is_reported():
     dark_and_same = doubts((0.5, 0.5, 0.5, 0.5), (0.2, 0.2, 0.2, 0.2), towards_south(40.0), NORMALS)
     over_same_and_dead = doubts((461.0, 300.0, 0.0, 400.0), (5.0, 2.0, 2.0, 5.0), towards_south(40.0), NORMALS)
     assert tuple(dark_and_same) == (DARK,) * 4
@@ -191,7 +191,9 @@ def test_of_two_reasons_the_graver_one_is_named():
         ((np.nan, np.nan, np.nan, 40.0), 5.1, False),
     ],
 )
-def test_light_enough_is_30_w_m2_on_the_second_brightest_face(faces_w_m2, elevation_deg, expected):
+def test_faces_count_as_lit_from_30_w_m2_on_the_second_brightest_with_the_sun_5_degrees_up(
+    faces_w_m2, elevation_deg, expected
+):
     assert lit(faces_w_m2, towards_south(elevation_deg)) is expected
 
 
@@ -207,7 +209,7 @@ def test_light_enough_is_30_w_m2_on_the_second_brightest_face(faces_w_m2, elevat
         ((np.nan, 300.0, -0.2, 0.0), -0.2, []),
     ],
 )
-def test_light_on_one_face_alone_in_the_night_is_none(faces_w_m2, sine, named):
+def test_a_face_that_alone_reads_light_at_night_is_found_wrong(faces_w_m2, sine, named):
     assert np.flatnonzero(lit_at_night(faces_w_m2, (0.9, 0.1, sine))).tolist() == named
 
 
@@ -221,14 +223,14 @@ def test_in_the_afternoon_south_and_west_follow_the_light():
     ]
 
 
-def test_a_face_that_the_sun_leaves_meanwhile_is_not_judged():
+def test_a_face_that_the_sun_leaves_during_the_half_hour_is_not_judged():
     faces, sun = half_hour(at_utc_s=MORNING_UTC_S + 110.0 * 60.0)
     assert sun[0, 1] > 0.15 > sun[-1, 1]
     assert responses(faces, sun, ALL)[0] == Response.UNKNOWN
 
 
 @pytest.mark.parametrize(("minutes", "judged"), [(0, False), (17, True)])
-def test_all_of_the_half_hour_the_sun_is_five_degrees_up(minutes, judged):
+def test_faces_are_judged_only_if_the_sun_is_five_degrees_up_for_the_whole_half_hour(minutes, judged):
     # A December morning, with the sun in the south-east: it rises through 5 degrees at 08:22.
     faces, sun = half_hour(beam_w_m2=1500.0, at_utc_s=1671062400.0 + 8.12 * 3600.0 + 60.0 * minutes)
     assert sun[-1, 2] > np.sin(np.radians(5.0))

@@ -26,7 +26,7 @@ def test_no_tilt_receives_more_than_the_best(phi, tilt, deviation):
 
 @settings(max_examples=25)
 @given(latitudes, st.floats(-90.0, 90.0))
-def test_the_best_tilt_receives_what_it_says(phi, deviation):
+def test_the_energy_stated_with_the_best_tilt_is_what_that_tilt_receives(phi, deviation):
     static, horizontal = gain.best_tilt_static(phi, deviation), gain.best_tilt_horizontal(phi, deviation)
     assert gain.yearly(phi, static.tilt_deg, deviation).static == pytest.approx(static.energy_h)
     assert gain.yearly(phi, horizontal.tilt_deg, deviation).horizontal == pytest.approx(
@@ -39,12 +39,12 @@ def test_a_static_panel_leans_a_little_less_than_the_latitude_and_towards_the_eq
     assert tilts == pytest.approx([-37.675, 0.0, 37.675], abs=1e-3)
 
 
-def test_at_the_pole_the_tilt_towards_the_equator_is_named():
+def test_at_the_poles_the_best_tilt_of_a_static_panel_is_given_towards_the_equator():
     assert gain.best_tilt_static(90.0).tilt_deg > 0.0
     assert gain.best_tilt_static(-90.0).tilt_deg < 0.0
 
 
-def test_on_the_equator_at_the_equinox_the_vertical_axis_leans_half_a_right_angle():
+def test_on_the_equator_at_the_equinox_the_best_tilt_of_a_vertical_axis_is_45_degrees():
     # Integrals of cos and sin of the elevation over the day are both 1.
     best = gain.best_tilt_vertical(0.0, days=[81])
     assert best.tilt_deg == pytest.approx(45.0)
@@ -58,7 +58,7 @@ def test_without_sun_there_is_no_best_tilt():
         assert best.energy_h == 0.0
 
 
-def test_one_percent_is_eight_degrees_wide_at_every_latitude():
+def test_a_loss_of_1_percent_allows_8_degrees_from_the_best_tilt_at_every_latitude():
     assert gain.tilt_tolerance_deg(0.01) == pytest.approx(8.1096, abs=1e-4)
     phi = np.array([0.0, 30.0, 60.0, 85.0])
     best = gain.best_tilt_vertical(phi)
@@ -66,24 +66,24 @@ def test_one_percent_is_eight_degrees_wide_at_every_latitude():
     assert off / best.energy_h == pytest.approx(np.full(4, 0.99))
 
 
-def test_a_loss_is_a_share():
+def test_a_nan_loss_is_refused():
     with pytest.raises(ValueError, match=r"a loss is a share in 0\.\.1, not nan"):
         gain.tilt_tolerance_deg(float("nan"))
 
 
 @pytest.mark.parametrize(("loss", "tolerance_deg"), [(0.0, 0.0), (0.5, 60.0), (1.0, 90.0)])
-def test_a_loss_of_nothing_and_of_all_have_their_tolerance(loss, tolerance_deg):
+def test_the_tilt_tolerance_is_right_for_losses_of_nothing_half_and_all(loss, tolerance_deg):
     assert gain.tilt_tolerance_deg(loss) == pytest.approx(tolerance_deg)
 
 
 @pytest.mark.parametrize("loss", [-0.01, 1.01])
-def test_what_is_no_share_is_no_loss(loss):
+def test_a_loss_outside_0_to_1_is_refused(loss):
     with pytest.raises(ValueError, match=r"0\.\.1"):
         gain.tilt_tolerance_deg(loss)
 
 
 @pytest.mark.parametrize("best_tilt", [gain.best_tilt_vertical, gain.best_tilt_horizontal, gain.best_tilt_static])
-def test_latitudes_and_days_together_are_each_as_alone(best_tilt):
+def test_best_tilts_of_many_latitudes_at_once_equal_those_of_each_alone(best_tilt):
     phi, days = np.array([[-30.0, 48.7], [10.0, 80.0]]), [172, 200, 300]
     together = best_tilt(phi, days=days)
     alone = [[best_tilt(float(one), days=days) for one in row] for row in phi]
@@ -92,7 +92,7 @@ def test_latitudes_and_days_together_are_each_as_alone(best_tilt):
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_day_of_an_hour_has_its_best_tilt(side):
+def test_the_best_tilt_for_a_day_of_less_than_an_hour_is_right(side):
     # The panel is lit all day: the best one faces along the sum of the sun's directions.
     n, p, d = (355 if side > 0 else 172), np.radians(66.4), np.radians(-23.4498)
     w0 = np.arccos(-np.tan(p) * np.tan(d))

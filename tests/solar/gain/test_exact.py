@@ -55,17 +55,17 @@ def quadrature(phi, n, integrand, points=40_000):
     return 12.0 / np.pi * step * integrand(w).sum()
 
 
-def test_a_flat_panel_on_the_equator_at_the_equinox_gets_two_parts_in_pi():
+def test_on_the_equator_at_the_equinox_a_flat_panel_gets_two_over_pi_of_a_dual_axis_tracker():
     # cos(theta) = cos w over 12 h: 24/pi h of 12 h.
     assert gain.k_ds(0.0, 0.0, EQUINOX) == pytest.approx(np.pi / 2)
     assert gain.k_dv(0.0, 0.0, EQUINOX) == pytest.approx(np.pi / 2)
 
 
-def test_the_papers_horizontal_axis_faces_the_sun_all_day_on_the_equator_at_the_equinox():
+def test_on_the_equator_at_the_equinox_the_papers_horizontal_axis_faces_the_sun_all_day():
     assert gain.k_dh(0.0, 0.0, EQUINOX) == pytest.approx(1.0)
 
 
-def test_a_panel_that_faces_east_gets_the_morning():
+def test_an_upright_panel_that_faces_east_receives_the_energy_of_the_morning():
     # Equator, equinox, upright: sin(-w) from -pi/2 to 0 is 12/pi h; twice that if its back counts too.
     energy = gain.static_energy(0.0, 90.0, EQUINOX, 90.0)
     assert energy.clip_h == pytest.approx(12.0 / np.pi)
@@ -73,7 +73,7 @@ def test_a_panel_that_faces_east_gets_the_morning():
     assert energy.signed_h == pytest.approx(0.0, abs=1e-12)
 
 
-def test_at_the_pole_the_sun_circles_at_the_height_of_its_declination():
+def test_at_the_pole_the_ratios_are_those_of_a_sun_that_circles_at_its_declination():
     n = 172
     height = np.radians(declination_deg(n))
     assert gain.half_day_h(90.0, n) == 12.0
@@ -115,7 +115,7 @@ def test_the_integral_of_the_cosine_of_the_elevation_is_that_of_quadrature(phi, 
 
 @settings(max_examples=60)
 @given(latitudes, tilts, days, deviations)
-def test_energies_are_those_of_quadrature(phi, beta, n, deviation):
+def test_daily_energies_agree_with_quadrature(phi, beta, n, deviation):
     cosine = lambda w: sum(u * v for u, v in zip(sun_at(phi, n, w), panel(beta, deviation), strict=True))  # noqa: E731
     static = gain.static_energy(phi, beta, n, deviation)
     assert static.clip_h == pytest.approx(quadrature(phi, n, lambda w: np.maximum(cosine(w), 0.0)), abs=5e-6)
@@ -138,7 +138,7 @@ def test_energies_are_those_of_quadrature(phi, beta, n, deviation):
 
 
 @given(latitudes, tilts, days, deviations)
-def test_nothing_receives_more_than_a_dual_axis(phi, beta, n, deviation):
+def test_no_panel_or_single_axis_receives_more_than_a_dual_axis(phi, beta, n, deviation):
     for ratio in (gain.k_ds(phi, beta, n, deviation), gain.k_ds(phi, beta, n, deviation, rear_face=True),
                   gain.k_dv(phi, beta, n), gain.k_dh(phi, beta, n, deviation)):  # fmt: skip
         assert np.isnan(ratio) or ratio >= 1.0 - 1e-12
@@ -160,7 +160,7 @@ def test_the_hemispheres_mirror_each_other_half_a_year_apart(phi, beta, n, devia
 
 
 @given(latitudes, tilts, days, deviations)
-def test_the_lit_face_is_the_mean_of_the_size_and_the_signed_sum(phi, beta, n, deviation):
+def test_the_energy_of_the_lit_face_is_the_mean_of_the_absolute_and_the_signed_energy(phi, beta, n, deviation):
     energy = gain.static_energy(phi, beta, n, deviation)
     assert energy.clip_h == pytest.approx((energy.abs_h + energy.signed_h) / 2.0, abs=1e-12)
     back = gain.static_energy(phi, -beta, n, deviation)
@@ -170,7 +170,7 @@ def test_the_lit_face_is_the_mean_of_the_size_and_the_signed_sum(phi, beta, n, d
 
 
 @given(st.floats(-66.0, 66.0), st.floats(1.0, 182.5), st.floats(-1.0, 1.0), st.floats(-np.pi, np.pi))
-def test_turning_a_panel_about_the_earths_axis_costs_a_two_sided_panel_nothing(phi, n, axial, turned):
+def test_turning_a_two_sided_panel_about_the_earths_axis_keeps_its_energy_over_opposite_days(phi, n, axial, turned):
     # Summed over opposite declinations, only the part of its normal along the axis counts.
     p, equatorial = np.radians(phi), np.sqrt(1.0 - axial**2)
     up = axial * np.sin(p) + equatorial * np.cos(p) * np.cos(turned)
@@ -196,7 +196,7 @@ def test_the_gains_over_static_are_quotients_of_the_ratios(phi, beta, beta_v, be
     assert gain.eta_hs(phi, beta, beta_h, n, deviation, deviation) == pytest.approx(float(static / horizontal - 1.0))
 
 
-def test_everything_broadcasts_and_a_year_is_the_sum_of_its_days():
+def test_arguments_broadcast_and_a_years_energy_is_the_sum_of_its_days():
     phi, beta, deviation = np.array([-30.0, 48.7, 80.0])[:, None, None], np.array([10.0, 50.0])[:, None], np.zeros(4)
     year = gain.yearly(phi, beta, deviation)
     assert year.static.shape == (3, 2, 4)
@@ -216,19 +216,19 @@ def test_everything_broadcasts_and_a_year_is_the_sum_of_its_days():
         ((0.0, 0.0, 1, np.inf), r"azimuth must be in -360\.\.360 deg, not inf"),
     ],
 )
-def test_numbers_without_meaning_are_refused_by_name(arguments, sentence):
+def test_a_latitude_tilt_day_or_azimuth_out_of_range_is_refused_by_name(arguments, sentence):
     with pytest.raises(ValueError, match=sentence):
         gain.daily(*arguments)
 
 
-def test_ratios_of_nothing_and_by_nothing():
+def test_an_energy_ratio_is_infinite_by_zero_or_less_and_nan_of_zero_by_zero():
     assert np.array_equal(
         energy_ratio([2.0, 2.0, 2.0, 0.0], [1.0, 0.0, -1.0, 0.0]), [2.0, np.inf, np.inf, np.nan], True
     )
 
 
 @pytest.mark.shared_data
-def test_points_agree_with_thirty_digit_quadrature(theory):
+def test_ratios_agree_with_quadrature_to_thirty_digits(theory):
     points = theory("exact_points.csv")
     phi, beta, n, deviation = (points[name] for name in ("phi_deg", "beta_deg", "n", "lambda_deg"))
     ours = {
@@ -244,7 +244,7 @@ def test_points_agree_with_thirty_digit_quadrature(theory):
 
 
 @pytest.mark.shared_data
-def test_years_agree_with_the_reference(theory):
+def test_yearly_energies_agree_with_the_reference_table(theory):
     table = theory("annual_exact.csv")
     year = gain.yearly(table["phi_deg"], table["beta_deg"], table["lambda_deg"])
     for name, field in {"Rmax_h": "dual", "RS_abs_h": "static_abs", "RS_clip_h": "static", "RV_h": "vertical",
@@ -262,7 +262,7 @@ def test_years_agree_with_the_reference(theory):
         (gain.k_ds, (0.0, 0.0, 1, 360.5)),
     ],
 )
-def test_each_device_refuses_numbers_without_meaning_by_itself(ratio, arguments):
+def test_each_ratio_refuses_a_tilt_or_azimuth_out_of_range_by_itself(ratio, arguments):
     with pytest.raises(ValueError, match=r"(tilt|azimuth) must be in .* not (90|360)\.5"):
         ratio(*arguments)
 
@@ -279,35 +279,35 @@ def test_each_device_refuses_numbers_without_meaning_by_itself(ratio, arguments)
         (gain.best_tilt_horizontal, (45.0,)),
     ],
 )
-def test_who_names_no_azimuth_means_towards_the_equator(what, arguments):
+def test_without_an_azimuth_each_energy_ratio_and_best_tilt_is_for_a_panel_towards_the_equator(what, arguments):
     said = {"lambda_deg": 0.0}
     np.testing.assert_array_equal(what(*arguments), what(*arguments, **said))
 
 
-def test_days_years_and_gains_of_the_horizontal_axis_are_towards_the_equator_too():
+def test_without_an_azimuth_daily_yearly_and_eta_hs_are_for_panels_towards_the_equator():
     for whole, arguments in ((gain.daily, (45.0, 60.0, 172)), (gain.yearly, (45.0, 60.0))):
         assert whole(*arguments).static == whole(*arguments, 0.0).static
     both = (45.0, 60.0, 30.0, 172)
     assert gain.eta_hs(*both) == gain.eta_hs(*both, 0.0, 0.0)
 
 
-def test_gains_of_energies_by_hand():
+def test_ratios_and_gains_of_energies_match_a_calculation_by_hand():
     some = gain.Energies(*(np.array(hours) for hours in (12.0, 6.0, 8.0, 9.0, 10.0)))
     assert (some.k_ds_clip, some.k_ds_abs, some.k_dh) == pytest.approx((2.0, 1.5, 1.2))
     assert (some.k_dv, some.eta_vs, some.eta_hs) == pytest.approx((4.0 / 3.0, 0.5, 2.0 / 3.0))
 
 
-def test_a_horizontal_axis_with_its_back_to_the_sun_loses_all_of_what_a_static_panel_has():
+def test_a_horizontal_axis_with_its_back_to_the_sun_has_a_gain_of_minus_1_over_a_static_panel():
     # Upright and turned to the north in the northern winter, neither receives anything.
     assert gain.eta_hs(50.0, 30.0, -90.0, 355, 0.0, 180.0) == -1.0
     assert np.isnan(gain.eta_hs(50.0, -90.0, -90.0, 355, 0.0, 180.0))
 
 
-def test_some_minutes_of_sun_have_a_ratio_and_the_rounding_of_zero_has_none():
+def test_a_few_minutes_of_sun_have_an_energy_ratio_and_a_rounding_error_counts_as_zero():
     assert energy_ratio([0.5, 1.0, 1.0], [0.25, 1.5e-15, 0.5e-15]) == pytest.approx([2.0, 1.0 / 1.5e-15, np.inf])
 
 
-def test_what_gains_nothing_over_a_static_panel_in_the_dark_has_no_ratio_and_says_nothing():
+def test_the_gain_over_a_static_panel_in_the_dark_is_nan_without_a_warning():
     energies = gain.daily(0.0, 90.0, 80.0, -180.0)
     assert energies.static == 0.0
     assert energies.horizontal < 0.0

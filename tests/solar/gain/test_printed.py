@@ -51,14 +51,14 @@ def test_the_printed_forms_agree_with_the_reference_and_are_nan_where_it_is(theo
         ("script3_min_eta_lam4_coarse.csv", lambda phi, beta: printed.script3(phi, beta, gain.DAYS, 4.0)),
     ],
 )
-def test_the_scripts_tables_come_out_again(theory, name, ratio):
+def test_the_tables_of_the_papers_three_scripts_are_reproduced(theory, name, ratio):
     table = theory(name)
     eta = printed.least_eta(ratio(table["phi_deg"][:, None], table["beta_deg"][:, None]))
     np.testing.assert_allclose(eta, table["min_eta_re"], rtol=1e-9)
     assert not table["min_eta_im"].any()
 
 
-def test_equation_11_by_hand():
+def test_the_printed_equation_11_matches_a_calculation_by_hand():
     # Latitude 45, equinox, azimuth 90: cot = 0, so tan(g pi/24) = sqrt(1/2)/(1/2 sqrt 2) = 1, g = 6 h = T0, h = -6 h.
     # Tilt 90: C1 = C2 = 0, C3 = 1; rows of (3): 0, (12/pi)(cos(pi/2) - cos(pi/2)) = 0, 0: nothing at all.
     # Tilt 45: C2 = 1/2, C3 = sqrt(1/2): rows 12/pi, 12/pi, 12/pi, so K = 12/(36/pi) = pi/3.
@@ -86,7 +86,7 @@ def test_beyond_the_polar_circle_the_printed_forms_are_nan():
 
 
 @given(st.floats(-65.0, 65.0), st.floats(1.0, 365.0))
-def test_without_tilt_no_series_is_involved_and_the_vertical_axis_is_right(phi, n):
+def test_without_tilt_the_printed_ratio_of_the_vertical_axis_is_right(phi, n):
     assert printed.k_dv_eq25(phi, 0.0, n) == pytest.approx(float(gain.k_dv(phi, 0.0, n)))
 
 
@@ -116,12 +116,12 @@ def _g(phi, n, deviation):
     return 2.0 * np.arctan((root - cotangent) / (np.sin(p) + np.cos(p) * tangent))
 
 
-def test_the_smallest_eta_passes_over_nan_days():
+def test_the_smallest_eta_ignores_nan_days():
     assert printed.least_eta([np.nan, 1.5, 1.2]) == pytest.approx(0.2)
     assert np.isnan(printed.least_eta([np.nan, np.nan]))
 
 
-def test_many_at_once_are_each_as_alone_complex_or_not():
+def test_the_first_script_gives_many_cases_at_once_the_results_of_each_alone_complex_or_not():
     cases = np.array([(2.0, 10.0, 172, 85.0), (50.0, 30.0, 80, 20.0), (5.0, 10.0, 1, 80.0), (2.0, 10.0, 80, 85.0)])
     together = printed.script1(*cases.T)
     alone = [printed.script1(*case) for case in cases]
@@ -130,11 +130,11 @@ def test_many_at_once_are_each_as_alone_complex_or_not():
     assert together.k_ds[:2] == pytest.approx([0.209822, 1.110998], abs=1e-6)
 
 
-def test_a_panel_that_looks_away_from_the_sun_counts_with_the_size_of_its_sum():
+def test_the_printed_equation_13_is_positive_for_a_panel_that_faces_away_from_the_sun():
     assert printed.k_ds_eq13(10.0, 80.0, 172) > 0.0
 
 
-def test_on_the_equator_at_the_equinox_a_panel_to_the_west_has_its_times_at_midnight():
+def test_on_the_equator_at_the_equinox_the_first_script_has_a_ratio_to_the_west_and_nan_to_the_east():
     # The root of (9) is |cot| and the denominator 0: g = 12 h, so (3) has the rows C2 + C3, 0 and C2 - C3, times 12/pi;
     # to the east 0/0 is no number.
     k_ds, is_complex = printed.script1(0.0, 30.0, 81, np.array([-10.0, 10.0]))
@@ -147,6 +147,6 @@ def test_at_the_poles_the_printed_horizontal_axis_is_nan_without_a_warning(devia
     assert np.isnan([form(90.0, 40.0, 172, deviation) for form in (printed.k_dh_eq49, printed.script3)]).all()
 
 
-def test_a_sun_in_the_zenith_is_no_higher_than_that():
+def test_the_printed_equation_49_is_never_nan_where_the_sun_passes_through_the_zenith():
     days = gain.DAYS
     assert not np.isnan(printed.k_dh_eq49(gain.declination_deg(days), 0.0, days, 0.0)).any()

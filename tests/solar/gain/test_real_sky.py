@@ -83,7 +83,7 @@ def test_instants_are_the_middles_of_365_solar_days():
     assert datetime.fromtimestamp(instants[0], UTC) == datetime(2022, 12, 31, 18, 30, tzinfo=UTC)
 
 
-def test_only_daylight_is_left():
+def test_polar_night_leaves_no_instants_of_daylight():
     site = Site(80.0, 0.0, 0.0)
     assert real_sky.daylight(site, real_sky.year_instants(0.0, 3600.0)[:240]).size == 0
 
@@ -126,7 +126,7 @@ def test_the_clear_beam_is_that_of_ineichen_2008_by_hand(altitude_m, n):
     assert dni == pytest.approx(above * np.exp(-depth / sine**power), rel=2e-3)
 
 
-def test_the_days_are_those_of_the_place():
+def test_days_are_the_solar_days_of_the_site():
     site = Site(30.0, 150.0, 0.0)
     # Morning there is evening of the day before in Greenwich.
     instants = real_sky.daylight(site, real_sky.year_instants(150.0, 3600.0)[7 * 24 : 8 * 24])
@@ -136,7 +136,7 @@ def test_the_days_are_those_of_the_place():
     assert set(series.day.tolist()) == {8}
 
 
-def test_under_a_beam_alone_the_best_tilt_is_that_of_the_sums_and_one_percent_eight_degrees_wide():
+def test_under_a_beam_alone_the_best_tilt_is_that_of_the_sums_and_1_percent_allows_8_degrees():
     series = series_of_day(48.7, 172, 1000.0, 0.0)
     elevation = np.radians(series.elevation_deg)
     expected = np.degrees(np.arctan2(np.cos(elevation).sum(), np.sin(elevation).sum()))
@@ -151,7 +151,7 @@ def test_under_a_uniform_cloud_flat_is_best():
     assert best == pytest.approx((0.0, 0.0, np.degrees(np.arccos(0.98))), abs=0.02)
 
 
-def test_with_the_sun_on_the_horizon_upright_is_best_and_further_is_not_looked():
+def test_with_the_sun_on_the_horizon_the_best_tilt_is_upright_and_the_search_ends_at_90_degrees():
     series = series_of_day(66.9, 355, 1000.0, 0.0)
     assert series.elevation_deg.max() < 0.3
     best = real_sky.best_tilt_vertical_sky(series, 0.01, albedo=0.0)
@@ -159,7 +159,7 @@ def test_with_the_sun_on_the_horizon_upright_is_best_and_further_is_not_looked()
     assert best.high_deg == 90.0
 
 
-def test_a_panel_of_which_nothing_is_said_faces_the_equator():
+def test_a_panel_without_a_given_azimuth_faces_the_equator():
     series = series_of_day(48.7, 100, 800.0, 100.0)
     for device in (real_sky.static_irradiance, real_sky.horizontal_irradiance):
         np.testing.assert_array_equal(device(series, 40.0), device(series, 40.0, 0.0))

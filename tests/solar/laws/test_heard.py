@@ -78,7 +78,7 @@ def read_at(seconds, faces=(450.0, 450.0, 60.0, 660.0)):
     return Reading(BEGIN_UTC_S + seconds, seconds, faces)
 
 
-def test_the_link_after_a_reading_is_worked_out_once_and_another_reading_has_another():
+def test_the_link_after_a_reading_is_computed_once_and_shared_and_another_reading_has_its_own_link():
     first = first_link()
     after = first.after(read_at(0.0))
     assert first.after(read_at(0.0)) is after
@@ -86,7 +86,7 @@ def test_the_link_after_a_reading_is_worked_out_once_and_another_reading_has_ano
     assert (after.waiting_utc_s, other.waiting_utc_s) == ([BEGIN_UTC_S], [BEGIN_UTC_S + 1.0])
 
 
-def test_a_day_is_begun_once_and_another_day_or_one_reading_more_has_a_link_of_its_own():
+def test_the_link_of_a_new_day_is_shared_and_another_day_or_one_more_reading_has_its_own_link():
     first = first_link()
     turned = first.on(TODAY + 1)
     assert first.on(TODAY) is first
@@ -98,7 +98,7 @@ def test_a_day_is_begun_once_and_another_day_or_one_reading_more_has_a_link_of_i
 
 
 @pytest.mark.parametrize(("count", "waiting"), [(39, 39), (40, 0), (41, 1)])
-def test_forty_means_are_taken_in_whether_somebody_asks_or_not(count, waiting):
+def test_waiting_means_are_taken_into_the_memory_as_soon_as_there_are_forty(count, waiting):
     link = first_link()
     for number in range(count):
         link = link.after(read_at(15.0 * number))
@@ -106,11 +106,11 @@ def test_forty_means_are_taken_in_whether_somebody_asks_or_not(count, waiting):
 
 
 @pytest.mark.parametrize(("scan_every_s", "means"), [(14.9995, 1), (14.9985, 0)])
-def test_a_mean_is_of_fifteen_seconds_but_for_a_millisecond(scan_every_s, means):
+def test_a_mean_is_complete_after_15_s_with_a_tolerance_of_1_ms(scan_every_s, means):
     assert len(first_link(scan_every_s).after(read_at(0.0)).waiting_utc_s) == means
 
 
-def test_a_face_that_was_read_for_less_than_a_second_has_its_mean():
+def test_a_face_that_was_read_for_less_than_a_second_still_has_a_mean():
     begun = Begun().with_reading(read_at(0.0, (math.nan, 200.0, math.nan, 400.0)), 0.5)
     ended = begun.with_reading(read_at(1.0, (100.0, 300.0, math.nan, 500.0)), 0.5).ended()
     assert ended[:2] == (BEGIN_UTC_S + 0.5, 1.0)
@@ -130,7 +130,7 @@ def taken_in(monkeypatch):
     return lengths
 
 
-def test_each_says_to_the_last_digit_what_it_says_alone_and_the_light_is_estimated_once_for_all(taken_in):
+def test_laws_that_share_results_answer_exactly_as_each_alone_and_estimate_the_light_only_once(taken_in):
     together = drive(PLACES)
     means = len(TWO_DAYS) // 3
     assert means - 4 <= len(taken_in) <= means + 1, "four a minute and the night, however many trackers there are"
@@ -138,7 +138,7 @@ def test_each_says_to_the_last_digit_what_it_says_alone_and_the_light_is_estimat
         assert together[number] == drive((number,))[number]
 
 
-def test_who_misses_a_scan_or_is_told_to_forget_goes_on_by_itself_and_changes_nothing_for_others():
+def test_a_law_that_misses_scans_or_relearns_answers_as_if_alone_and_does_not_affect_the_others():
     def befalls(number, count, law):
         if (number, count) == (2, AN_HOUR + 3):
             law.relearn()
@@ -150,13 +150,13 @@ def test_who_misses_a_scan_or_is_told_to_forget_goes_on_by_itself_and_changes_no
     assert together[1] != drive((1,))[1], "ten scans that are missing show"
 
 
-def test_nothing_is_kept_of_what_nobody_holds_any_more():
+def test_shared_results_are_released_when_no_law_uses_them_any_more():
     common = WeakValueDictionary()
     drive(PLACES, common)
     assert dict(common) == {}
 
 
-def test_a_tracker_that_hears_no_more_does_not_keep_what_others_go_on_to_hear():
+def test_a_law_that_stops_hearing_readings_does_not_keep_later_shared_results_in_memory():
     stopped = link = first_link()
     second = ref(link.after(read_at(0.0)))
     for number in range(AN_HOUR):

@@ -63,7 +63,7 @@ def test_without_neighbours_in_reach_every_decision_is_that_of_a_tracker_alone(c
 
 
 @pytest.mark.parametrize("law", [chronometric, mu_prime])
-def test_the_fast_way_turns_out_of_the_shade_as_the_law_itself_does(clear_day, law):
+def test_the_fast_steering_turns_out_of_the_shade_as_the_law_itself_does(clear_day, law):
     weather, faces = clear_day
     settings = law.SETTINGS()
     fast = steps_of(law.steer(settings, weather, faces, LIMITS, group=FIELD), weather)
@@ -79,7 +79,7 @@ def test_the_fast_way_turns_out_of_the_shade_as_the_law_itself_does(clear_day, l
         np.testing.assert_allclose(slow[2:-3], fast[1:-4], atol=1e-9)
 
 
-def test_a_law_that_turns_back_says_so_and_names_the_direction_that_it_wanted():
+def test_a_law_that_turns_back_out_of_the_shade_says_so_and_reports_the_direction_that_it_wanted():
     sun = sun_position(MORNING, *LYNGBY)
     alone, among = (
         chronometric.build(chronometric.SETTINGS(), facts(group)).aim(Moment(MORNING, None, None))
@@ -95,7 +95,7 @@ def test_a_law_that_turns_back_says_so_and_names_the_direction_that_it_wanted():
     assert "turned back" not in alone.why
 
 
-def test_with_the_sun_in_doubt_nothing_is_turned_out_of_a_shade_that_nobody_knows():
+def test_while_the_suns_position_is_unknown_a_law_does_not_turn_out_of_the_shade():
     faces = (600.0, 300.0, 50.0, 200.0)
     law = mu_prime.build(mu_prime.SETTINGS(), facts(FIELD))
     sure, unsure = (law.aim(Moment(MORNING, faces, None, sun_known=known)).target for known in (True, False))
@@ -106,7 +106,7 @@ def test_with_the_sun_in_doubt_nothing_is_turned_out_of_a_shade_that_nobody_know
 
 @pytest.mark.parametrize("groups", [0, 3])
 @pytest.mark.parametrize(("beam", "diffuse"), [(800.0, 60.0), (150.0, 150.0), (0.8, 0.06)])
-def test_the_best_among_neighbours_collects_more_than_alone_and_than_turned_back(groups, beam, diffuse):
+def test_the_best_pose_among_neighbours_collects_no_less_than_the_pose_alone_or_turned_back(groups, beam, diffuse):
     field = TrackerGroup.on_map(EAST_M, NORTH_M, (), (2.0, 2.0), LYNGBY[0], groups)
     azimuth, elevation = (part.ravel() for part in np.meshgrid([95.0, 130.0, 180.0, 250.0], [3.0, 8.0, 15.0]))
     sun = direction_from_azimuth(azimuth, elevation, LYNGBY[0])
@@ -126,7 +126,7 @@ def test_the_best_among_neighbours_collects_more_than_alone_and_than_turned_back
 
 
 @pytest.mark.parametrize("way_deg", [(0.0, 90.0), (-40.0, 75.0)])
-def test_out_of_the_shade_a_tracker_goes_the_whole_way(way_deg):
+def test_where_neighbours_cast_shade_the_optimal_law_moves_all_the_way_to_the_best_pose(way_deg):
     sun = sun_direction(MORNING, *LYNGBY)
     vector = 500.0 * sun
     alone = angles_within(vector, LIMITS)
@@ -137,7 +137,7 @@ def test_out_of_the_shade_a_tracker_goes_the_whole_way(way_deg):
     np.testing.assert_array_equal((choice.a_deg, choice.b_deg), best)
 
 
-def test_the_shade_of_a_rest_is_the_mean_of_its_suns():
+def test_the_light_lost_to_neighbours_over_several_suns_is_the_mean_of_that_under_each():
     suns = [direction_from_azimuth(265.0, elevation, LYNGBY[0]) for elevation in (12.0, 6.0)]
     pose, beam = (45.0, 40.0), np.array(700.0)
     both, each = (
@@ -150,7 +150,7 @@ def test_the_shade_of_a_rest_is_the_mean_of_its_suns():
     assert each[0] == pytest.approx(700.0 * lit * FIELD.shade(suns[0], *pose).lost)
 
 
-def test_the_optimal_law_looks_at_the_minutes_that_a_pose_is_to_last():
+def test_the_optimal_law_counts_the_shade_of_all_the_time_that_a_pose_is_to_last():
     evening, lower = (sun_direction(EVENING + seconds, *LYNGBY) for seconds in (240.0, 600.0))
     law = OptimalLaw(OptimalSettings(), LIMITS, group=FIELD)
     law.observe(700.0 * np.maximum(NORMALS @ evening, 0.0) + [40.0, 40.0, 40.0, 70.0], evening, 60.0)
@@ -164,7 +164,7 @@ def test_the_optimal_law_looks_at_the_minutes_that_a_pose_is_to_last():
 
 
 @pytest.mark.parametrize("lasts", [False, True])
-def test_the_gain_of_a_move_counts_the_shade_that_is_left_and_the_shade_that_is_come_to(lasts):
+def test_the_gain_of_a_move_counts_the_shade_at_the_old_pose_and_at_the_new_one(lasts):
     # With so low a sun the best pose has some shade too.
     sun, later = (direction_from_azimuth(265.0, elevation, LYNGBY[0]) for elevation in (5.0, 3.0))
     law = OptimalLaw(OptimalSettings(), LIMITS, group=FIELD)
@@ -180,7 +180,7 @@ def test_the_gain_of_a_move_counts_the_shade_that_is_left_and_the_shade_that_is_
     assert choice.gain_w_m2 == pytest.approx((more - there) - (less - here))
 
 
-def test_no_pose_of_a_lattice_of_a_degree_collects_more_than_the_best():
+def test_no_pose_on_a_lattice_of_1_degree_collects_more_than_the_best_pose_among_neighbours():
     sun, beam = direction_from_azimuth(130.0, 15.0, LYNGBY[0]), np.array(150.0)
     vector = aim_vector(Light(beam, beam, np.array(0.0)), sun)
     best = best_among(FIELD, vector, beam, [sun], angles_within(vector, LIMITS), LIMITS)
@@ -191,7 +191,7 @@ def test_no_pose_of_a_lattice_of_a_degree_collects_more_than_the_best():
     assert of_best >= of_every.max()
 
 
-def test_the_optimal_law_weighs_the_shade_of_the_pose_that_it_stands_in():
+def test_the_optimal_law_leaves_a_shaded_pose_that_a_tracker_alone_would_keep():
     """A move out of a pose that has become shaded is worth more than its gain without shade."""
     to_sun = direction_from_azimuth(*sun_position(MORNING, *LYNGBY)[:2], LYNGBY[0])
     faces = 700.0 * np.maximum(NORMALS @ to_sun, 0.0)

@@ -19,7 +19,7 @@ def tracker(site=PALAISEAU):
 
 
 @pytest.mark.parametrize("site", [Site(-33.9, 18.4, 0.0), Site(48.7, -2.2, 0.0)])
-def test_the_angles_and_the_azimuth_are_those_of_the_direction_in_either_hemisphere(site):
+def test_the_angles_and_the_azimuth_of_an_aim_are_those_of_its_direction_in_either_hemisphere(site):
     aim = chronometric.build(chronometric.SETTINGS(), tracker(site)).aim(Moment(FORENOON, None, None))
     sun = sun_position(FORENOON, *site)
     assert (aim.azimuth_deg, aim.elevation_deg) == (pytest.approx(sun.azimuth_deg), pytest.approx(sun.elevation_deg))
@@ -44,14 +44,14 @@ class HalfBlind(DirectionLaw):
 
 
 @pytest.mark.parametrize("law", [HalfBlind, Nowhere])
-def test_half_a_direction_or_one_without_a_length_is_none(law):
+def test_a_direction_that_is_partly_nan_or_has_no_length_gives_no_target(law):
     aim = law(tracker()).aim(Moment(FORENOON, None, None))
     assert aim.target is None
     assert math.isnan(aim.elevation_deg)
     assert aim.why == "the readings give no direction"
 
 
-def test_a_law_that_says_no_more_than_a_direction_keeps_nothing_and_stands_in_nobodys_way():
+def test_a_law_that_gives_only_a_direction_keeps_no_state_and_allows_every_move():
     law = HalfBlind(tracker())
     law.observe(Reading(FORENOON, 0.0, (1.0, 1.0, 1.0, 1.0)))
     law.book(1.0)
@@ -65,14 +65,14 @@ def test_a_law_that_says_no_more_than_a_direction_keeps_nothing_and_stands_in_no
 
 
 @pytest.mark.parametrize("law", [chronometric, mu_prime, sun_vector])
-def test_where_a_law_has_no_direction_it_has_none_of_three_parts(law):
+def test_a_law_without_a_direction_returns_nan_in_all_three_components(law):
     made = law.build(law.SETTINGS(), tracker())
     np.testing.assert_array_equal(
         made.direction(Moment(FORENOON, None, None, sun_known=False), NO_DIRECTION), [math.nan] * 3
     )
 
 
-def test_the_sun_vector_is_completed_by_the_ephemeris_while_the_sun_is_known_and_not_else():
+def test_the_sun_vector_is_completed_by_the_ephemeris_only_while_the_suns_position_is_known():
     # In June the morning sun stands north of east, where no face sees it: south and west read alike.
     morning = 1655614800.0
     law = sun_vector.build(sun_vector.SETTINGS(), tracker())
@@ -87,7 +87,7 @@ def test_the_sun_vector_is_completed_by_the_ephemeris_while_the_sun_is_known_and
 @pytest.mark.parametrize(("name", "usual", "greatest"), [
     ("albedo", 0.2, 1.0), ("uniform_threshold", 0.01, 0.5), ("gain_uncertainty", 0.03, 0.2),
 ])  # fmt: skip
-def test_the_parameters_of_the_sun_vector_are_shares_in_their_bounds(name, usual, greatest):
+def test_the_parameters_of_the_sun_vector_law_are_accepted_within_their_bounds_only(name, usual, greatest):
     assert getattr(sun_vector.SETTINGS(), name) == usual
     for value in (0.0, greatest):
         assert getattr(sun_vector.SETTINGS(**{name: value}), name) == value
@@ -109,13 +109,13 @@ class WrongFromTheStart(LawSettings):
 
 
 @pytest.mark.parametrize("wrong", [{"lead_deg": math.inf}, {"lead_deg": math.nan}, {"lead_deg": "1"}, {"lead": 1.0}])
-def test_a_parameter_of_any_law_is_a_finite_number_under_its_name(wrong):
+def test_a_law_parameter_with_an_unknown_name_or_no_finite_number_is_refused(wrong):
     assert OwnSettings(lead_deg=1.0).lead_deg == 1.0
     with pytest.raises(ValueError, match="lead"):
         OwnSettings(**wrong)
 
 
-def test_a_wrong_default_is_noticed_and_nothing_changes_a_law_s_parameters_later():
+def test_an_infinite_default_of_a_law_parameter_is_refused_and_parameters_cannot_be_changed_later():
     with pytest.raises(ValueError, match="lead_deg"):
         WrongFromTheStart()
     with pytest.raises(ValueError, match="frozen"):

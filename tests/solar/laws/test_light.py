@@ -19,7 +19,7 @@ direction = st.tuples(st.floats(0, 360), st.floats(-20, 90)).map(
 )
 
 
-def test_hand_worked_morning():
+def test_the_light_found_from_a_hand_worked_morning_is_right():
     # Sun due south-east at 30 deg: cosines 0.6124 on east and south, 0.5 on the zenith face, none on west.
     sun = direction_from_azimuth(135.0, 30.0, LATITUDE)
     # B 800, D 100, H 10, albedo 0.2: GHI 500, vertical diffuse 50 + 10 + 50.
@@ -31,18 +31,18 @@ def test_hand_worked_morning():
 
 
 @given(st.lists(st.floats(-50.0, 2100.0) | st.just(np.nan), min_size=4, max_size=4), direction)
-def test_the_zenith_face_is_believed_or_not_wherever_the_sun_is(faces, sun):
+def test_whether_the_zenith_face_is_usable_does_not_depend_on_the_suns_position(faces, sun):
     assert zenith_usable(faces) == usable_faces(faces, sun)[3]
 
 
-def test_hand_worked_aim():
+def test_the_aim_vector_matches_a_calculation_by_hand():
     # Due south at 45 deg: M = 500 (1, 0, 1) + 30 i + (200 - 0.2 * 700)/2 k.
     sun = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0)
     light = Light(np.array(500 * np.sqrt(2.0)), np.array(200.0), np.array(30.0))
     np.testing.assert_allclose(aim_vector(light, sun, 0.2), [530.0, 0.0, 530.0])
 
 
-def test_a_uniform_sky_is_met_flat():
+def test_under_a_uniform_sky_no_beam_is_found_and_the_best_pose_is_flat():
     sun = direction_from_azimuth(200.0, 20.0, LATITUDE)
     light = light_from_faces([60.0, 60.0, 60.0, 100.0], sun, 0.2)
     assert light.beam == pytest.approx(0, abs=0.5)
@@ -52,7 +52,7 @@ def test_a_uniform_sky_is_met_flat():
 
 @pytest.mark.parametrize("model", ["isotropic", "haydavies", "perez"])
 @pytest.mark.parametrize(("azimuth", "elevation"), [(75.0, 12.0), (110.0, 30.0), (180.0, 62.0), (300.0, 8.0)])
-def test_the_light_of_pvlibs_faces_predicts_pvlibs_planes(model, azimuth, elevation):
+def test_the_light_found_from_pvlibs_faces_predicts_pvlibs_irradiance_on_tilted_planes(model, azimuth, elevation):
     dni, dhi, extra = 600.0, 140.0, 1360.0
     ghi = dhi + dni * np.sin(np.radians(elevation))
 
@@ -76,7 +76,7 @@ def test_the_light_of_pvlibs_faces_predicts_pvlibs_planes(model, azimuth, elevat
 
 @pytest.mark.parametrize("missing", range(4))
 @pytest.mark.parametrize(("azimuth", "elevation"), [(75.0, 12.0), (110.0, 30.0), (250.0, 25.0)])
-def test_three_faces_and_the_ephemeris_still_tell_the_beam(missing, azimuth, elevation):
+def test_beam_and_diffuse_light_are_found_from_any_three_faces_and_the_suns_position(missing, azimuth, elevation):
     sun = direction_from_azimuth(azimuth, elevation, LATITUDE)
     beam, uniform = 600.0, 120.0
     shares = np.maximum([sun[1], sun[0], -sun[1]], 0)
@@ -88,7 +88,7 @@ def test_three_faces_and_the_ephemeris_still_tell_the_beam(missing, azimuth, ele
     assert light.uniform == pytest.approx(uniform, rel=0.25)
 
 
-def test_a_face_that_cannot_be_true_is_not_believed():
+def test_missing_dark_and_impossibly_bright_faces_are_not_usable():
     sun = direction_from_azimuth(100.0, 30.0, LATITUDE)
     assert usable_faces([600.0, 200.0, 90.0, 420.0], sun).all()
     assert list(usable_faces([np.nan, 200.0, 90.0, 420.0], sun)) == [False, True, True, True]
@@ -108,7 +108,7 @@ def test_any_finite_faces_give_finite_angles_inside_the_limits(faces, sun, albed
 
 
 @given(st.lists(st.one_of(reading, st.just(np.nan), st.just(np.inf)), min_size=4, max_size=4), direction)
-def test_even_broken_faces_give_finite_light(faces, sun):
+def test_nan_and_infinite_faces_give_finite_light(faces, sun):
     assert all(np.isfinite(part) for part in light_from_faces(faces, sun))
 
 
@@ -152,12 +152,12 @@ SOUTH = direction_from_azimuth(180.0, 40.0, 50.0)
     (3, (400.0, 600.0, np.nan, 78.0), False),
     (0, (np.nan, 600.0, 400.0, 500.0), False),
 ])  # fmt: skip
-def test_the_bounds_of_what_a_face_may_read(face, faces, believed):
+def test_a_face_is_usable_only_within_absolute_bounds_and_those_set_by_the_other_faces(face, faces, believed):
     assert usable_faces(faces, SOUTH)[face] == believed
 
 
 @pytest.mark.parametrize(("azimuth", "shaded", "lit"), [(90.0, 2, 0), (270.0, 0, 2)])
-def test_a_face_that_the_sun_reaches_must_not_be_darker_than_one_in_the_shade(azimuth, shaded, lit):
+def test_a_sunlit_face_that_is_much_darker_than_a_shaded_one_is_not_usable(azimuth, shaded, lit):
     faces = np.array([100.0, 100.0, 100.0, 100.0])
     faces[shaded], faces[lit] = 400.0, 75.0
     assert not usable_faces(faces, direction_from_azimuth(azimuth, 40.0, 50.0))[lit]
@@ -178,25 +178,25 @@ def test_a_face_that_the_sun_reaches_must_not_be_darker_than_one_in_the_shade(az
     (80.0, 30.0, [0, 3], False),
     (80.0, -1.0, [0], False),
 ])  # fmt: skip
-def test_a_low_sun_is_told_by_the_face_that_looks_to_it_alone(azimuth, elevation, missing, told):
+def test_the_beam_of_a_low_sun_can_be_told_only_with_the_face_that_looks_towards_it(azimuth, elevation, missing, told):
     usable = ~np.isin(np.arange(4), missing)
     assert tell_beam(usable, direction_from_azimuth(azimuth, elevation, LATITUDE)) == told
 
 
-def test_the_product_is_that_with_the_normal_of_the_pose():
+def test_the_product_with_a_pose_equals_that_with_the_normal_of_the_pose():
     random = np.random.default_rng(5)
     vectors, a_deg, b_deg = random.normal(size=(50, 3)), random.uniform(-90, 90, 50), random.uniform(5, 90, 50)
     expected = (vectors * normal_from_angles(a_deg, b_deg)).sum(axis=-1)
     np.testing.assert_allclose(product(vectors, a_deg, b_deg), expected, atol=1e-12)
 
 
-def test_of_many_instants_each_has_its_own_least_face():
+def test_the_zenith_face_is_judged_by_the_vertical_faces_of_its_own_instant():
     # Beside its own vertical faces the second zenith face is as dark as a dead one; beside the first ones it is not.
     faces = np.array([[5.0, 6.0, 7.0, 4.0], [400.0, 500.0, 450.0, 4.0], [np.nan] * 4])
     assert zenith_usable(faces).tolist() == [zenith_usable(row).tolist() for row in faces] == [True, False, False]
 
 
-def test_where_the_sky_gives_less_than_the_ground_takes_the_module_still_looks_a_thousandth_up():
+def test_the_aim_vector_points_slightly_up_even_where_the_ground_gives_more_light_than_the_sky():
     sun = np.array([1.0, 0.0, 0.0])
     vector = aim_vector(Light(np.array(500.0), np.array(100.0), np.array(0.0)), sun, 1.0)
     np.testing.assert_allclose(vector, [500.0, 0.0, 0.1])
@@ -219,7 +219,7 @@ DAY, HIGH = (300.0, 410.0, 60.0, 470.0), (0.6, 0.5, 0.62)
     ((200.0, 20.0, 10.0, 40.0), (-0.3, 0.9, 0.3), (1, 1, 0, 1), (134.351, 0, 0, -40.3054, 120.916, 36.2749)),
     ((0.0, 0.0, 0.0, 0.0), (0.6, 0.5, 0.62), (1, 1, 1, 1), (0, 0, 0, 0, 0, 1e-09)),
 ])  # fmt: skip
-def test_what_is_made_of_readings_that_contradict_each_other(faces, sun, counts, expected):
+def test_light_and_aim_from_contradictory_readings_have_the_pinned_values(faces, sun, counts, expected):
     light = light_from_faces(faces, sun, 0.2, np.array(counts, dtype=np.bool_))
     assert [*light, *aim_vector(light, sun, 0.2)] == pytest.approx(expected, rel=2e-5, abs=1e-10)
 
@@ -228,13 +228,13 @@ def test_what_is_made_of_readings_that_contradict_each_other(faces, sun, counts,
 LESS_THAN_NO_BEAM, ASIDE = (56.8, 54.4, 66.4, 100.0), (0.6, 0.48, 0.64)
 
 
-def test_without_a_beam_the_vertical_faces_keep_their_mean():
+def test_light_found_without_a_beam_keeps_the_mean_of_the_vertical_faces():
     light = light_from_faces(LESS_THAN_NO_BEAM, ASIDE, 0.2)
     # Their mean of 59.2 less the 10 of the ground is 0.8 less than half of the 100 on the zenith face.
     assert [*light] == pytest.approx([0.0, 100.0, -0.8], abs=1e-3)
 
 
-def test_of_many_at_once_each_has_the_light_that_it_has_alone():
+def test_the_light_of_many_readings_at_once_equals_that_of_each_alone():
     faces = np.array([DAY, (5.0, 8.0, 4.0, 20.0), (100.0, 90.0, 110.0, 240.0), LESS_THAN_NO_BEAM])
     suns = np.array([HIGH, (0.9, -0.3, 0.3), (0.1, -0.9, 0.42), ASIDE])
     counts = np.array([(1, 1, 0, 1), (1, 1, 1, 1), (0, 1, 1, 1), (1, 1, 1, 1)], dtype=np.bool_)

@@ -46,7 +46,7 @@ class Beside:
         return unrest, (1.0 - share) * self.quick + share * self.slow
 
 
-def test_nothing_is_known_before_the_first_reading_and_the_first_is_believed_as_it_is():
+def test_the_light_is_unknown_before_the_first_reading_and_then_exactly_that_of_the_first_reading():
     assert not heard().expect().known
     expected = heard((CLEAR, 60.0)).expect()
     assert expected.known
@@ -55,7 +55,7 @@ def test_nothing_is_known_before_the_first_reading_and_the_first_is_believed_as_
 
 
 @pytest.mark.parametrize("thrift", [0.1, 1.0, 10.0, 100.0])
-def test_a_varying_sky_is_expected_between_its_quick_and_its_slow_mean(thrift):
+def test_the_light_expected_of_a_varying_sky_lies_between_its_quick_and_its_slow_mean(thrift):
     memory = heard((CLEAR, 60.0), (CLOUDY, 240.0), (HAZY, 60.0), (CLOUDY, 240.0))
     unrest, expected = Beside(CLEAR).then(CLOUDY, 240.0).then(HAZY, 60.0).then(CLOUDY, 240.0).expects(thrift)
     says = memory.expect(thrift)
@@ -65,7 +65,7 @@ def test_a_varying_sky_is_expected_between_its_quick_and_its_slow_mean(thrift):
     assert memory.expect().light == pytest.approx(memory.expect(1.0).light)
 
 
-def test_a_reading_with_too_few_faces_changes_nothing_but_its_age():
+def test_a_reading_with_too_few_faces_leaves_the_expected_light_and_the_unrest_unchanged():
     before, after = heard((CLEAR, 60.0), (HAZY, 60.0)), heard((CLEAR, 60.0), (HAZY, 60.0), (DARK, 60.0))
     np.testing.assert_array_equal(np.array(after.expect().light), np.array(before.expect().light))
     assert after.expect().unrest == before.expect().unrest > 0.0
@@ -74,13 +74,13 @@ def test_a_reading_with_too_few_faces_changes_nothing_but_its_age():
 
 
 @pytest.mark.parametrize(("gap_s", "known"), [(600.0, True), (601.0, False)])
-def test_what_is_known_ends_with_the_time_after_which_it_is_forgotten(gap_s, known):
+def test_the_expected_light_is_forgotten_after_more_than_600_s_without_a_usable_reading(gap_s, known):
     assert heard((CLEAR, 60.0), (DARK, gap_s)).expect().known == known
     assert heard((CLEAR, 60.0), (DARK, 300.0), (DARK, gap_s - 300.0)).expect().known == known
 
 
 @pytest.mark.parametrize(("gap_s", "forgotten"), [(540.0, False), (541.0, True)])
-def test_after_a_longer_gap_the_memory_begins_with_the_next_reading(gap_s, forgotten):
+def test_after_a_gap_longer_than_600_s_the_memory_starts_anew_with_the_next_reading(gap_s, forgotten):
     memory = heard((CLEAR, 60.0), (CLOUDY, 60.0), (DARK, gap_s), (HAZY, 60.0))
     if forgotten:
         np.testing.assert_allclose(np.array(memory.expect().light), light(HAZY))
@@ -92,7 +92,7 @@ def test_after_a_longer_gap_the_memory_begins_with_the_next_reading(gap_s, forgo
     assert memory.expect().known
 
 
-def test_readings_together_are_readings_one_after_the_other():
+def test_readings_observed_together_give_the_same_light_as_one_after_the_other():
     readings = ((CLEAR, 60.0), (CLOUDY, 30.0), (HAZY, 120.0))
     together = LightMemory(SETTINGS)
     together.observe([faces for faces, _ in readings], [SUN] * 3, [seconds for _, seconds in readings])
@@ -101,7 +101,7 @@ def test_readings_together_are_readings_one_after_the_other():
     np.testing.assert_allclose(np.array(together.light), np.array(alone.light))
 
 
-def test_trackers_side_by_side_have_faces_and_seconds_of_their_own():
+def test_a_memory_for_two_trackers_expects_for_each_the_light_of_its_own_readings():
     together = LightMemory(SETTINGS, (2,))
     together.observe([CLEAR, CLEAR], [SUN, SUN], 60.0)
     together.observe([HAZY, DARK], [SUN, SUN], [60.0, 30.0])
@@ -112,19 +112,19 @@ def test_trackers_side_by_side_have_faces_and_seconds_of_their_own():
         np.testing.assert_allclose(found[:, place], np.array(memory.expect().light))
 
 
-def test_below_the_horizon_no_reading_is_good():
+def test_a_reading_with_the_sun_below_the_horizon_is_not_used():
     memory = LightMemory(SETTINGS)
     memory.observe(CLOUDY, SUN * [1, 1, -1], 60.0)
     assert not memory.expect().known
 
 
-def test_a_copy_goes_its_own_way():
+def test_readings_observed_by_a_copied_memory_leave_the_original_unchanged():
     memory = heard((CLEAR, 60.0))
     memory.copied().observe(CLOUDY, SUN, 600.0)
     np.testing.assert_allclose(np.array(memory.expect().light), light(CLEAR))
 
 
-def test_the_price_of_travel_is_in_its_range():
+def test_a_thrift_from_0_1_to_100_is_accepted_and_any_other_is_refused():
     for thrift in (0.1, 100.0):
         assert OptimalSettings(thrift=thrift).thrift == thrift
     for thrift in (0.09, 101.0, np.nan):

@@ -53,13 +53,13 @@ def test_a_clear_sky_is_followed_within_a_few_degrees_by_a_few_moves_an_hour():
     assert law.moves <= 4 * 12
 
 
-def test_an_even_sky_is_met_flat_and_at_rest():
+def test_under_a_sky_without_beam_the_law_stays_flat_and_makes_no_move():
     poses, law = day(lambda _minute: 0.0)
     np.testing.assert_allclose(poses[-1], [0.0, 90.0], atol=2.0)
     assert law.moves == 0
 
 
-def test_a_short_gap_in_the_beam_moves_nothing_and_a_long_one_does():
+def test_a_gap_of_one_minute_in_the_beam_causes_no_move_and_a_long_one_does():
     steady, _ = day(lambda _minute: 800.0)
     blink, _ = day(lambda minute: 0.0 if minute == 120 else 800.0)
     assert np.abs(blink[121] - steady[121]).sum() < 5.0
@@ -67,7 +67,7 @@ def test_a_short_gap_in_the_beam_moves_nothing_and_a_long_one_does():
     assert cloud[-1][1] > 80.0
 
 
-def test_a_sun_that_no_pose_sees_draws_nothing():
+def test_the_law_lies_as_flat_as_the_limits_allow_while_no_pose_can_face_the_sun():
     # Near midnight of a summer far in the north: the sun is behind the tracker, where the axis does not go.
     limits, place, evening = Limits(-50.0, 50.0, 15.0, 60.0), (68.0, 2.2090, 0.0), 1655850600.0  # 2022-06-21 22:30
     sun = sun_direction(evening, *place)
@@ -80,12 +80,12 @@ def test_a_sun_that_no_pose_sees_draws_nothing():
 
 
 @pytest.mark.parametrize("thrift", [0.0, 0.09, -1.0, 101.0, math.nan])
-def test_a_thrift_that_is_no_price_is_refused(thrift):
+def test_a_thrift_outside_0_1_to_100_is_refused(thrift):
     with pytest.raises(ValueError, match=r"not in 0\.1\.\.100"):
         OptimalSettings(thrift=thrift)
 
 
-def test_the_thriftier_the_less_it_travels():
+def test_the_law_travels_less_with_a_higher_thrift():
     def sky_of(minute):
         return 700.0 if (minute // 7) % 2 else 0.0
 
@@ -94,7 +94,7 @@ def test_the_thriftier_the_less_it_travels():
 
 
 @pytest.mark.parametrize(("travel", "moves"), [(0.0, 250), (60.0, 250), (300.0, 250), (1300.0, 0), (1300.0, 7)])
-def test_the_budget_is_never_exceeded(travel, moves):
+def test_the_days_budget_of_travel_and_of_moves_is_never_exceeded(travel, moves):
     settings = replace(SETTINGS, travel_per_day_deg=travel, moves_per_day=moves)
     poses, law = day(lambda minute: 800.0 * (minute % 20 < 10), settings=settings)
     way = np.abs(np.diff(poses, axis=0, prepend=[[0.0, 90.0]])).sum(axis=1)
@@ -111,7 +111,7 @@ def test_with_one_face_missing_the_sun_is_still_followed(fault):
 
 
 @pytest.mark.parametrize(("azimuth_deg", "face", "a_deg"), [(80.0, 0, -50.0), (280.0, 2, 50.0)])
-def test_beside_a_low_sun_that_the_dead_face_alone_would_show_the_sun_is_followed(azimuth_deg, face, a_deg):
+def test_a_low_sun_is_followed_even_if_the_only_face_that_would_show_it_is_dead(azimuth_deg, face, a_deg):
     # A clear April dawn in steps of a minute: under its beam the east face would read 80 to 150 W/m2.
     law = OptimalLaw(SETTINGS, LIMITS)
     for elevation_deg, side, zenith in ((0.2, 2.5, 4.4), (0.5, 4.0, 6.7), (1.3, 7.4, 11.2), (1.5, 8.4, 12.6)):
@@ -131,7 +131,7 @@ def test_with_two_faces_missing_the_law_is_chronometric():
     np.testing.assert_allclose(poses[-1], [a_deg, b_deg], atol=2.5)
 
 
-def test_a_move_is_worth_what_it_gains_and_costs_what_its_way_and_the_thrift_say():
+def test_the_gain_of_a_move_and_its_price_by_length_and_thrift_match_a_calculation_by_hand():
     # Without faces the sun counts, as 500 W/m2 of beam, from A 10 to near 0 deg and from B 60 to near 30 deg.
     sun = normal_from_angles(0.0, 30.0)
     choice = OptimalLaw(replace(SETTINGS, thrift=2.0), LIMITS).choose(10.0, 60.0, sun, 1.0)
@@ -167,21 +167,21 @@ def test_an_axis_goes_as_far_as_its_last_degree_pays_and_no_further(place, pose,
     assert (np.abs(reached - np.asarray(pose)) <= np.abs(here - np.asarray(pose)) + 1e-6).all()
 
 
-def test_a_pose_beyond_a_limit_is_gone_to_as_far_as_the_limit():
+def test_towards_a_best_pose_beyond_the_limits_each_axis_moves_right_to_its_limit():
     # The slope does not vanish there: nothing is left out before the limit.
     vector = 300.0 * normal_from_angles(-80.0, 5.0)
     a, b = as_far_as_it_pays(vector, (0.0, 90.0), angles_within(vector, LIMITS)[0], 0.05, LIMITS)
     assert (a, b) == (LIMITS.a_min_deg, LIMITS.b_min_deg)
 
 
-def test_a_dear_degree_moves_nothing_and_a_free_one_goes_all_the_way():
+def test_no_axis_moves_at_a_huge_price_per_degree_and_both_move_all_the_way_at_none():
     vector = 200.0 * normal_from_angles(20.0, 40.0)
     best_a, _ = angles_within(vector, LIMITS)
     assert as_far_as_it_pays(vector, (0.0, 90.0), best_a, 1e12, LIMITS) == (0.0, 90.0)
     np.testing.assert_allclose(as_far_as_it_pays(vector, (0.0, 90.0), best_a, 0.0, LIMITS), (20.0, 40.0), atol=1e-9)
 
 
-def test_a_day_s_budget_that_runs_ahead_of_the_daylight_raises_the_price_by_its_sixth_power():
+def test_a_budget_used_faster_than_the_daylight_raises_the_price_by_the_sixth_power_of_the_ratio():
     # 0.8 of the travel is left for 0.9 of the daylight. Without a price per degree no axis stops short.
     law = OptimalLaw(replace(SETTINGS, price_per_degree_w_m2=0.0), LIMITS)
     sun = normal_from_angles(0.0, 30.0)
@@ -192,7 +192,7 @@ def test_a_day_s_budget_that_runs_ahead_of_the_daylight_raises_the_price_by_its_
     assert law.choose(10.0, 60.0, sun, 0.7).price_w_m2 == pytest.approx(usual)
 
 
-def test_after_a_long_gap_the_memory_starts_again():
+def test_after_a_gap_of_half_an_hour_the_memory_of_the_light_starts_anew():
     law = OptimalLaw(SETTINGS, LIMITS)
     for minute in range(30):
         law.observe(faces_at(NOON + 60 * minute, 800.0, 100.0), sun_direction(NOON + 60 * minute, *SITE), 60.0)
@@ -202,7 +202,7 @@ def test_after_a_long_gap_the_memory_starts_again():
     assert law.expect().light.beam == pytest.approx(0.0, abs=1.0)
 
 
-def test_days_side_by_side_are_the_days_one_by_one():
+def test_days_computed_side_by_side_give_the_same_poses_as_one_by_one():
     both = OptimalLaw(SETTINGS, LIMITS, (2,))
     single = [OptimalLaw(SETTINGS, LIMITS) for _ in range(2)]
     pose = np.array([[0.0, 0.0], [90.0, 90.0]])
@@ -221,7 +221,7 @@ def test_days_side_by_side_are_the_days_one_by_one():
     np.testing.assert_allclose(pose.T, alone)
 
 
-def test_a_new_day_has_a_new_budget():
+def test_a_new_day_resets_the_budget_and_takes_over_what_the_day_taught():
     _, law = day(lambda minute: 800.0 * (minute % 20 < 10))
     assert law.moves > 0
     before = law.site.learned
@@ -231,7 +231,7 @@ def test_a_new_day_has_a_new_budget():
     assert law.travelled_deg == 0
 
 
-def test_below_the_horizon_nothing_moves():
+def test_while_the_sun_is_below_the_horizon_the_law_makes_no_move():
     law = OptimalLaw(SETTINGS, LIMITS)
     choice = law.decide(10.0, 40.0, np.array([0.6, 0.7, -0.4]), 0.0)
     assert not choice.move

@@ -74,7 +74,7 @@ def assert_alike(aim, expected):
     ("every_s", "per_mean", "first_s"),
     [(5.0, 3, 5.0), (15.0, 1, 5.0), (30.0, 1, 5.0), (60.0, 1, 5.0)],
 )
-def test_readings_become_means_of_a_quarter_of_a_minute_each_with_its_own_sun(every_s, per_mean, first_s):
+def test_readings_are_averaged_over_15_s_or_one_scan_with_the_sun_direction_of_each_mean(every_s, per_mean, first_s):
     law, readings = live(), list(scans(12, every_s))
     for reading in readings:
         law.observe(reading)
@@ -98,7 +98,7 @@ def test_readings_become_means_of_a_quarter_of_a_minute_each_with_its_own_sun(ev
     assert aim.sun == pytest.approx(sun_position(utc_s, *SITE))
 
 
-def test_after_a_gap_a_reading_stands_for_the_rhythm_of_the_cube_and_no_longer():
+def test_a_reading_after_a_gap_counts_for_one_scan_interval_only():
     law = live()
     readings = [*scans(3), *scans(3, start_s=NOON + 110.0)]
     for reading in readings:
@@ -108,7 +108,7 @@ def test_after_a_gap_a_reading_stands_for_the_rhythm_of_the_cube_and_no_longer()
 
 
 @pytest.mark.parametrize(("gap_s", "forgotten"), [(600.0, False), (1200.0, True), (7200.0, True)])
-def test_light_from_before_a_long_gap_is_forgotten(gap_s, forgotten):
+def test_light_from_before_a_gap_of_1200_s_is_forgotten_and_from_before_one_of_600_s_is_not(gap_s, forgotten):
     law = live()
     before, after = list(scans(4)), list(scans(3, start_s=NOON + gap_s, dni=0.0, dhi=150.0))
     for reading in (*before, *after):
@@ -119,7 +119,7 @@ def test_light_from_before_a_long_gap_is_forgotten(gap_s, forgotten):
     assert_alike(aim, expected_aim(in_means(heard, 3, 15.0), after[-1].utc_s, (-50.0, 15.0)))
 
 
-def test_a_face_that_is_missing_for_a_while_is_the_mean_of_what_there_is():
+def test_the_mean_of_a_face_is_taken_over_the_readings_that_it_has():
     law, readings = live(), list(scans(6))
     readings[1] = readings[1]._replace(faces_w_m2=(math.nan, *readings[1].faces_w_m2[1:]))
     for at in (3, 4, 5):
@@ -134,7 +134,7 @@ def test_a_face_that_is_missing_for_a_while_is_the_mean_of_what_there_is():
     assert_alike(aim, expected_aim(means, readings[-1].utc_s, (0.0, 90.0)))
 
 
-def test_what_waits_for_long_is_taken_in_all_the_same():
+def test_all_of_41_means_that_wait_for_a_decision_count_in_it():
     law, readings = live(), list(scans(3 * 41))
     for reading in readings:
         law.observe(reading)
@@ -142,7 +142,7 @@ def test_what_waits_for_long_is_taken_in_all_the_same():
     assert_alike(aim, expected_aim(in_means(readings, 3, 15.0), readings[-1].utc_s, (0.0, 90.0)))
 
 
-def test_prices_rise_with_the_budget_that_is_used_and_the_daylight_that_is_left():
+def test_the_price_of_a_move_rises_with_the_budget_that_is_used_and_the_daylight_that_is_left():
     law, readings = live(), list(scans(3, start_s=NOON - 14_400.0))
     # The daylight of this day counts, although the law was asked for the day before as well.
     law.aim(Moment(NOON - DAY_S, None, Angles(0.0, 90.0)))
@@ -159,7 +159,7 @@ def test_prices_rise_with_the_budget_that_is_used_and_the_daylight_that_is_left(
 
 
 @pytest.mark.parametrize("limit", [{"travel_per_day_deg": 50.0}, {"moves_per_day": 1}])
-def test_a_move_that_the_day_does_not_allow_is_not_said_to_be_worth_nothing(limit):
+def test_a_move_beyond_the_days_budget_is_reported_with_its_gain_and_the_budget_as_the_reason(limit):
     law = live(**limit)
     law.book(0.0)
     aim = law.aim(Moment(NOON, None, Angles(-50.0, 15.0)))
@@ -169,7 +169,7 @@ def test_a_move_that_the_day_does_not_allow_is_not_said_to_be_worth_nothing(limi
     )
 
 
-def test_the_settings_reach_the_law():
+def test_the_travel_and_albedo_settings_take_effect_in_the_optimal_law():
     law = live(thrift=3.0, travel_per_day_deg=50.0, moves_per_day=2, albedo=0.4)
     readings = list(scans(3))
     for reading in readings:
@@ -185,7 +185,7 @@ def test_the_settings_reach_the_law():
     assert aim.albedo == 0.4
 
 
-def test_without_a_place_it_asks_for_nothing():
+def test_while_the_trackers_pose_is_unknown_the_law_gives_no_target():
     aim = live().aim(Moment(NOON, None, None))
     assert aim.target is None
     assert math.isnan(aim.azimuth_deg)
@@ -193,7 +193,7 @@ def test_without_a_place_it_asks_for_nothing():
     assert aim.why == "where the tracker stands is not known"
 
 
-def test_a_clock_of_1970_forgets_nothing_of_the_day_that_it_is_set_to_later():
+def test_the_days_budget_survives_a_clock_that_shows_1970_until_it_is_set():
     law = live(moves_per_day=3)
     law.book(20.0)
     for _ in range(2):
@@ -214,7 +214,7 @@ def test_a_clock_of_1970_forgets_nothing_of_the_day_that_it_is_set_to_later():
 
 
 @pytest.mark.parametrize("longitude_deg", [0.0, 100.0, -150.0])
-def test_a_day_is_the_suns_from_midnight_to_midnight(longitude_deg):
+def test_the_day_of_the_budget_ends_at_the_solar_midnight_of_the_site(longitude_deg):
     midnight_s = 19_277 * DAY_S - longitude_deg * 240.0
     law = live(utc_s=midnight_s - 3600.0, site=Site(40.0, longitude_deg, 0.0))
     law.book(10.0)
@@ -226,7 +226,7 @@ def test_a_day_is_the_suns_from_midnight_to_midnight(longitude_deg):
     assert law.to_dict()["day"] == 19_277
 
 
-def test_what_the_last_minutes_of_a_day_showed_belongs_to_that_day():
+def test_readings_of_a_days_last_minutes_count_in_what_is_learned_from_that_day():
     law, other = live(), live()
     for reading in scans(3 * 39):
         law.observe(reading)
@@ -239,7 +239,7 @@ def test_what_the_last_minutes_of_a_day_showed_belongs_to_that_day():
     assert law.to_dict() == pytest.approx(other.to_dict())
 
 
-def test_the_budget_of_today_goes_on_after_a_restart_and_that_of_yesterday_does_not():
+def test_a_restart_keeps_todays_used_budget_and_the_learned_values_but_not_yesterdays_used_budget():
     law = live()
     law.book(123.0)
     kept = law.to_dict()
@@ -250,7 +250,7 @@ def test_the_budget_of_today_goes_on_after_a_restart_and_that_of_yesterday_does_
     assert learned.to_dict() == pytest.approx({**gains, "albedo": 0.5, "gain_west": 1.0})
 
 
-def test_to_learn_anew_forgets_what_waits_too():
+def test_relearning_also_discards_means_that_wait_for_a_decision():
     law = live(albedo=0.25, kept={"albedo": 0.5, "gain_west": 0.98, "day": 0})
     for reading in scans(3 * 30):
         law.observe(reading)
@@ -260,7 +260,7 @@ def test_to_learn_anew_forgets_what_waits_too():
     assert law.learned.to_dict() == pytest.approx(Learned(0.25).to_dict())
 
 
-def test_where_the_sun_does_not_set_the_day_is_as_long_as_it_is():
+def test_where_the_sun_does_not_set_the_share_of_daylight_left_is_that_of_24_hours():
     site, noon_s = Site(80.0, 0.0, 0.0), 1687348800.0  # 2023-06-21 12:00 UTC
     law = live(utc_s=noon_s, site=site, travel_per_day_deg=1000.0)
     law.book(750.0)
@@ -276,13 +276,13 @@ def test_where_the_sun_does_not_set_the_day_is_as_long_as_it_is():
         assert aim.why == weighed(float(choice.gain_w_m2), float(choice.price_w_m2), moves=bool(choice.move))
 
 
-def test_it_decides_once_a_minute_and_shows_what_it_learned_apart_from_the_day():
+def test_the_law_decides_once_a_minute_and_shows_learned_values_apart_from_those_of_the_day():
     law = live()
     assert law.decide_every_s == 60.0
     assert law.shown()["learned"] == Learned().to_dict()
 
 
-def test_what_is_kept_may_be_of_a_day_without_moves_and_must_be_finite():
+def test_kept_state_of_a_day_without_moves_is_accepted_and_infinite_travel_is_refused():
     fresh = live().to_dict()
     assert (fresh["travelled_deg"], fresh["moves"]) == (0.0, 0)
     assert live(kept=fresh).to_dict() == fresh
@@ -292,7 +292,7 @@ def test_what_is_kept_may_be_of_a_day_without_moves_and_must_be_finite():
 
 
 @pytest.mark.parametrize("site", [Site(-33.9, 18.4, 0.0), Site(48.7, -2.2, 0.0)])
-def test_without_faces_it_aims_at_the_sun_four_minutes_ahead_in_either_hemisphere(site):
+def test_without_readings_the_law_aims_at_the_sun_four_minutes_ahead_in_either_hemisphere(site):
     aim = live(site=site).aim(Moment(NOON - 10_800.0, None, Angles(0.0, 90.0)))
     ahead = sun_position(NOON - 10_800.0 + 240.0, *site)
     assert (aim.azimuth_deg, aim.elevation_deg) == (
@@ -301,7 +301,7 @@ def test_without_faces_it_aims_at_the_sun_four_minutes_ahead_in_either_hemispher
     )
 
 
-def test_each_morning_knows_what_the_clear_days_before_taught():
+def test_the_albedo_known_each_morning_is_that_learned_on_the_clear_days_before():
     # By hand: each clear day of more than an hour moves the albedo a fifth of the way from 0.2 to the ground's.
     utc_s = NOON - DAY_S / 2 + 600.0 * np.arange(3 * 144)
     weather = lay_out(utc_s, np.full(utc_s.size, 800.0), np.full(utc_s.size, 1e-3), SITE, 600.0)
@@ -309,7 +309,7 @@ def test_each_morning_knows_what_the_clear_days_before_taught():
     np.testing.assert_allclose(known.albedo, [0.2, 0.26, 0.308], atol=0.01)
 
 
-def test_what_each_reading_shows_by_itself():
+def test_estimates_of_beam_and_diffuse_light_are_right_for_each_reading_and_nan_where_unknown():
     law = live()
     faces = np.stack([faces_at(NOON, 600.0, 100.0, albedo=0.2)] * 4)
     faces[1, 0] = math.nan
@@ -331,7 +331,7 @@ def test_a_zenith_face_that_the_others_contradict_is_not_believed():
     assert not live().believes_zenith((500.0, 600.0, 500.0, 5.0), NOON)
 
 
-def test_the_fast_way_stays_where_it_stands_until_there_was_a_reading():
+def test_the_fast_steering_of_the_benchmark_stays_in_place_until_the_first_reading():
     utc_s = NOON + 60.0 * np.arange(3)
     weather = lay_out(utc_s, np.full(3, 700.0), np.full(3, 80.0), SITE)
     faces = faces_under(build_sky(weather, "isotropic"), 0.2)

@@ -29,7 +29,7 @@ def isotropic_faces(dni, dhi, azimuth_deg, elevation_deg, albedo=0.2):
     )
 
 
-def test_mu_prime_of_a_hand_worked_morning():
+def test_mu_prime_agrees_with_a_hand_worked_morning():
     # I_min is the west face: (400 - 100, 500 - 100, 600), equations (12) and (14).
     a_deg, b_deg = angles_from_direction(mu_prime([500, 400, 100, 600]))
     assert a_deg == pytest.approx(math.degrees(math.asin(-400 / math.sqrt(300**2 + 400**2 + 600**2))))
@@ -73,7 +73,7 @@ def test_sun_vector_without_a_beam_looks_at_the_zenith():
 
 @pytest.mark.parametrize("law", [mu_prime, sun_vector])
 @given(faces=st.tuples(anything, anything, anything, anything))
-def test_every_law_gives_a_direction_or_none_but_never_half_a_number(law, faces):
+def test_every_law_gives_a_finite_direction_or_nan_in_all_components(law, faces):
     direction = law(faces)
     assert np.isfinite(direction).all() or np.isnan(direction).all()
     if not np.isfinite(faces).all() or not faces[3] > 0:
@@ -82,7 +82,7 @@ def test_every_law_gives_a_direction_or_none_but_never_half_a_number(law, faces)
 
 @pytest.mark.parametrize("law", [mu_prime, sun_vector])
 @pytest.mark.parametrize("wrong", [5.0, [], [1.0, 2.0, 3.0], np.ones((4, 5)), np.ones((2, 8))])
-def test_what_has_not_four_faces_is_refused(law, wrong):
+def test_readings_without_four_faces_along_the_last_axis_are_refused(law, wrong):
     with pytest.raises(ValueError, match="East, South, West, Zenith along the last axis"):
         law(wrong)
 
@@ -96,7 +96,7 @@ def test_laws_work_on_arrays(law):
 
 
 @pytest.mark.parametrize("law", [mu_prime, sun_vector])
-def test_the_first_light_is_pointed_at_as_that_of_noon_is(law):
+def test_a_law_gives_the_same_direction_in_a_thousandth_of_the_light(law):
     faces = isotropic_faces(700, 90, 120, 30)
     assert 1e-3 * faces[3] < 1.0
     np.testing.assert_allclose(law(1e-3 * faces), 1e-3 * law(faces))
@@ -117,7 +117,7 @@ def test_gains_that_are_three_percent_off_do_not_point_the_sun_vector_at_random_
     assert np.mean(b_deg < 45) < 0.01
 
 
-def test_clear_skies_are_pointed_at_as_without_the_threshold():
+def test_under_clear_skies_the_threshold_turns_the_sun_vector_by_less_than_0_1_degree():
     for azimuth, elevation in itertools.product((95, 140, 180, 230, 265), (8, 20, 40, 60)):
         dni = 1000 * 0.7 ** ((1 / np.sin(np.radians(elevation))) ** 0.678)
         faces = isotropic_faces(dni, 80, azimuth, elevation)
@@ -125,7 +125,7 @@ def test_clear_skies_are_pointed_at_as_without_the_threshold():
         assert changed < 0.1, (azimuth, elevation)
 
 
-def test_the_threshold_is_two_standard_errors_of_the_formula():
+def test_the_threshold_of_the_sun_vector_is_two_standard_errors_of_its_formula():
     east, south, west, zenith, albedo, share = 310.0, 330.0, 280.0, 500.0, 0.2, 0.03
     up = zenith - 2 * west + albedo * zenith
     beam = math.sqrt((south - west) ** 2 + (east - west) ** 2 + up**2)
@@ -143,28 +143,28 @@ def test_a_negative_vertical_component_of_the_sun_vector_counts_as_zero():
     assert vector == pytest.approx([500, 0, 0])
 
 
-def test_east_west_alone_is_a_beam():
+def test_a_difference_between_east_and_west_alone_counts_as_beam_in_the_sun_vector():
     # At dawn the sun is in the east: nothing from the south, nothing from above.
     vector = sun_vector([600, 240, 240, 400])
     assert vector == pytest.approx([0, 360, 0], abs=1e-9)
 
 
 @pytest.mark.parametrize("azimuth_deg", [70.0, 290.0])
-def test_beyond_the_east_west_plane_the_ephemeris_gives_the_component_that_no_face_sees(azimuth_deg):
+def test_poleward_of_the_east_west_plane_the_ephemeris_gives_the_component_that_no_face_sees(azimuth_deg):
     sun = direction_from_azimuth(azimuth_deg, 15.0, 48.7)
     seen = np.array([0.0, sun[1], sun[2]])
     assert separation_deg(complete_poleward(seen, sun), sun) == pytest.approx(0, abs=1e-9)
     assert complete_poleward(seen, sun)[0] < 0, "towards the pole"
 
 
-def test_a_sun_near_the_poles_azimuth_completes_nothing():
+def test_the_sun_vector_is_not_completed_while_the_sun_is_near_the_poles_azimuth():
     # There any error of the small east-west component would be blown up.
     sun = direction_from_azimuth(30.0, 5.0, 60.0)
     seen = np.array([0.0, 0.2, 0.1])
     assert complete_poleward(seen, sun) == pytest.approx(seen)
 
 
-def test_a_sun_on_the_equators_side_or_on_the_other_completes_nothing():
+def test_the_sun_vector_is_not_completed_if_the_sun_is_equatorward_or_opposite_to_the_side_seen():
     for azimuth in (110.0, 290.0):
         seen = np.array([0.0, 0.8, 0.2])
         assert complete_poleward(seen, direction_from_azimuth(azimuth, 15.0, 48.7)) == pytest.approx(seen)

@@ -45,7 +45,7 @@ def stepped(law, faces, **settings):
         (sun_vector, HAZY, {"gain_uncertainty": 0.2}),
     ],
 )
-def test_each_setting_changes_where_it_points(law, faces, settings):
+def test_each_setting_changes_the_direction_of_the_live_law_and_of_its_fast_steering(law, faces, settings):
     usual, changed = aim(law, faces), aim(law, faces, **settings)
     assert abs(changed.elevation_deg - usual.elevation_deg) > 0.5
     usual, changed = stepped(law, faces), stepped(law, faces, **settings)
@@ -53,12 +53,12 @@ def test_each_setting_changes_where_it_points(law, faces, settings):
 
 
 @pytest.mark.parametrize("law", [mu_prime, sun_vector])
-def test_the_fast_way_points_as_the_law_does(law):
+def test_the_fast_steering_points_where_the_law_does(law):
     target = aim(law, SUNNY).target
     assert stepped(law, SUNNY) == pytest.approx((target.a_deg, target.b_deg), abs=0.5)
 
 
-def test_what_was_learned_and_what_a_day_has_used_are_shown_apart():
+def test_learned_values_and_the_motion_used_in_a_day_are_shown_separately():
     shown = built(optimal_live).shown()
     assert set(shown) == {"learned", "today"}
     assert set(shown["today"]) == {"travelled_deg", "moves"}

@@ -33,7 +33,7 @@ def learn(days, albedo, gains=(1.0, 1.0, 1.0, 1.0), dni=800.0):
 
 
 @pytest.mark.parametrize("albedo", [0.05, 0.2, 0.7])
-def test_clear_days_teach_the_albedo(albedo):
+def test_the_albedo_is_learned_from_clear_days(albedo):
     assert float(learn(30, albedo).albedo) == pytest.approx(albedo, abs=0.06)
 
 
@@ -44,7 +44,7 @@ def test_gains_are_learned_relative_to_each_other():
     np.testing.assert_allclose(gains / gains[1], [1.03 / 0.99, 1.0, 1.0 / 0.99], atol=4e-3)
 
 
-def test_learning_is_slow_and_bounded():
+def test_the_albedo_is_learned_slowly_and_stays_within_its_range():
     once = learn(1, 0.7)
     assert 0.2 < float(once.albedo) <= 0.2 + 0.2 * 0.55
     wild = learn(60, 0.2, gains=(1.5, 1.0, 1.0, 1.0))
@@ -60,14 +60,14 @@ def test_no_sensor_is_believed_to_be_off_by_more_than_seven_percent(log_east, ga
     assert (learned.gain_east, learned.gain_south, learned.gain_west) == gains
 
 
-def test_an_overcast_day_teaches_nothing():
+def test_overcast_days_change_neither_the_learned_albedo_nor_the_learned_gains():
     assert learn(3, 0.7, dni=0.0) == Learned(0.2, 1.0, 1.0, 1.0)
 
 
 @pytest.mark.parametrize(("missing", "seconds", "learns"), [
     ([3], 600.0, True), ([3], 615.0, False), ([0, 1, 2], 615.0, False), ([0, 1, 2, 3], 3600.0, True),
 ])  # fmt: skip
-def test_a_day_on_which_a_face_was_left_out_teaches_nothing_and_one_without_readings_does(missing, seconds, learns):
+def test_a_day_is_not_learned_from_if_some_but_not_all_faces_are_missing_for_more_than_600_s(missing, seconds, learns):
     sun = np.array([0.6, 0.5, np.sqrt(1.0 - 0.61)])
     faces = np.array([500.0, 560.0, 150.0, 1.2 * 800.0 * sun[2]])
     unread = faces.copy()
@@ -83,13 +83,13 @@ def test_a_day_on_which_a_face_was_left_out_teaches_nothing_and_one_without_read
     assert site.learned != before, "the next day teaches again"
 
 
-def test_what_was_learned_can_be_forgotten():
+def test_a_reset_restores_the_initial_albedo_and_gains():
     site = SiteLearning(learned=learn(2, 0.5))
     site.reset()
     assert site.learned == Learned()
 
 
-def test_faces_of_many_instants_and_trackers_are_divided_by_their_gains():
+def test_faces_of_many_instants_and_trackers_are_divided_by_their_learned_gains():
     gains = np.array([[1.02, 1.0, 0.98], [1.01, 0.99, 1.0], [1.0, 1.05, 0.95]])
     site = SiteLearning((3,), Learned(0.2, *gains))
     corrected = site.corrected(np.ones((2, 3, 4)))
@@ -97,7 +97,7 @@ def test_faces_of_many_instants_and_trackers_are_divided_by_their_gains():
 
 
 @pytest.mark.parametrize(("seconds", "share"), [(0.0, 0.0), (1800.0, 0.1), (3600.0, 0.2), (7200.0, 0.2)])
-def test_a_day_is_a_fifth_of_the_way_and_less_than_an_hour_of_it_less(seconds, share):
+def test_a_day_moves_albedo_and_gains_a_fifth_of_the_way_and_less_with_under_an_hour_of_readings(seconds, share):
     sums = no_sums(())._replace(albedo_s=np.array(seconds), albedo=np.array(0.6 * seconds))
     assert float(step(Learned(0.2), sums).albedo) == pytest.approx(0.2 + share * 0.4)
     sums = no_sums(())._replace(west_s=np.array(seconds), west=np.array(0.06 * seconds))
@@ -107,7 +107,7 @@ def test_a_day_is_a_fifth_of_the_way_and_less_than_an_hour_of_it_less(seconds, s
     assert float(learned.gain_east * learned.gain_south * learned.gain_west) == pytest.approx(1.0)
 
 
-def test_albedo_and_gains_are_learned_from_one_reading_as_the_equations_say():
+def test_albedo_and_gains_learned_from_one_reading_agree_with_the_equations():
     # The sun in the south-east: the west face is in the shade.
     sun = np.array([0.6, 0.5, np.sqrt(1.0 - 0.61)])
     beam, diffuse, albedo = 800.0, 100.0, 0.3
@@ -129,7 +129,7 @@ def test_albedo_and_gains_are_learned_from_one_reading_as_the_equations_say():
     ({}, True), ({"usable": [True, True, True, False]}, False), ({"beam": 299.0}, False), ({"beam": 301.0}, True),
     ({"zenith": 1.43}, False), ({"zenith": 1.42}, True),
 ])  # fmt: skip
-def test_only_beam_that_is_most_of_the_light_teaches(change, learns):
+def test_only_readings_with_all_faces_usable_and_a_strong_dominant_beam_are_learned_from(change, learns):
     sun = np.array([0.6, 0.5, np.sqrt(1.0 - 0.61)])
     beam = change.get("beam", 800.0)
     faces = np.array([500.0, 560.0, 150.0, change.get("zenith", 1.2) * beam * sun[2]])

@@ -30,7 +30,7 @@ def two_days():
 
 
 @pytest.mark.parametrize("law", [mu_prime, sun_vector, chronometric])
-def test_a_law_run_reading_by_reading_harvests_what_its_fast_way_does(two_days, law):
+def test_a_law_run_reading_by_reading_harvests_what_its_fast_steering_does(two_days, law):
     weather, light, faces = two_days
     settings = law.SETTINGS()
     ways = (
@@ -42,7 +42,7 @@ def test_a_law_run_reading_by_reading_harvests_what_its_fast_way_does(two_days, 
     assert slow == pytest.approx(fast, rel=5e-3 if law is chronometric else 1e-12)
 
 
-def test_towards_the_sun_is_the_chronometric_tracker_and_late_it_points_where_the_sun_was(two_days):
+def test_steering_towards_the_sun_equals_the_chronometric_law_and_points_to_the_past_sun_if_delayed(two_days):
     weather, _, faces = two_days
     a, b = np.zeros(2), np.full(2, 90.0)
     clock = chronometric.steer(chronometric.SETTINGS(), weather, faces, LIMITS)
@@ -54,7 +54,7 @@ def test_towards_the_sun_is_the_chronometric_tracker_and_late_it_points_where_th
     assert np.abs(np.subtract(now(430, a, b), late(430, a, b))).max() > 1.0
 
 
-def test_the_optimal_law_reading_by_reading_comes_near_its_fast_way_and_keeps_its_plan(two_days):
+def test_the_optimal_law_run_by_readings_harvests_nearly_as_its_fast_steering_and_keeps_its_budget(two_days):
     weather, light, faces = two_days
     settings = optimal_live.SETTINGS(moves_per_day=40)
     ways = (
@@ -66,7 +66,7 @@ def test_the_optimal_law_reading_by_reading_comes_near_its_fast_way_and_keeps_it
     assert (slow.moves <= 40).all()
 
 
-def test_a_mean_is_of_its_last_steps_and_a_step_that_is_longer_its_own_mean():
+def test_a_mean_covers_the_last_steps_within_its_length_and_a_longer_step_is_its_own_mean():
     utc_s = 1465084800.0 + 300.0 * np.arange(288)
     weather = lay_out(utc_s, 700.0 * (utc_s // 1800 % 2), np.full(utc_s.size, 150.0), LYNGBY, 300.0)
     faces = faces_under(build_sky(weather, "isotropic"), 0.2)
@@ -122,7 +122,7 @@ def test_a_law_hears_each_reading_once_before_the_step_that_it_steers():
     assert (law.booked, a.tolist(), b.tolist()) == ([7.0, 7.0], [-6.0], [82.0])
 
 
-def test_flat_never_moves(two_days):
+def test_the_flat_law_never_moves(two_days):
     weather, light, faces = two_days
     done = harvest(
         weather, light, 0.2, Drive(), by_readings(partial(flat.build, flat.SETTINGS()), weather, faces, LIMITS)

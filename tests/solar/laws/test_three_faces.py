@@ -28,7 +28,7 @@ def day(dni_w_m2, dhi_w_m2):
 
 @pytest.mark.parametrize("face", range(4))
 @pytest.mark.parametrize("weather", [HAZY, CLEAR])
-def test_the_fourth_face_is_found_from_three_while_the_sun_is_up(weather, face):
+def test_a_missing_face_is_estimated_from_the_other_three_while_the_sun_is_up(weather, face):
     minutes, _, faces = day(*weather)
     up = minutes.sun[:, 2] > 0.2
     sun, faces = minutes.sun[up], faces[up]
@@ -40,7 +40,7 @@ def test_the_fourth_face_is_found_from_three_while_the_sun_is_up(weather, face):
     assert off.max() < 0.25 * faces[:, face].max()
 
 
-def test_four_faces_are_left_alone_and_so_are_two():
+def test_readings_of_four_faces_and_of_two_faces_are_left_unchanged():
     sun = np.array([0.6, 0.0, 0.8])
     four, two = np.array([200.0, 500.0, 150.0, 600.0]), np.array([np.nan, 500.0, np.nan, 600.0])
     np.testing.assert_array_equal(completed(four, sun), four)
@@ -63,14 +63,14 @@ def test_a_dead_face_counts_as_one_that_is_missing(face):
     np.testing.assert_array_equal(found[~replaced], dead[~replaced])
 
 
-def test_beside_a_missing_face_the_three_others_count_however_dark_one_is():
+def test_a_missing_face_is_estimated_even_if_one_of_the_other_three_is_nearly_dark():
     sun = np.array([0.6, 0.0, 0.8])
     found = completed(np.array([np.nan, 500.0, 1.0, 600.0]), sun)
     assert np.isfinite(found).all()
 
 
 @pytest.mark.parametrize("law", [mu_prime, sun_vector, flat, chronometric])
-def test_a_dead_zenith_face_does_not_make_it_night(law):
+def test_a_dark_zenith_face_is_believed_only_while_the_other_faces_are_dark_too(law):
     made = law.build(law.SETTINGS(), TrackerFacts(LYNGBY, Limits(), 5.0, 300.0, NIGHTS))
     assert not made.believes_zenith((500.0, 600.0, 100.0, 0.3), NIGHTS)
     assert made.believes_zenith((0.3, 0.4, 0.2, 0.3), NIGHTS)
@@ -78,7 +78,7 @@ def test_a_dead_zenith_face_does_not_make_it_night(law):
 
 @pytest.mark.parametrize("law", [mu_prime, sun_vector])
 @pytest.mark.parametrize("face", range(4))
-def test_reading_by_reading_three_faces_steer_as_in_the_benchmark_and_nearly_as_four(law, face):
+def test_with_three_faces_a_law_harvests_as_its_fast_steering_does_and_within_1_percent_of_four(law, face):
     weather, light, faces = day(*HAZY)
     without = faces.copy()
     without[:, face] = np.nan
@@ -94,7 +94,7 @@ def test_reading_by_reading_three_faces_steer_as_in_the_benchmark_and_nearly_as_
 
 
 @pytest.mark.parametrize("law", [mu_prime, sun_vector])
-def test_three_faces_tell_no_direction_while_the_sun_s_position_is_in_doubt(law):
+def test_with_three_faces_a_law_gives_no_target_while_the_suns_position_is_unknown(law):
     noon = NIGHTS + 43200.0
     made = law.build(law.SETTINGS(), TrackerFacts(LYNGBY, Limits(), 5.0, 300.0, noon))
     faces = 200.0, np.nan, 150.0, 300.0

@@ -26,7 +26,7 @@ def year():
 
 
 @pytest.mark.parametrize("across", ["east", "north"])
-def test_long_rows_of_one_axis_turn_back_to_pvlib_s_angle(year, across):
+def test_long_rows_of_single_axis_trackers_turn_back_to_pvlibs_backtracking_angle(year, across):
     sun, azimuth, elevation = year
     places = [0.0, PITCH_M, 2 * PITCH_M]
     if across == "east":
@@ -48,7 +48,7 @@ def test_long_rows_of_one_axis_turn_back_to_pvlib_s_angle(year, across):
     assert 0.2 < turned.mean() < 0.6
 
 
-def test_two_axes_find_the_nearest_pose_without_shade_and_no_steeper_one(year):
+def test_dual_axis_trackers_turn_to_the_nearest_pose_without_shade_that_is_no_steeper(year):
     sun = year[0][::80]
     wanted = angles_within(sun, LIMITS)
     a_deg, b_deg = out_of_shade(FIELD, [sun], *wanted, LIMITS)
@@ -67,7 +67,7 @@ def test_two_axes_find_the_nearest_pose_without_shade_and_no_steeper_one(year):
 
 
 @pytest.mark.parametrize("groups", [0, 1, 3])
-def test_a_group_that_turns_only_if_it_pays_turns_where_it_gets_more_beam_and_nowhere_else(year, groups):
+def test_a_group_set_to_turn_back_only_if_it_pays_does_so_only_where_it_gets_more_beam(year, groups):
     sun = year[0][::10]
     wanted = angles_within(sun, LIMITS)
     east_m, north_m = [0, 5, 10, 0, 5, 10], [0, 0, 0, 5, 5, 5]
@@ -85,7 +85,7 @@ def test_a_group_that_turns_only_if_it_pays_turns_where_it_gets_more_beam_and_no
     np.testing.assert_array_equal(turned_back(asked, [sun], *wanted, LIMITS), expected)
 
 
-def test_what_has_no_shade_and_what_is_not_known_stay_as_they_are():
+def test_unshaded_and_nan_poses_are_left_unchanged_beside_a_shaded_one_that_turns():
     sun = direction_from_azimuth([180.0, 180.0, 100.0], [50.0, 50.0, 8.0], LYNGBY[0])
     a_deg, b_deg = out_of_shade(FIELD, [sun], np.array([1.25, np.nan, -40.0]), np.array([50.5, 50.0, 60.0]), LIMITS)
     assert (a_deg[0], b_deg[0]) == (1.25, 50.5)
@@ -93,7 +93,7 @@ def test_what_has_no_shade_and_what_is_not_known_stay_as_they_are():
     assert (a_deg[2], b_deg[2]) != (-40.0, 60.0)
 
 
-def test_the_evening_s_last_pose_lasts_when_the_sun_has_set():
+def test_the_pose_out_of_the_shade_stays_nearly_the_same_from_sunset_on():
     azimuths, elevations = [295.0, 295.0, 295.0], [0.06, 0.0, -4.0]
     poses = [
         out_of_shade(FIELD, [direction_from_azimuth(azimuth, elevation, LYNGBY[0])], 45.0, 40.0, LIMITS)
@@ -103,7 +103,7 @@ def test_the_evening_s_last_pose_lasts_when_the_sun_has_set():
     assert separation_deg(normals, normals[0]).max() < 0.5
 
 
-def test_a_pose_for_a_rest_has_no_shade_at_its_beginning_nor_at_its_end():
+def test_a_pose_chosen_for_two_suns_has_no_shade_under_either():
     evening = [direction_from_azimuth(azimuth, up, LYNGBY[0]) for azimuth, up in ((262.0, 9.0), (265.0, 7.0))]
     wanted = angles_within(evening[0], LIMITS)
     at_once, lasting = (out_of_shade(FIELD, suns, *wanted, LIMITS) for suns in (evening[:1], evening))
@@ -113,7 +113,7 @@ def test_a_pose_for_a_rest_has_no_shade_at_its_beginning_nor_at_its_end():
     assert max(FIELD.worst_share(sun, *again) for sun in evening) <= 1e-6
 
 
-def test_on_a_slope_where_every_pose_has_shade_the_least_is_taken():
+def test_on_a_slope_where_every_pose_is_shaded_the_least_shaded_one_is_taken():
     sun = direction_from_azimuth(180.0, 3.0, LYNGBY[0])
     south_is_higher = TrackerGroup.on_map([0, 0], [0, 4.0], [0.8, 0.0], (50.0, 2.0), LYNGBY[0])
     a_deg, b_deg = out_of_shade(south_is_higher, [sun], 0.0, 15.0, Limits(-10, 10, 15, 60))
@@ -123,7 +123,7 @@ def test_on_a_slope_where_every_pose_has_shade_the_least_is_taken():
     assert south_is_higher.worst_share(sun, a_deg, b_deg) <= lattice.min() + 1e-3
 
 
-def test_a_sun_that_is_not_known_leaves_its_own_pose_alone():
+def test_an_unknown_sun_leaves_its_own_pose_unchanged_and_other_poses_turn():
     sun = direction_from_azimuth(100.0, 8.0, LYNGBY[0])
     pairs = np.stack([sun, [np.nan] * 3]), np.stack([sun, sun])
     a_deg, b_deg = out_of_shade(FIELD, pairs, np.array([-40.0, -40.0]), np.array([60.0, 60.0]), LIMITS)

@@ -35,7 +35,7 @@ def traced(offsets_m, sun, a_deg, b_deg, size_m):
 
 
 @pytest.mark.parametrize(("size_m", "up_m"), [((2.0, 2.0), ()), ((3.0, 1.0), (0.0, 0.4, 0.8, 0.1, 0.5, 0.9))])
-def test_the_shaded_share_of_every_place_is_that_of_rays_traced_one_by_one(size_m, up_m):
+def test_the_shaded_share_of_every_tracker_agrees_with_ray_tracing(size_m, up_m):
     group = field(4 if not up_m else 3, 2, 3.2, size_m, up_m)
     random = np.random.default_rng(7)
     together = 0
@@ -67,7 +67,7 @@ def test_long_rows_shade_each_other_as_pvlib_says():
     assert (expected == 0.0).any()
 
 
-def test_bypass_groups_take_the_beam_that_pvlib_s_martinez_takes():
+def test_bypass_groups_lose_as_much_beam_as_in_pvlibs_martinez_model():
     # With the sun due east or west the shadow moves only across the groups: it touches as many as it covers.
     for elevation_deg, side in ((4.0, 1), (9.0, 1), (15.0, 1), (4.0, -1), (9.0, -1), (15.0, -1)):
         sun = direction_from_azimuth(180.0 - 90.0 * side, elevation_deg, LYNGBY_DEG)
@@ -80,7 +80,7 @@ def test_bypass_groups_take_the_beam_that_pvlib_s_martinez_takes():
         np.testing.assert_allclose(bare.lost, bare.share, atol=1e-12)
 
 
-def test_flat_modules_on_level_ground_and_backs_to_the_sun_have_no_shade():
+def test_flat_modules_have_no_shade_and_backs_to_the_sun_have_a_worst_share_of_1_but_lose_nothing():
     group, low = field(), direction_from_azimuth([90.0, 180.0, 270.0], 1.0, LYNGBY_DEG)
     np.testing.assert_array_equal(group.worst_share(low, 0.0, 90.0), 0.0)
     away = group.shade(low[0], 50.0, 90.0)
@@ -88,7 +88,7 @@ def test_flat_modules_on_level_ground_and_backs_to_the_sun_have_no_shade():
     assert group.worst_share(low[0], 50.0, 90.0) == 1.0
 
 
-def test_north_is_where_it_is_on_either_side_of_the_equator():
+def test_a_neighbour_on_the_equators_side_casts_shade_in_both_hemispheres():
     for latitude_deg, azimuth_deg in ((55.0, 180.0), (-30.0, 0.0)):
         group = TrackerGroup.on_map([0.0, 0.0], [0.0, 4.0], (), (2.0, 2.0), latitude_deg)
         towards = direction_from_azimuth(azimuth_deg, 10.0, latitude_deg)
@@ -97,7 +97,7 @@ def test_north_is_where_it_is_on_either_side_of_the_equator():
         assert group.worst_share(towards, 0.0, 20.0) > 0.3
 
 
-def test_alike_places_of_a_large_field_are_looked_at_once():
+def test_equivalent_places_of_a_large_field_are_computed_once():
     group = field(20, 10, 5.0)
     assert group.count == 200
     assert len(group.offsets_m) < 60
@@ -116,38 +116,38 @@ def test_alike_places_of_a_large_field_are_looked_at_once():
         (np.eye(3), (-2, 2)),
     ],
 )
-def test_no_group_is_made_of_what_is_none(positions, size):
+def test_a_group_with_invalid_positions_or_module_size_is_refused(positions, size):
     with pytest.raises(ValueError, match="group"):
         TrackerGroup(positions, *size)
 
 
 @pytest.mark.parametrize("size", [(2, 0), (0, 2), (2, -1), (np.inf, 2), (2, np.inf), (np.nan, 2), (2, 2, -1)])
-def test_no_module_is_made_of_what_is_none(size):
+def test_a_module_with_an_impossible_size_or_number_of_bypass_groups_is_refused(size):
     with pytest.raises(ValueError, match=r"a module of \S+ by \S+ m with \S+ groups is not possible"):
         TrackerGroup(np.eye(3), *size)
 
 
-def test_a_module_of_one_piece_and_one_without_bypass_are_modules():
+def test_modules_with_one_bypass_group_or_none_and_small_modules_are_accepted():
     assert [TrackerGroup(np.eye(3), 2, 1, groups).bypass_groups for groups in (0, 1)] == [0, 1]
     assert TrackerGroup(np.eye(3)[:2], 2, 1).size_m == (2.0, 1.0)
     assert TrackerGroup(np.eye(3)[:2], 0.5, 0.25).size_m == (0.5, 0.25)
 
 
-def test_who_stands_higher_on_the_map_is_higher():
+def test_a_tracker_that_is_higher_on_the_map_is_higher_in_the_groups_offsets():
     group = TrackerGroup.on_map([0.0, 3.0], [0.0, 4.0], [0.0, 1.5], (2.0, 1.0), 48.0)
     # The frame's axes point south, east and up: north is negative.
     far = group.offsets_m.reshape(-1, 3)
     np.testing.assert_allclose(far[far[:, 2] > 0], [[-4.0, 3.0, 1.5]], atol=1e-9)
 
 
-def test_who_stands_nowhere_level_with_another_shades_it_too():
+def test_a_neighbour_in_another_row_and_column_and_at_another_height_casts_shade():
     group = TrackerGroup.on_map([0.0, 3.0], [0.0, 4.0], [0.0, 1.5], (2.0, 2.0), 48.0)
     sun = np.array([-4.0, 3.0, 1.5]) / np.sqrt(27.25)
     # The sun is behind the neighbour's middle: all is shaded.
     assert group.worst_share(sun, -30.0, 90.0) == pytest.approx(1.0)
 
 
-def test_many_suns_are_each_as_alone():
+def test_the_shade_and_beam_share_of_many_suns_equal_those_of_each_alone():
     group = field()
     suns = direction_from_azimuth([90.0, 120.0, 250.0], [9.0, 20.0, 6.0], LYNGBY_DEG)
     together, share = group.shade(suns, 45.0, 90.0), group.beam_share(suns, 45.0, 90.0)
@@ -157,6 +157,6 @@ def test_many_suns_are_each_as_alone():
     assert together.share[2] > 0.0 == together.share[0]
 
 
-def test_a_flat_field_has_the_sine_of_the_sun_s_height():
+def test_the_beam_share_of_a_flat_field_is_the_sine_of_the_solar_elevation():
     suns = direction_from_azimuth([180.0, 200.0], [30.0, -5.0], LYNGBY_DEG)
     np.testing.assert_allclose(field().beam_share(suns, 0.0, 90.0), [0.5, 0.0], atol=1e-12)

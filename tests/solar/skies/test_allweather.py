@@ -74,7 +74,7 @@ SKIES = [
 ]
 
 
-def test_every_kind_of_day_has_its_sky():
+def test_the_irradiance_on_planes_has_the_pinned_values_in_each_of_eight_kinds_of_day():
     elevation, dni, dhi, *expected = np.array(SKIES).T
     sun = direction_from_azimuth(np.full(len(SKIES), 180.0), elevation, 50.0)
     planes = np.array([[0.0, 1, 0], [1, 0, 0], [-1, 0, 0], [0.6, 0, 0.8]])[:, None, :]

@@ -40,7 +40,7 @@ def by_the_formula(kind, sun, planes):
 
 @pytest.mark.parametrize("kind", TYPES)
 @pytest.mark.parametrize(("azimuth", "elevation"), [(180.0, 40.0), (120.0, 25.0)])
-def test_at_its_clearness_it_is_the_standard_sky(kind, azimuth, elevation):
+def test_at_the_clearness_of_a_cie_type_the_sky_is_the_standard_sky_of_that_type(kind, azimuth, elevation):
     dhi = 60.0
     # Clearness of Perez et al. (1990), solved for DNI.
     dni = (TYPES[kind][-1] - 1.0) * dhi * (1.0 + 1.041 * np.radians(90.0 - elevation) ** 3)
@@ -50,7 +50,7 @@ def test_at_its_clearness_it_is_the_standard_sky(kind, azimuth, elevation):
     np.testing.assert_allclose(diffuse / dhi, by_the_formula(kind, sun, PLANES), atol=0.006)
 
 
-def test_between_two_types_it_lies_between_them():
+def test_between_two_cie_types_the_sky_is_their_blend_in_the_logarithm_of_clearness():
     def south(dni):
         light = sky_at(40.0, dni, 200.0, structure=0.0)
         return float(light.irradiance_on(FACE_NORMALS[1][None, :], 0.0)[0]) - dni * np.cos(np.radians(40.0))
@@ -77,7 +77,7 @@ def lateral(light):
     return (east - west) / (east + west)
 
 
-def test_clouds_make_the_sky_uneven_most_under_a_broken_one():
+def test_clouds_make_a_broken_sky_uneven_and_a_clear_one_much_less_so():
     minutes = NOON_UTC_S + 60.0 * np.arange(3000)
     smooth = sky_at(35.0, 150.0, 250.0, minutes, structure=0.0)
     assert abs(lateral(smooth)).max() < 1e-5
@@ -110,13 +110,13 @@ def carried(turns, planes):
 
 
 @pytest.mark.parametrize(("turns", "planes"), [(0.25, (0, 2)), (0.5, (1, 3))])
-def test_what_one_wind_carries_over_the_opposite_one_carries_back(turns, planes):
+def test_clouds_drift_the_opposite_way_when_the_wind_has_turned_by_half_a_circle(turns, planes):
     there, back = carried(turns, planes), carried(turns + 0.5, planes)
     assert min(abs(there), abs(back)) > 0.5
     assert there * back < 0.0
 
 
-def test_clouds_change_as_they_go():
+def test_clouds_have_changed_after_a_full_turn_of_the_wind():
     times_s = NOON_UTC_S + 60.0 * np.arange(3000)
     now, a_turn_later = (lateral(sky_at(35.0, 150.0, 250.0, times_s + late)) for late in (0.0, WIND_TURNS_IN_S))
     assert abs(np.corrcoef(now, a_turn_later)[0, 1]) < 0.5

@@ -8,7 +8,7 @@ from solar.skies.overcast import ISOTROPIC, STANDARD, overcast_factor
 
 @pytest.mark.parametrize("brightening", [ISOTROPIC, STANDARD, 0.5])
 @pytest.mark.parametrize("tilt_deg", [0.0, 20.0, 57.0, 75.0, 90.0])
-def test_it_is_the_integral_of_the_radiance(brightening, tilt_deg):
+def test_the_overcast_factor_is_the_integral_of_the_radiance_over_the_dome(brightening, tilt_deg):
     zenith = (np.arange(900) + 0.5) * np.pi / 1800
     azimuth = ((np.arange(720) + 0.5) * np.pi / 360)[:, None]
     radiance = (1 + brightening * np.cos(zenith)) * np.sin(zenith)
@@ -18,7 +18,7 @@ def test_it_is_the_integral_of_the_radiance(brightening, tilt_deg):
     assert overcast_factor(tilt_deg, brightening, albedo=0.0) == pytest.approx(seen, abs=2e-5)
 
 
-def test_a_vertical_plane_under_the_standard_sky_by_hand():
+def test_the_overcast_factor_of_a_vertical_plane_matches_a_calculation_by_hand():
     # 1/2 + 4/(7 pi) (1 - pi/2) = 0.3962, and half of the ground's 0.2.
     assert overcast_factor(90.0) == pytest.approx(0.39618 + 0.1, abs=1e-5)
     assert overcast_factor(0.0) == 1.0

@@ -21,7 +21,7 @@ def sun_at(azimuth_deg, elevation_deg):
     return direction_from_azimuth(azimuth_deg, elevation_deg, LATITUDE)
 
 
-def test_the_four_faces_of_a_cube_under_a_uniform_sky_add_up_by_hand():
+def test_the_irradiance_on_four_faces_under_an_isotropic_sky_matches_a_calculation_by_hand():
     # Sun in the South at 30 deg: DNI 800, DHI 100, so GHI = 800/2 + 100 = 500; a vertical face gets half of the vault
     # (50) and half of the ground (0.2 * 500 / 2 = 50); the South face also 800 cos 30 deg.
     faces = normal_from_tilt([90.0, 90.0, 90.0, 0.0], [90.0, 180.0, 270.0, 180.0], LATITUDE)
@@ -29,7 +29,7 @@ def test_the_four_faces_of_a_cube_under_a_uniform_sky_add_up_by_hand():
     assert received == pytest.approx([100.0, 100.0 + 800.0 * np.sqrt(0.75), 100.0, 500.0])
 
 
-def test_hay_and_davies_send_the_anisotropy_index_from_the_sun():
+def test_hay_and_davies_place_the_anisotropy_index_of_the_diffuse_light_at_the_sun():
     # DNI of half the extraterrestrial: half of DHI 100 comes from the sun's direction. Sun at 30 deg, plane facing it:
     # 680.5 + 50/sin 30 + 50 (1 + sin 30)/2 + 0.
     facing = sun_at(180.0, 30.0)
@@ -129,7 +129,7 @@ def test_an_unknown_model_is_refused_by_name():
 
 
 @pytest.mark.parametrize("model", SKY_MODELS)
-def test_the_beam_has_the_light_round_the_sun_and_none_of_it_reaches_a_plane_from_behind(model):
+def test_the_beam_on_a_plane_includes_circumsolar_light_and_is_zero_from_behind(model):
     sun = sun_at(180.0, 30.0)[None, :]
     light = sky(model, sun, np.array([700.0]), np.array([120.0]), np.array([EXTRA]))
     assert light.beam_on(sun) == pytest.approx(700.0 + light.circumsolar_w_m2)

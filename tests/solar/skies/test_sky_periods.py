@@ -47,12 +47,12 @@ def test_the_night_between_two_days_is_no_period():
     assert sky_periods(time, fraction) == [Period("clear", 0.0, 2 * HOUR), Period("clear", 12 * HOUR, 14 * HOUR)]
 
 
-def test_nothing_known_is_no_period():
+def test_unknown_diffuse_fractions_alone_give_no_period():
     assert sky_periods([0.0, 5.0], [np.nan, np.nan]) == []
 
 
 @given(st.lists(st.sampled_from([0.1, 0.7, 1.0, np.nan]), min_size=1, max_size=400))
-def test_periods_neither_overlap_nor_leave_the_readings(values):
+def test_periods_do_not_overlap_and_contain_every_known_reading(values):
     time = np.arange(len(values)) * 60.0
     periods = sky_periods(time, values, shortest_s=600.0)
     for one, other in itertools.pairwise(periods):
@@ -62,7 +62,7 @@ def test_periods_neither_overlap_nor_leave_the_readings(values):
     assert np.all(np.asarray(inside)[known] == 1) if periods else not known.any()
 
 
-def test_the_cube_tells_the_diffuse_fraction_of_a_uniform_sky():
+def test_the_diffuse_fraction_of_a_uniform_sky_is_found_from_the_four_faces():
     # DHI 100, DNI 500 at 30 deg in the south-west, albedo 0.2: GHI 350, shaded face 50 + 35.
     faces = [85.0, 391.2, 391.2, 350.0]
     assert diffuse_fraction_of_faces(faces) == pytest.approx(100 / 350)
@@ -80,5 +80,5 @@ def test_the_cube_tells_the_diffuse_fraction_of_a_uniform_sky():
         ((0.1, 0.1, 0.1, 0.5), 0.2),
     ],
 )
-def test_a_fraction_is_never_more_than_all_nor_less_than_nothing(faces, fraction):
+def test_the_diffuse_fraction_of_faces_stays_within_0_to_1_and_is_nan_in_the_dark(faces, fraction):
     assert diffuse_fraction_of_faces(faces) == pytest.approx(fraction, nan_ok=True)

@@ -88,7 +88,7 @@ async def answer(caller):
     return b""
 
 
-def test_those_who_leave_without_a_word_are_not_let_in_and_keep_nobody_waiting():
+def test_callers_that_hang_up_without_sending_are_not_admitted_and_delay_nobody():
     async def scenario(house):
         for _ in range(1000):
             house.call().close()
@@ -102,7 +102,7 @@ def test_those_who_leave_without_a_word_are_not_let_in_and_keep_nobody_waiting()
 
 
 @pytest.mark.parametrize(("token", "at_once"), [(TOKEN, True), ("wrong", False)])
-def test_the_bearer_of_the_token_passes_those_who_wait_and_nobody_else_does(token, at_once):
+def test_only_a_caller_with_the_right_token_overtakes_waiting_callers(token, at_once):
     stop = STOP % token.encode()
 
     async def scenario(house):
@@ -117,7 +117,7 @@ def test_the_bearer_of_the_token_passes_those_who_wait_and_nobody_else_does(toke
     in_house(scenario)
 
 
-def test_more_than_can_wait_are_told_so():
+def test_callers_beyond_the_waiting_limit_get_http_503_with_retry_after():
     async def scenario(house):
         callers = [house.call(PAGE) for _ in range(300)]
         told = await answer(callers[-1])
@@ -132,7 +132,7 @@ def test_more_than_can_wait_are_told_so():
 
 
 @pytest.mark.parametrize(("whence", "most"), [("192.0.2.7", 32), ("127.9.9.9", 192), ("::ffff:127.9.9.9", 192)])
-def test_too_many_silent_ones_cost_the_longest_silent_and_of_one_address_only_its_own(whence, most):
+def test_too_many_silent_callers_drop_the_longest_silent_and_a_far_address_only_its_own(whence, most):
     async def scenario(house):
         near = house.call()
         await asyncio.sleep(0.1)
@@ -150,7 +150,7 @@ def test_too_many_silent_ones_cost_the_longest_silent_and_of_one_address_only_it
     in_house(scenario)
 
 
-def test_one_far_address_does_not_take_all_places_of_those_who_wait():
+def test_one_far_address_cannot_take_all_waiting_places():
     async def scenario(house):
         house.bound.whence = "192.0.2.7"
         for _ in range(200):
@@ -161,7 +161,7 @@ def test_one_far_address_does_not_take_all_places_of_those_who_wait():
     in_house(scenario)
 
 
-def test_one_who_says_nothing_is_sent_away_after_some_seconds_and_one_who_speaks_late_is_not():
+def test_a_silent_caller_is_dropped_after_some_seconds_and_one_that_sends_late_is_served():
     async def scenario(house):
         silent, late = house.call(), house.call()
         await asyncio.sleep(4)
@@ -175,7 +175,7 @@ def test_one_who_says_nothing_is_sent_away_after_some_seconds_and_one_who_speaks
     in_house(scenario)
 
 
-def test_where_no_file_can_be_opened_callers_wait_for_a_second_and_are_served_then():
+def test_callers_are_still_served_after_accept_fails_for_lack_of_file_descriptors():
     async def scenario(house):
         house.bound.fails = OSError(errno.EMFILE, "Too many open files")
         house.call(PAGE)

@@ -67,7 +67,7 @@ def test_an_alarm_is_raised_acknowledged_and_gone_with_its_cause(house):
     assert {record.subject for record in house.records} == {"alarm"}
 
 
-def test_what_is_told_anew_is_an_alarm_that_nobody_has_seen(house):
+def test_an_acknowledged_alarm_that_reports_something_new_is_raised_again(house):
     house.alarms.set(PLAIN, "south lies")
     house.alarms.acknowledge("ana@lab", PLAIN)
     house.clock.now += 60
@@ -79,7 +79,7 @@ def test_what_is_told_anew_is_an_alarm_that_nobody_has_seen(house):
     assert house.told[-1] == f"raised {PLAIN}: south and west lie"
 
 
-def test_what_is_told_may_be_sentences_that_have_words_in_common(house):
+def test_an_alarm_with_a_new_sentence_is_raised_again_though_its_sentences_share_words(house):
     house.alarms.set(PLAIN, "A is hot; B is hot", of=["A is hot", "B is hot"])
     house.alarms.acknowledge("ana@lab", PLAIN)
     house.alarms.set(PLAIN, "B is hot", of=["B is hot"])
@@ -93,7 +93,7 @@ def test_what_is_told_may_be_sentences_that_have_words_in_common(house):
     assert house.states == {PLAIN: "raised"}
 
 
-def test_a_latched_one_stays_on_show_until_a_person_has_looked(house):
+def test_a_latched_alarm_stays_shown_until_it_is_acknowledged(house):
     house.alarms.set(LATCHED, "stalled")
     house.clock.now += 30
     house.alarms.set(LATCHED, None)
@@ -106,7 +106,7 @@ def test_a_latched_one_stays_on_show_until_a_person_has_looked(house):
     assert house.states == {}
 
 
-def test_an_acknowledged_latched_one_goes_with_its_cause_and_the_next_is_a_new_one(house):
+def test_an_acknowledged_latched_alarm_ends_with_its_cause_and_is_raised_anew_next_time(house):
     house.alarms.set(LATCHED, "stalled")
     house.alarms.acknowledge("ana")
     house.alarms.set(LATCHED, None)
@@ -115,7 +115,7 @@ def test_an_acknowledged_latched_one_goes_with_its_cause_and_the_next_is_a_new_o
     assert house.states == {LATCHED: "raised"}
 
 
-def test_what_comes_back_before_anybody_has_looked_keeps_its_first_time(house):
+def test_an_alarm_that_returns_before_it_is_acknowledged_keeps_its_first_time(house):
     house.alarms.set(LATCHED, "stalled")
     first_utc_s = house.clock.utc()
     house.alarms.set(LATCHED, None)
@@ -125,7 +125,7 @@ def test_what_comes_back_before_anybody_has_looked_keeps_its_first_time(house):
     assert (alarm.raised_utc_s, alarm.text, alarm.cleared_utc_s) == (first_utc_s, "stalled again", None)
 
 
-def test_acknowledging_counts_once_and_only_what_is_shown(house):
+def test_an_alarm_can_be_acknowledged_once_and_only_while_it_is_shown(house):
     assert house.alarms.acknowledge("ana") == ()
     house.alarms.set(PLAIN, "wind")
     house.alarms.set(LATCHED, "stalled")
@@ -135,7 +135,7 @@ def test_acknowledging_counts_once_and_only_what_is_shown(house):
     assert [alarm.acknowledged_by for alarm in house.alarms.active] == ["bob", "ana"]
 
 
-def test_maintenance_hides_all_and_raises_anew_what_lasts(house):
+def test_maintenance_hides_all_alarms_and_lasting_ones_are_raised_again_after_it(house):
     house.alarms.set(PLAIN, "wind")
     house.alarms.acknowledge("ana")
     house.alarms.set(LATCHED, "stalled")
@@ -147,7 +147,7 @@ def test_maintenance_hides_all_and_raises_anew_what_lasts(house):
     assert house.states == {PLAIN: "raised", LATCHED: "cleared"}
 
 
-def test_a_restart_forgets_neither_what_waits_for_a_person_nor_what_one_has_seen(house):
+def test_a_restart_keeps_acknowledgements_and_latched_alarms_not_yet_acknowledged(house):
     for name in (PLAIN, LATCHED):
         house.alarms.set(name, "bad")
     house.alarms.acknowledge("ana", PLAIN)
@@ -166,7 +166,7 @@ def test_a_restart_forgets_neither_what_waits_for_a_person_nor_what_one_has_seen
 
 
 @pytest.mark.parametrize("cause", ["over", "late"])
-def test_after_a_restart_a_new_cause_is_a_new_alarm(house, cause):
+def test_after_a_restart_an_alarm_that_cleared_or_returns_an_hour_later_is_raised_anew(house, cause):
     house.alarms.set(PLAIN, "bad")
     house.alarms.acknowledge("ana")
     house.restart()
@@ -178,7 +178,7 @@ def test_after_a_restart_a_new_cause_is_a_new_alarm(house, cause):
     assert house.states == {PLAIN: "raised"}
 
 
-def test_after_a_restart_what_tells_of_something_else_is_a_new_alarm(house):
+def test_after_a_restart_an_alarm_about_another_part_is_raised_anew(house):
     house.alarms.set(PLAIN, "south lies", of=["south"])
     house.alarms.acknowledge("ana")
     house.restart()
@@ -186,7 +186,7 @@ def test_after_a_restart_what_tells_of_something_else_is_a_new_alarm(house):
     assert house.states == {PLAIN: "raised"}
 
 
-def test_after_a_restart_in_maintenance_what_tells_of_something_else_is_a_new_alarm(house):
+def test_after_a_restart_in_maintenance_an_alarm_about_another_part_is_raised_anew(house):
     house.alarms.set(PLAIN, "south lies", of=["south"])
     house.alarms.acknowledge("ana")
     house.restart()
@@ -197,7 +197,7 @@ def test_after_a_restart_in_maintenance_what_tells_of_something_else_is_a_new_al
 
 
 @pytest.mark.parametrize("cause", ["over", "late"])
-def test_a_second_restart_does_not_bring_back_what_was_over_after_the_first(house, cause):
+def test_a_second_restart_does_not_restore_an_acknowledgement_that_ended_after_the_first(house, cause):
     house.alarms.set(PLAIN, "bad")
     house.alarms.acknowledge("ana")
     house.restart()
@@ -209,7 +209,7 @@ def test_a_second_restart_does_not_bring_back_what_was_over_after_the_first(hous
     assert house.states == {PLAIN: "raised"}
 
 
-def test_what_nobody_has_seen_and_nothing_latches_costs_no_disk(house):
+def test_alarms_that_are_neither_acknowledged_nor_latched_write_no_file(house):
     for _ in range(3):
         house.alarms.set(PLAIN, "wind")
         house.alarms.set(PLAIN, None)
@@ -227,7 +227,7 @@ def test_what_nobody_has_seen_and_nothing_latches_costs_no_disk(house):
         '{"alarms": {"move-failed": {"text": "", "raised_utc_s": 1.0, "acknowledged_utc_s": -1e18}}}',
     ],
 )
-def test_a_file_that_cannot_be_used_is_logged_and_written_anew(tmp_path, caplog, content):
+def test_an_unusable_alarm_file_is_logged_and_written_anew(tmp_path, caplog, content):
     (tmp_path / FILE_NAME).write_text(content)
     house = House(tmp_path)
     assert house.states == {}

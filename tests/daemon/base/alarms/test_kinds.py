@@ -36,18 +36,18 @@ def test_every_alarm_that_is_raised_is_in_the_list_and_no_other():
     assert raised_in_the_source() == set(KINDS)
 
 
-def test_each_says_cause_effect_and_remedy_without_a_full_stop():
+def test_each_alarm_kind_states_cause_effect_and_remedy_without_a_full_stop():
     for kind in KINDS.values():
         for text in (kind.cause, kind.effect, kind.remedy):
             assert text, kind.name
             assert not text.endswith("."), kind.name
 
 
-def test_one_that_is_not_in_the_list_is_a_warning():
+def test_an_alarm_that_is_not_in_the_list_counts_as_a_warning():
     assert kind_of_alarm("somebody-elses").severity is Severity.WARNING
 
 
-def test_the_page_is_current():
+def test_the_alarms_page_in_docs_is_current():
     specification = importlib.util.spec_from_file_location("alarms_table", DOCS / "alarms_table.py")
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
@@ -71,6 +71,6 @@ def test_the_page_is_current():
         ),
     ],
 )
-def test_a_command_that_needs_a_name_where_there_are_several_trackers_is_told_with_it(text, typed):
+def test_commands_named_in_alarm_texts_get_the_tracker_option_where_there_are_several_trackers(text, typed):
     assert as_typed(text, "east") == typed
     assert as_typed(text, None) == text

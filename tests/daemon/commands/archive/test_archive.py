@@ -42,7 +42,7 @@ def in_duckdb(query):
 
 
 @pytest.mark.slow
-def test_an_archive_is_read_as_the_store_that_it_was_filled_from_and_cools_down_to_parquet(
+def test_a_filled_archive_reads_the_same_as_its_store_and_its_days_move_to_parquet(
     store, postgres, database, heliocube, tmp_path
 ):
     archive = f"{database}#plant/both"
@@ -130,7 +130,9 @@ def cools_down(store, postgres, database, heliocube, tmp_path):
     assert counts["plant/both"] == counts["plant/roof"] == counts["plant/late"] > 0
 
 
-def test_what_is_damaged_in_a_store_keeps_nothing_else_out_of_the_archive(database, heliocube, tmp_path):
+def test_archive_fill_leaves_out_damaged_records_and_runs_of_a_store_and_takes_all_others(
+    database, heliocube, tmp_path
+):
     for known in (origin(), origin()):
         store = Store(tmp_path, 60.0, 400, known, SystemClock(), print)
         for number in range(3):
@@ -150,7 +152,7 @@ def test_what_is_damaged_in_a_store_keeps_nothing_else_out_of_the_archive(databa
     assert (answer["damaged"], answer["unsound"], answer["added"]) == (1, [2], 0)
 
 
-def test_a_file_of_the_broker_that_is_missing_is_told_before_the_database_is_asked(heliocube, tmp_path):
+def test_a_missing_broker_credentials_file_is_reported_before_the_database_is_asked(heliocube, tmp_path):
     config = tmp_path / "archive.toml"
     config.write_text("[mqtt]\ncredentials_file = 'none'\n[archive]\ndatabase = 'postgresql://a@127.0.0.1:1/x'\n")
     code, _, err = heliocube("archive", "--config", config)
@@ -158,7 +160,7 @@ def test_a_file_of_the_broker_that_is_missing_is_told_before_the_database_is_ask
     assert (code, err) == (2, f"heliocube: mqtt.credentials_file: {missing}\n")
 
 
-def test_a_day_that_is_not_there_or_not_over_is_a_sentence(database, heliocube, tmp_path):
+def test_archive_commands_refuse_a_wrong_database_day_age_or_name(database, heliocube, tmp_path):
     run = ("archive", "parquet", "--to", database, "--out", tmp_path)
     assert heliocube(*run)[::2] == (2, f"heliocube: {database} holds no archive: is it the right database?\n")
     assert heliocube(*run, "--day", "2999-01-01")[::2] == (2, "heliocube: --day 2999-01-01: that day is not over\n")

@@ -21,7 +21,9 @@ __all__ = ["keep"]
         (("parquet", "--out", "DAYS"), "what was written so far is in DAYS"),
     ],
 )
-def test_what_was_done_so_far_is_told_to_be_there(words, told, keep, postgres, database, heliocube, tmp_path):
+def test_an_interrupted_archive_command_says_where_its_finished_work_is(
+    words, told, keep, postgres, database, heliocube, tmp_path
+):
     import psycopg  # noqa: PLC0415 - in an extra
 
     places = {"STORE": keep(scan()), "DAYS": tmp_path / "days", "URL": database}
@@ -41,7 +43,7 @@ def test_what_was_done_so_far_is_told_to_be_there(words, told, keep, postgres, d
     assert (tmp_path / "said").read_text() == sentence
 
 
-def test_the_copy_of_an_archive_does_not_stay_when_the_connection_of_the_terminal_is_lost(
+def test_the_temporary_copy_of_an_archive_is_removed_when_the_terminals_connection_is_lost(
     keep, postgres, database, heliocube, tmp_path
 ):
     import psycopg  # noqa: PLC0415 - in an extra
@@ -61,7 +63,7 @@ def test_the_copy_of_an_archive_does_not_stay_when_the_connection_of_the_termina
     assert list(temporary.iterdir()) == []
 
 
-def test_what_the_library_cannot_undo_after_an_interruption_is_not_said_beside_it(database, caplog):
+def test_an_interruption_of_a_database_transaction_logs_no_message_of_the_library(database, caplog):
     def interrupted():
         with connected(parse_archive(database), "a test") as connection, connection.transaction():
             # As if the interruption came just between a question and the wait for its answer.

@@ -11,7 +11,7 @@ from tests.support import PATIENCE_S
 
 
 @pytest.mark.parametrize("key", [b"x", b"\x1a", b"\x1c", b"\x13"], ids=["x", "Ctrl-Z", "Ctrl-\\", "Ctrl-S"])
-def test_a_key_stops_whatever_else_it_does_to_a_program(monkeypatch, key):
+def test_any_key_stops_a_move_even_if_it_has_a_special_meaning_for_the_terminal(monkeypatch, key):
     ours, theirs = pty.openpty()
     with os.fdopen(ours, "wb", 0) as person, os.fdopen(theirs) as terminal:
         monkeypatch.setattr("sys.stdin", terminal)

@@ -35,7 +35,7 @@ def setup(monkeypatch):
     return run
 
 
-def test_a_cube_without_a_colour_or_a_terminal_is_set_up_in_plain_lines(setup, tmp_path):
+def test_setup_of_a_cube_without_a_terminal_prints_plain_lines_without_colour(setup, tmp_path):
     file = tmp_path / "cube.toml"
     done = setup(file, *CUBE, "new")
     assert done.exit_code == 0, done.output
@@ -52,7 +52,7 @@ def test_a_cube_without_a_colour_or_a_terminal_is_set_up_in_plain_lines(setup, t
     assert sorted(path.name for path in tmp_path.iterdir()) == ["api.token", "bridge.key", "cube.toml"]
 
 
-def test_what_is_there_is_kept_and_no_key_is_overwritten(setup, tmp_path):
+def test_setup_keeps_existing_settings_and_a_copy_of_the_file_and_overwrites_no_key(setup, tmp_path):
     file, key = tmp_path / "cube.toml", tmp_path / "bridge.key"
     before = "[cube]\nname = 'roof'\n[bridge]\nkey_file = 'bridge.key'\n[store]\ndirectory = 'kept'\n"
     file.write_text(before)
@@ -69,7 +69,7 @@ def test_what_is_there_is_kept_and_no_key_is_overwritten(setup, tmp_path):
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files to others")
-def test_a_key_that_root_makes_belongs_to_the_user_of_the_service_as_the_installation_has_it(setup, tmp_path):
+def test_a_key_made_by_root_belongs_to_the_user_of_the_service_as_after_an_installation(setup, tmp_path):
     # As deploy/heliocube.tmpfiles.conf sets the owners; 'daemon' stands for the user and group 'heliocube'.
     user, group = pwd.getpwnam("daemon").pw_uid, grp.getgrnam("daemon").gr_gid
     (tmp_path / "api.token").write_text("t" * 40)
@@ -85,7 +85,7 @@ def test_a_key_that_root_makes_belongs_to_the_user_of_the_service_as_the_install
     assert found["bridge.key"].st_mode & 0o777 == 0o600
 
 
-def test_a_full_disk_leaves_the_configuration_that_was_there(setup, small_disk, tmp_path):
+def test_setup_on_a_full_disk_leaves_the_existing_configuration_unchanged(setup, small_disk, tmp_path):
     file = small_disk / "cube.toml"
     said = setup(file, *CUBE, "new")
     assert said.exit_code == 0, said.output
@@ -101,7 +101,7 @@ def test_a_full_disk_leaves_the_configuration_that_was_there(setup, small_disk, 
     assert file.read_text() == before
 
 
-def test_the_end_of_the_input_leaves_and_the_same_command_goes_on(setup, tmp_path):
+def test_setup_leaves_at_the_end_of_its_input_and_the_same_command_continues_later(setup, tmp_path):
     file = tmp_path / "rig" / "cube.toml"
     left = setup(file, *CUBE[:4])
     assert left.exit_code == LEFT
@@ -115,7 +115,7 @@ def test_the_end_of_the_input_leaves_and_the_same_command_goes_on(setup, tmp_pat
     assert "What will this machine do" in again.output
 
 
-def test_another_role_than_was_answered_before_is_refused_and_nothing_is_asked(setup, tmp_path):
+def test_setup_refuses_another_role_than_its_kept_answers_have_and_keeps_them_unchanged(setup, tmp_path):
     file = tmp_path / "cube.toml"
     assert setup(file, "real", options=("--role", "both")).exit_code == LEFT
     kept = (tmp_path / "cube.setup.json").read_text()
@@ -126,7 +126,7 @@ def test_another_role_than_was_answered_before_is_refused_and_nothing_is_asked(s
     assert setup(file, options=("--role", "both")).exit_code == LEFT
 
 
-def test_the_answers_of_a_practice_whose_bench_is_gone_are_told_with_the_way_out(setup, tmp_path):
+def test_setup_refuses_kept_answers_for_a_missing_bench_and_names_the_way_out(setup, tmp_path):
     file, bench = tmp_path / "rig.toml", tmp_path / "bench" / "heliocube.toml"
     bench.parent.mkdir()
     bench.write_text("[instruments]\nkind = 'real'\nbench = true\n")
@@ -140,7 +140,7 @@ def test_the_answers_of_a_practice_whose_bench_is_gone_are_told_with_the_way_out
     assert setup(file, options=("--anew",)).exit_code == LEFT
 
 
-def test_the_place_of_the_paper_in_the_file_that_the_installation_lays_down_is_not_taken_by_enter(setup, tmp_path):
+def test_setup_offers_no_default_for_the_example_site_of_the_installed_configuration(setup, tmp_path):
     file = tmp_path / "tracker.toml"
     shutil.copy(ROOT / "deploy" / "examples" / file.name, file)
     done = setup(file, "real", "", "Roof", "", "48.7", "", "2.2", "", "156.5", options=("--role", "tracker"))
@@ -148,7 +148,7 @@ def test_the_place_of_the_paper_in_the_file_that_the_installation_lays_down_is_n
     assert "Does that fit the clock" in done.output
 
 
-def test_nothing_is_moved_where_no_key_could_stop_it(setup, tmp_path):
+def test_setup_moves_nothing_without_a_terminal_whose_keys_could_stop_the_move(setup, tmp_path):
     port = tmp_path / "positioner"
     said = ["real", "Roof", "48.7", "2.2", "156", "yes", "5", "pozsol", str(port), "skip", "none", "", "new", *[""] * 7]
     done = setup(tmp_path / "tracker.toml", *said, "move", "skip", options=("--role", "tracker"))
@@ -173,7 +173,7 @@ def test_nothing_is_moved_where_no_key_could_stop_it(setup, tmp_path):
         ("/home/me/tracker.toml", "tracker", ["heliocube run --role tracker --config /home/me/tracker.toml"]),
     ],
 )
-def test_an_installed_service_is_started_by_its_unit_and_held(file, role, lines):
+def test_setup_advises_starting_an_installed_service_by_its_unit_and_holding_the_tracker(file, role, lines):
     assert start_lines(Path(file), role) == lines
 
 
@@ -184,7 +184,7 @@ def installed(monkeypatch, tmp_path):
     return tmp_path
 
 
-def test_the_file_of_a_unit_is_for_its_role_and_keeps_records_where_the_unit_may(setup, installed):
+def test_setup_of_a_units_file_takes_the_role_and_the_store_folder_of_that_unit(setup, installed):
     file = installed / "cube.toml"
     done = setup(file, *CUBE, "new", options=())
     assert done.exit_code == 0, done.output
@@ -202,7 +202,7 @@ def test_on_an_installed_machine_a_role_that_no_unit_starts_is_refused(setup, in
     assert "cube and tracker are two units" in " ".join(asked.output.split())
 
 
-def test_a_folder_that_takes_no_file_is_refused_before_anything_is_asked(setup, tmp_path):
+def test_setup_refuses_a_folder_that_takes_no_file_before_anything_is_asked(setup, tmp_path):
     (tmp_path / "file").write_text("")
     done = setup(tmp_path / "file" / "cube.toml", *CUBE)
     assert "cannot be written" in str(done.exception)
@@ -211,7 +211,7 @@ def test_a_folder_that_takes_no_file_is_refused_before_anything_is_asked(setup, 
 
 # As with a terminal whose locale is fr_FR.UTF-8, for example; C.UTF-8 takes any byte.
 @pytest.mark.parametrize("encoding", ["utf-8:strict", "ascii:strict"])
-def test_a_letter_in_another_encoding_than_the_terminal_s_is_no_answer_and_no_end(tmp_path, encoding):
+def test_setup_asks_again_after_a_letter_in_another_encoding_than_the_terminals(tmp_path, encoding):
     done = subprocess.run(
         [sys.executable, "-c", "from daemon.entry import main; main()", "setup", str(tmp_path / "rig.toml")],
         input=b"both\nreal\nCaf\xe9\nCafe\n",
@@ -225,7 +225,7 @@ def test_a_letter_in_another_encoding_than_the_terminal_s_is_no_answer_and_no_en
 
 
 @pytest.mark.timeout(20)
-def test_a_pipe_under_the_name_of_the_answers_is_refused_and_is_no_hindrance_to_beginning_anew(setup, tmp_path):
+def test_a_pipe_in_place_of_the_kept_answers_is_refused_unless_setup_begins_anew(setup, tmp_path):
     answers = tmp_path / "rig.setup.json"
     os.mkfifo(answers)
     refused = str(setup(tmp_path / "rig.toml").exception)

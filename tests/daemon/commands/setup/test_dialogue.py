@@ -47,7 +47,7 @@ POZSOL = {"instruments.positioner.port": "/dev/heliocube-positioner", "key": "ne
 METER = {"instruments.voltmeter.resource": "GPIB0::16::INSTR"}
 
 
-def test_a_tracker_is_asked_for_its_site_its_positioner_its_key_and_its_limits_before_it_is_moved(file):
+def test_setup_of_a_tracker_asks_for_site_positioner_key_and_limits_before_the_first_move(file):
     dialogue = dialogue_of(file, "tracker", "real", *SITE)
     names = walk(dialogue, POZSOL)
     assert names.index("look at the positioner") < names.index("limits.a_min_deg") < names.index(MOVE) == len(names) - 1
@@ -60,7 +60,7 @@ def test_a_tracker_is_asked_for_its_site_its_positioner_its_key_and_its_limits_b
     assert dialogue.settings().api.listen == "127.0.0.1:20572"
 
 
-def test_a_cube_is_asked_for_its_faces_and_its_trackers_and_nothing_of_it_moves(file):
+def test_setup_of_a_cube_asks_for_its_faces_and_trackers_and_has_no_move(file):
     dialogue = dialogue_of(file, "cube", "real", *SITE)
     names = walk(dialogue, {**METER, "cube.west.gain_w_m2_per_mv": "9.87", "bridge.send_to": "10.0.0.5:20571"})
     assert MOVE not in names
@@ -93,7 +93,7 @@ def bench(tmp_path):
     return folder
 
 
-def test_a_real_rig_takes_nothing_from_the_file_of_a_practice(file):
+def test_setup_of_a_real_rig_takes_nothing_from_the_file_of_a_bench(file):
     file.write_text(A_BENCHS_FILE)
     dialogue = dialogue_of(file, "tracker", "real", *SITE)
     walk(dialogue, POZSOL, until="instruments.positioner.port")
@@ -103,7 +103,7 @@ def test_a_real_rig_takes_nothing_from_the_file_of_a_practice(file):
     assert not dialogue.settings().instruments.bench
 
 
-def test_a_bench_takes_no_other_file_s_place(file, bench):
+def test_setup_of_a_bench_refuses_an_existing_file_of_another_rig(file, bench):
     file.write_text("[mqtt]\nenabled = true\nhost = 'broker'\n")
     dialogue = dialogue_of(file, "tracker")
     with pytest.raises(UserError, match="practise with another file"):
@@ -114,7 +114,7 @@ def test_a_bench_takes_no_other_file_s_place(file, bench):
     assert again.known.basis["instruments.positioner.port"] == "/bench/positioner"
 
 
-def test_who_goes_back_from_a_bench_to_a_real_rig_is_offered_nothing_of_the_bench(file, bench):
+def test_setup_offers_nothing_of_the_bench_after_going_back_to_a_real_rig(file, bench):
     dialogue = dialogue_of(file, "tracker", "bench", str(bench), *SITE)
     walk(dialogue, {}, until="look at the positioner")
     while dialogue.back():
@@ -133,7 +133,7 @@ def test_who_goes_back_from_a_bench_to_a_real_rig_is_offered_nothing_of_the_benc
         ("labjack", "instruments.cube.line", "tcp:192.168.1.41:502"),
     ],
 )
-def test_each_driver_is_asked_where_its_instrument_is(file, driver, key, answer):
+def test_setup_asks_for_the_address_of_the_instrument_of_each_cube_driver(file, driver, key, answer):
     dialogue = dialogue_of(file, "cube", "real", *SITE, "yes", driver)
     more = {"instruments.cube.channels": "101 102 103 104", "bridge.send_to": "10.0.0.5:20571"}
     names = walk(dialogue, {key: answer, **more})
@@ -160,7 +160,7 @@ def test_each_driver_is_asked_where_its_instrument_is(file, driver, key, answer)
         (["tracker", "real", *SITE, "yes", "", ""], "/dev/ttyACM0", "may be another"),
     ],
 )
-def test_a_wrong_answer_is_one_sentence_at_once_and_changes_nothing(file, before, answer, sentence):
+def test_a_wrong_answer_in_setup_is_refused_at_once_in_one_sentence_and_changes_nothing(file, before, answer, sentence):
     dialogue = dialogue_of(file, *before)
     kept = dialogue.kept
     with pytest.raises(UserError, match=sentence) as refusal:
@@ -192,7 +192,7 @@ def test_units_are_taken_as_people_write_them(name, said, meant):
     assert keys.number_with_unit(said, keys.keys()[name]) == meant
 
 
-def test_a_number_stays_as_exact_with_its_unit_as_it_was_typed(file):
+def test_a_number_typed_with_its_unit_keeps_all_its_digits(file):
     dialogue = dialogue_of(file, "cube", "real", "Roof", "48.717607 deg", "-122.4194161 degrees", "156.254 m")
     site = dialogue.settings().site
     assert (site.latitude_deg, site.longitude_deg, site.altitude_m) == (48.717607, -122.4194161, 156.254)
@@ -227,7 +227,7 @@ def test_the_inputs_of_the_faces_are_taken_in_any_order_and_each_only_once(file)
         ("cube", {"cube.east.gain_w_m2_per_mv": "0.2", "instruments.voltmeter.range_v": "10"}),
     ],
 )
-def test_keys_that_go_together_are_asked_for_together(file, role, needed):
+def test_setup_takes_settings_that_depend_on_each_other_together(file, role, needed):
     dialogue = dialogue_of(file, role, "real", *SITE)
     walk(dialogue, {**METER, **POZSOL, "bridge.send_to": "10.0.0.5:20571", **needed})
     assert {name: dialogue.values()[name] for name in needed} == {name: float(text) for name, text in needed.items()}
@@ -240,7 +240,7 @@ def test_keys_that_go_together_are_asked_for_together(file, role, needed):
         ("limits.b_max_deg", "88", "safety.night_b_deg"),
     ],
 )
-def test_a_key_that_is_not_asked_for_is_named_with_the_way_to_change_it(file, asked, answer, other):
+def test_setup_names_a_setting_it_does_not_ask_for_when_an_answer_contradicts_it(file, asked, answer, other):
     dialogue = dialogue_of(file, "tracker", "real", *SITE)
     walk(dialogue, POZSOL, until=asked)
     words = f"{other} is not asked for here: give an answer that fits it, and change both"
@@ -261,7 +261,7 @@ def test_a_key_that_is_not_asked_for_is_named_with_the_way_to_change_it(file, as
         ("tracker", "transport = 'mqtt'\nlisten = '127.0.0.1:20571'\n[mqtt]\nenabled = true", "127.0.0.1:20571"),
     ],
 )
-def test_enter_takes_no_way_that_ends_on_this_machine_where_there_are_two(file, role, own, offered):
+def test_setup_offers_no_bridge_address_that_ends_on_this_machine_for_a_rig_of_two_machines(file, role, own, offered):
     if own is None:
         shutil.copy(ROOT / "deploy" / "examples" / f"{role}.toml", file)
     else:
@@ -272,14 +272,14 @@ def test_enter_takes_no_way_that_ends_on_this_machine_where_there_are_two(file, 
     assert dialogue.offered() == offered
 
 
-def test_on_a_bench_both_roles_are_on_one_machine(file, bench):
+def test_setup_of_a_bench_offers_a_loopback_bridge_address(file, bench):
     (bench / "heliocube.toml").write_text(A_BENCHS_FILE + "[bridge]\nlisten = '127.0.0.1:20571'\n")
     dialogue = dialogue_of(file, "tracker", "bench", str(bench), *SITE)
     walk(dialogue, {}, until="bridge.listen")
     assert dialogue.offered() == "127.0.0.1:20571"
 
 
-def test_who_goes_back_is_offered_what_was_said(file):
+def test_setup_offers_the_earlier_answer_after_going_back(file):
     dialogue = dialogue_of(file, "tracker", "real", "Roof", "48.7")
     assert dialogue.back()
     assert (dialogue.step().name, dialogue.offered()) == ("site.latitude_deg", 48.7)
@@ -290,7 +290,7 @@ def test_who_goes_back_is_offered_what_was_said(file):
     assert dialogue.step().name == "role"
 
 
-def test_a_setup_is_taken_up_where_it_was_left(file):
+def test_setup_continues_where_it_was_left(file):
     dialogue = dialogue_of(file, "tracker", "real", "Roof", "48.7")
     dialogue.back()
     place = place_of_answers(file)
@@ -308,7 +308,7 @@ def test_answers_that_cannot_be_read_are_refused_with_the_remedy(file, text):
         load_answers(place_of_answers(file))
 
 
-def test_a_file_that_is_there_gives_the_defaults_but_for_wide_limits(file):
+def test_an_existing_file_gives_setup_its_defaults_except_for_wide_limits(file):
     file.write_text("[site]\nname = 'Old'\nlatitude_deg = 1.0\n[limits]\na_min_deg = -40.0\n[law]\nname = 'flat'\n")
     dialogue = dialogue_of(file, "tracker", "real", "", "", "2", "3")
     walk(dialogue, POZSOL)
@@ -317,13 +317,13 @@ def test_a_file_that_is_there_gives_the_defaults_but_for_wide_limits(file):
     assert found.limits.a_min_deg == -5.0
 
 
-def test_a_file_with_tables_of_trackers_is_left_to_people(file):
+def test_setup_refuses_a_file_with_tracker_tables_as_one_to_edit_by_hand(file):
     file.write_text("[[tracker]]\nname = 'east'\n")
     with pytest.raises(UserError, match="by hand"):
         SetupDialogue(SetupAnswers(), file)
 
 
-def test_the_key_of_the_other_machine_is_looked_at(file):
+def test_setup_checks_the_key_file_of_the_other_machine(file):
     dialogue = dialogue_of(file, "tracker", "real", *SITE)
     walk(dialogue, POZSOL, until="key")
     with pytest.raises(UserError, match="does not exist"):
@@ -335,7 +335,7 @@ def test_the_key_of_the_other_machine_is_looked_at(file):
     assert dialogue.key_file() == "carried.key"
 
 
-def test_the_speed_that_was_seen_is_halved_for_the_slowest_one(file):
+def test_setup_takes_half_of_the_measured_speed_as_the_slowest_speed(file):
     dialogue = dialogue_of(file, "tracker", "real", *SITE)
     names = walk(dialogue, {**POZSOL, "way of the first move": "yes"}, moved=0.58)
     assert names[-4:] == [
@@ -349,7 +349,7 @@ def test_the_speed_that_was_seen_is_halved_for_the_slowest_one(file):
 
 @settings(max_examples=20, deadline=None)
 @given(st.lists(st.one_of(st.text(max_size=12), st.sampled_from(["", "yes", "real", "12", "tracker"])), max_size=20))
-def test_whatever_is_typed_is_an_answer_or_a_sentence(tmp_path_factory, typed):
+def test_setup_takes_any_typed_text_as_an_answer_or_refuses_it_with_a_user_error(tmp_path_factory, typed):
     dialogue = SetupDialogue(SetupAnswers(), tmp_path_factory.getbasetemp() / "nothing.toml")
     for text in typed:
         if dialogue.step().kind == "action":

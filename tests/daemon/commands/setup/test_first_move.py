@@ -68,7 +68,7 @@ def moved(
         return runner.run(scene()), lines, poses
 
 
-def test_it_moves_two_degrees_and_back_and_is_stopped_by_a_key():
+def test_the_first_move_goes_two_degrees_and_back_and_is_stopped_by_a_key():
     speed, lines, poses = moved(press_at="PRESS", press_beyond_deg=1.0)
     assert speed == pytest.approx(0.75, abs=0.1)
     assert max(pose.a_deg for pose in poses) == pytest.approx(2.0, abs=0.8)
@@ -77,14 +77,14 @@ def test_it_moves_two_degrees_and_back_and_is_stopped_by_a_key():
     assert "stopped by the key" in lines[-1]
 
 
-def test_a_key_in_any_leg_stops_it_and_ends_the_first_move():
+def test_a_key_in_a_leg_stops_that_leg_and_ends_the_first_move():
     found, lines, poses = moved(press_at="steeper")
     assert "stopped by a key" in found
     assert min(pose.b_deg for pose in poses) > 88.5
     assert "PRESS" not in " ".join(lines)
 
 
-def test_a_key_at_the_end_of_a_leg_sends_a_stop_as_well():
+def test_a_key_at_the_end_of_a_leg_of_the_first_move_sends_a_stop_as_well():
     sent = []
     found, lines, _ = moved(press_at="arrived", sent=sent)
     assert "stopped by a key" in found
@@ -92,51 +92,51 @@ def test_a_key_at_the_end_of_a_leg_sends_a_stop_as_well():
     assert {data[:3] for data in sent[-2:]} == {STOP_PACKET}, "an axis may still be on its way within the tolerance"
 
 
-def test_a_key_before_it_begins_keeps_it_from_beginning():
+def test_a_key_before_the_first_move_keeps_it_from_beginning():
     found, lines, poses = moved(press_at="")
     assert "stopped by a key" in found
     assert lines == []
     assert {(round(pose.a_deg, 3), round(pose.b_deg, 3)) for pose in poses} == {(0.0, 90.0)}
 
 
-def test_a_key_before_the_axis_moves_proves_no_stop():
+def test_a_key_pressed_before_the_axis_moves_does_not_prove_the_stop():
     found, lines, _ = moved(press_at="PRESS")
     assert found == "the key came before the axis moved, so the stop is not proven"
     assert "stopped by the key" not in lines[-1]
 
 
-def test_a_stop_that_nobody_tried_is_not_proven():
+def test_a_first_move_without_a_pressed_key_reports_the_stop_as_not_proven():
     found, _, poses = moved()
     assert "not proven" in found
     assert max(pose.a_deg for pose in poses) <= 5.8
 
 
-def test_whatever_ends_a_leg_early_halts_the_axes():
+def test_a_loss_of_the_link_during_the_first_move_halts_the_axes():
     found, _, poses = moved(gone_beyond_deg=0.5)
     assert found == "is gone"
     assert 0.5 < max(pose.a_deg for pose in poses) < 1.5
 
 
-def test_a_unit_whose_count_contradicts_its_switch_is_not_moved():
+def test_a_positioner_whose_count_contradicts_its_end_switch_is_not_moved():
     found, lines, _ = moved(fault="a_switch_closed")
     assert "has to be homed first, because of: axis A shows its low end switch closed" in found
     assert lines == []
 
 
-def test_a_count_that_comes_into_doubt_on_the_way_stops_it():
+def test_a_count_that_comes_into_doubt_during_the_first_move_stops_it():
     found, _, poses = moved(fault="a_switch_closed", fault_beyond_deg=0.3)
     assert found.startswith("it cannot be relied on: axis A shows its low end switch closed")
     assert found.endswith("; it was stopped")
     assert max(pose.a_deg for pose in poses) < 1.9
 
 
-def test_a_unit_outside_the_limits_is_not_moved():
+def test_a_positioner_outside_the_limits_is_not_moved():
     found, lines, _ = moved(limits=Limits(10.0, 20.0, 80.0, 90.0))
     assert "outside the limits" in found
     assert lines == []
 
 
-def test_a_unit_that_contradicts_the_configuration_is_not_moved():
+def test_a_positioner_that_contradicts_the_configuration_or_is_not_ready_is_not_moved():
     seen = telemetry()
     assert "contradicts" in ready(seen, ("arm 1 is 300 and not 310",), NARROW)
     assert "homed" in ready(replace(seen, was_reset=True), (), NARROW)
@@ -172,6 +172,6 @@ WEST, STEEPER = Leg("a", 0.0, 2.0, 90.0), Leg("b", 90.0, 88.0, 0.0)
         (STEEPER, telemetry(b_deg=88.0), None),
     ],
 )
-def test_telemetry_speaks_against_a_move_that_is_not_as_it_should_be(leg, seen, words):
+def test_a_leg_of_the_first_move_objects_to_telemetry_that_does_not_fit_it(leg, seen, words):
     objection = leg.objection(seen, 0.8)
     assert objection is None if words is None else words in objection

@@ -23,7 +23,7 @@ async def both(call):
     return (await call.get("/api/state")).json, (await call.get("/healthz")).json
 
 
-def test_all_is_well_a_person_s_stop_included_until_something_is_the_matter(serve):
+def test_status_check_is_good_during_a_persons_stop_and_reports_alarms_and_a_lost_cube(serve):
     async def scenario(rig, call):
         await rig.until_mode(Mode.TRACKING, 120)
         assert verdict(*await both(call)) == (["works: SIMULATED, tracking"], ExitCode.GOOD)
@@ -61,7 +61,7 @@ def test_all_is_well_a_person_s_stop_included_until_something_is_the_matter(serv
     serve(scenario)
 
 
-def test_what_is_most_urgent_is_told_first_and_what_is_over_last(serve):
+def test_status_check_lists_the_most_urgent_alarm_first_and_cleared_ones_last(serve):
     async def scenario(rig, call):
         await under_way(rig)
         rig.tracker.alarms.set("move-failed", "a move failed")
@@ -82,7 +82,7 @@ def test_what_is_most_urgent_is_told_first_and_what_is_over_last(serve):
 
 @pytest.mark.parametrize("place", ["Europe/Paris"], indirect=True)
 @pytest.mark.usefixtures("place")
-def test_a_cause_is_told_once_with_its_local_time_and_a_stop_in_a_fault_as_well(serve):
+def test_status_check_names_a_cause_once_in_local_time_and_also_a_stop_during_a_fault(serve):
     async def scenario(rig, call):
         await under_way(rig)
         rig.cables.positioner.link_up = False
@@ -104,7 +104,7 @@ def test_a_cause_is_told_once_with_its_local_time_and_a_stop_in_a_fault_as_well(
 
 @pytest.mark.parametrize("place", ["Europe/Paris"], indirect=True)
 @pytest.mark.usefixtures("place")
-def test_an_alarm_that_came_and_went_in_the_night_says_from_when_to_when_and_how_it_goes(serve):
+def test_a_cleared_latched_alarm_shows_from_when_to_when_it_lasted_and_how_to_acknowledge_it(serve):
     async def scenario(rig, call):
         await rig.until_mode(Mode.TRACKING, 120)
         rig.tracker.alarms.set("motor-current", "axis A draws 5 A")

@@ -67,14 +67,14 @@ def test_a_terminal_shows_mode_readings_target_and_pose_and_that_it_is_simulated
         assert expected in text
 
 
-def test_a_terminal_shows_what_is_wrong(run_rig):
+def test_a_terminal_shows_a_fault_and_the_unplugged_devices(run_rig):
     text = shown(run_rig, terminal=True, faults=("positioner", "voltmeter"))
     assert "fault" in text
     assert "positioner: is unplugged" in text
     assert "voltmeter: is unplugged" in text
 
 
-def test_a_line_says_of_a_face_that_it_is_not_good_and_of_a_pose_that_it_is_old(run_rig):
+def test_the_status_line_marks_an_implausible_face_and_a_stale_pose(run_rig):
     async def scenario(rig):
         await under_way(rig)
         await asyncio.sleep(600)
@@ -93,7 +93,7 @@ def test_a_line_says_of_a_face_that_it_is_not_good_and_of_a_pose_that_it_is_old(
     run_rig(prepare)
 
 
-def test_alarms_are_in_plain_sight_on_every_display(run_rig):
+def test_alarms_are_shown_on_a_terminal_and_in_plain_lines(run_rig):
     async def scenario(rig):
         out, plain = io.StringIO(), io.StringIO()
         await under_way(rig)
@@ -114,7 +114,7 @@ def test_alarms_are_in_plain_sight_on_every_display(run_rig):
     run_rig(scenario)
 
 
-def test_what_a_make_tells_is_shown_and_cannot_steer_the_terminal(run_rig):
+def test_details_of_a_positioner_make_are_shown_and_cannot_control_the_terminal(run_rig):
     async def scenario(rig):
         read = rig.positioner.read_telemetry
 
@@ -143,7 +143,7 @@ def test_the_heading_names_the_tracker_that_has_a_name(run_rig, mqtt, heading):
     run_rig(scenario, mqtt=mqtt)
 
 
-def test_of_several_sources_of_stow_each_says_which_it_is(run_rig):
+def test_the_status_screen_names_each_of_several_sources_of_stow(run_rig):
     async def scenario(rig):
         rig.wind_m_s = 5.2
         await asyncio.sleep(10)
@@ -158,19 +158,19 @@ def test_of_several_sources_of_stow_each_says_which_it_is(run_rig):
     run_rig(scenario)
 
 
-def test_elsewhere_a_plain_line_comes_now_and_then(run_rig):
+def test_without_a_terminal_a_plain_status_line_is_printed_now_and_then(run_rig):
     lines = shown(run_rig, terminal=False).splitlines()
     assert len(lines) > 10
     assert all("SIMULATED" in line and "\x1b" not in line for line in lines)
     assert "tracking: the cube's readings are good" in lines[-1]
 
 
-def test_the_words_of_a_person_are_shown_as_they_were_written(run_rig):
+def test_the_reason_that_a_person_gave_for_a_stop_is_shown_exactly_as_written(run_rig):
     why = "module [bold]7[/bold], see [/log]"
     assert why in shown(run_rig, terminal=False, why=why)
 
 
-def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig):
+def test_the_status_screen_has_a_block_per_tracker_and_alarms_with_tracker_names(run_rig):
     async def scenario(rig):
         east, west = rig.service.trackers
         rig.wind_m_s = 3.2
@@ -221,7 +221,7 @@ def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig)
     run_rig(scenario, tracker=[{"name": "east"}, {"name": "west"}])
 
 
-def test_a_stop_from_the_day_before_is_told_since_then_after_a_restart_too(run_rig, tmp_path):
+def test_a_stop_from_the_day_before_is_shown_with_its_date_after_a_restart_too(run_rig, tmp_path):
     wish = {"why": "grease the joint", "by": "ana@lab", "since_utc_s": 1665504720.0}
     (tmp_path / "operator.json").write_text(json.dumps({"stop": wish}))
 
@@ -239,7 +239,7 @@ def test_a_stop_from_the_day_before_is_told_since_then_after_a_restart_too(run_r
 @pytest.mark.parametrize("screen", [render, live_screen])
 @pytest.mark.parametrize("place", ["Europe/Paris"], indirect=True)
 @pytest.mark.usefixtures("place")
-def test_times_in_the_sentences_of_a_service_are_told_in_local_time_too(run_rig, screen):
+def test_times_in_the_sentences_of_a_service_are_shown_in_local_time_too(run_rig, screen):
     async def scenario(rig):
         recent = Recent()
         rig.bus.subscribe(recent.note)
@@ -257,7 +257,7 @@ def test_times_in_the_sentences_of_a_service_are_told_in_local_time_too(run_rig,
     run_rig(scenario)
 
 
-def test_the_newest_news_stand_on_a_small_terminal_and_the_oldest_are_left_out(run_rig):
+def test_a_small_terminal_shows_the_newest_news_and_leaves_out_the_oldest(run_rig):
     out = io.StringIO()
 
     async def scenario(rig):
@@ -281,7 +281,7 @@ def test_the_newest_news_stand_on_a_small_terminal_and_the_oldest_are_left_out(r
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), SystemExit(1)])
 @pytest.mark.parametrize("terminal", [True, False])
-def test_a_display_that_cannot_write_ends_alone_and_is_told_once(run_rig, caplog, terminal, error):
+def test_a_display_that_cannot_write_ends_without_the_service_and_is_logged_once(run_rig, caplog, terminal, error):
     class Full(io.StringIO):
         def write(self, text):
             raise error

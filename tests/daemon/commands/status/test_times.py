@@ -18,7 +18,7 @@ def place(request, monkeypatch):
     time.tzset()
 
 
-def test_local_time_stands_first_and_utc_beside_it_each_with_its_date_where_needed(place):
+def test_times_show_local_time_first_and_utc_beside_it_each_with_its_date_where_needed(place):
     expected = {
         "Europe/Paris": (
             "2026-07-22 00:30:05 (2026-07-21 22:30:05 UTC)",
@@ -34,13 +34,13 @@ def test_local_time_stands_first_and_utc_beside_it_each_with_its_date_where_need
     assert moment(noon, "2026-07-23T12:00:00.000Z").startswith("2026-07-21 ")
 
 
-def test_the_clocks_of_a_named_zone_are_as_they_are_there_whatever_the_machine_has(place):
+def test_local_time_in_a_named_zone_does_not_depend_on_the_zone_of_the_machine(place):
     assert f"{local_time(0.0, ZoneInfo('Asia/Kolkata')):%H:%M %Z}" == "05:30 IST"
 
 
 @pytest.mark.parametrize("place", ["Europe/Paris"], indirect=True)
 @pytest.mark.usefixtures("place")
-def test_times_in_sentences_are_told_as_others_are_and_what_is_none_stays():
+def test_utc_times_in_sentences_are_shown_with_local_time_and_other_text_stays():
     alarm = {"time": EVENING, "text": "the clock went from 2026-07-21 22:30 UTC to 2026-07-22 10:00:05 UTC", "count": 1}
     told = {**alarm, "text": "the clock went from 00:30 (2026-07-21 22:30 UTC) to 12:00:05 (10:00:05 UTC)"}
     assert in_local({"alarms": [alarm], "wind": None}, "2026-07-22T11:00:00.000Z") == {"alarms": [told], "wind": None}

@@ -53,7 +53,7 @@ def state(run_rig):
     return found[0]
 
 
-def test_one_of_a_kind_is_told_as_one(state):
+def test_the_status_screen_writes_a_count_of_one_scan_in_the_singular(state):
     state["bridge"]["accepted"] = 1
     console = Console(file=io.StringIO(), width=160)
     console.print(render(state))
@@ -61,18 +61,18 @@ def test_one_of_a_kind_is_told_as_one(state):
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-def test_a_service_that_is_gone_is_said_and_seen_again(state, terminal):
+def test_the_watch_screen_reports_a_lost_service_and_shows_its_state_again_afterwards(state, terminal):
     text = seen(state, [True, "nothing listens", True, True], terminal=terminal)
     assert text.count("NO CONNECTION: what is shown is old. nothing listens") == 1
     assert "tracking" in text.rpartition("nothing listens")[2]
 
 
-def test_without_a_service_to_begin_with_there_is_nothing_to_watch(state):
+def test_the_watch_screen_is_refused_without_a_service_at_the_beginning(state):
     with pytest.raises(UserError, match="nothing listens"):
         watch(lambda: (_ for _ in ()).throw(UserError("nothing listens")), Console(file=io.StringIO()))
 
 
-def test_a_warning_comes_above_the_screen_which_is_taken_away_and_drawn_anew():
+def test_a_log_warning_is_printed_above_the_live_screen_which_is_erased_and_drawn_anew():
     console = Console(file=io.StringIO(), force_terminal=True, width=40, height=20)
     with Live("first\nsecond", console=console, auto_refresh=False) as live:
         live.refresh()
@@ -93,7 +93,9 @@ def test_a_warning_comes_above_the_screen_which_is_taken_away_and_drawn_anew():
         (3.0, 3.03, "-1.0 % over chronometric: 3.00 ag"),
     ],
 )
-def test_what_was_received_is_shown_in_a_unit_that_tells_the_two_apart(state, actual, chronometric, shown):
+def test_received_light_is_shown_in_a_unit_that_tells_it_apart_from_the_chronometric_one(
+    state, actual, chronometric, shown
+):
     state["received"] = {
         "since": state["time"],
         "gain": actual / chronometric - 1,

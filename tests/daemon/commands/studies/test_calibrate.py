@@ -90,7 +90,7 @@ def fill_store(folder, utc_s, faces, identifier="", simulated=0):
     return folder
 
 
-def test_a_comparison_finds_lag_gains_and_offsets_and_writes_them(heliocube, tmp_path):
+def test_calibrating_beside_a_reference_finds_lag_gains_and_offsets_and_writes_them(heliocube, tmp_path):
     out = tmp_path / "calibration.toml"
     code, told, err = heliocube(
         "calibrate", "cube", *beside(tmp_path), *SITE, "--out", out,
@@ -117,7 +117,7 @@ def test_a_comparison_finds_lag_gains_and_offsets_and_writes_them(heliocube, tmp
     assert f"# {lines[0]}" in out.read_text()
 
 
-def test_a_number_that_cannot_be_is_a_missing_reading_and_is_counted(heliocube, tmp_path):
+def test_impossible_values_count_as_missing_readings_and_a_warning_counts_them(heliocube, tmp_path):
     tables = []
     for path, wrong in zip(beside(tmp_path, days=1), ("-9999", "-9999,1,99999,1"), strict=True):
         lines = path.read_text().splitlines()
@@ -141,7 +141,7 @@ def test_a_number_that_cannot_be_is_a_missing_reading_and_is_counted(heliocube, 
     assert f"{tables[3]} has {2 * len(bad)} {told} east_mv -9999, not in -1000..1000" in second
 
 
-def test_series_of_which_most_are_dropped_are_called_doubtful(heliocube, tmp_path):
+def test_a_calibration_that_dropped_most_of_the_series_is_marked_doubtful(heliocube, tmp_path):
     tables = beside(tmp_path, ahead_s=3600.0, weather="clear")
     out = tmp_path / "c.toml"
     code, told, _ = heliocube("calibrate", "cube", *tables, *SITE, "--out", out)
@@ -154,7 +154,7 @@ def test_series_of_which_most_are_dropped_are_called_doubtful(heliocube, tmp_pat
     assert json.loads(heliocube(*right)[1])["doubtful"] is False
 
 
-def test_voltages_in_volts_are_told(heliocube, tmp_path):
+def test_voltages_in_volts_instead_of_millivolts_are_refused(heliocube, tmp_path):
     reference, sensors = beside(tmp_path, days=1)
     header, *lines = (line.split(",") for line in sensors.read_text().splitlines())
     volts = write(
@@ -165,7 +165,7 @@ def test_voltages_in_volts_are_told(heliocube, tmp_path):
     assert err.startswith("heliocube: the east sensor's gain would be 9709 W/m2/mV: are the voltages in mV?")
 
 
-def test_a_file_that_was_cut_off_is_told(heliocube, tmp_path):
+def test_a_reference_file_that_was_cut_off_is_refused(heliocube, tmp_path):
     reference, sensors = tmp_path / "reference.csv.gz", tmp_path / "sensors.csv"
     sensors.write_text("time,east_mv,south_mv,west_mv,zenith_mv\n2022-03-11T12:00:00Z,1,1,1,1\n")
     reference.write_bytes(gzip.compress(b"".join(b"2022-03-11T12:%d,%d\n" % (n, n * n) for n in range(9999)))[:3000])
@@ -231,14 +231,14 @@ def test_the_field_calibration_reads_a_store_and_corrects_the_gains(heliocube, t
     assert again.reference == "clear sky, perez1990, the GHI of roof.csv (U 0.5 %)"
 
 
-def test_a_sky_without_a_horizon_band_is_told_from_the_assumed_one_with_a_plain_nought(heliocube, tmp_path):
+def test_a_field_calibration_under_a_sky_without_a_horizon_band_reports_a_band_of_0(heliocube, tmp_path):
     fill_store(tmp_path, *in_place(sky="isotropic"))
     code, told, _ = heliocube("calibrate", "field", "--store", tmp_path, *SITE, "--out", tmp_path / "field.toml")
     assert code == 0
     assert "the readings fit best with 0.0 of the Perez model's horizon band" in " ".join(told.split())
 
 
-def test_a_calibration_by_simulated_readings_is_called_so(heliocube, tmp_path):
+def test_a_calibration_by_simulated_readings_is_marked_as_simulated(heliocube, tmp_path):
     mark = "SIMULATED: these readings come from a model or a bench, not from a cube."
     out, figure = tmp_path / "field.toml", tmp_path / "figure.svg"
     fill_store(tmp_path, *in_place(), simulated=1)
@@ -257,7 +257,7 @@ def test_a_calibration_by_simulated_readings_is_called_so(heliocube, tmp_path):
     assert len(drawn) > 20_000
 
 
-def test_a_face_with_a_reference_holds_the_level_of_the_others(heliocube, tmp_path):
+def test_a_face_with_a_known_gain_sets_the_level_of_the_other_gains(heliocube, tmp_path):
     utc_s, faces = in_place()
     fill_store(tmp_path, utc_s, faces / [1.0, 1.0, 1.0, GAINS[3]])
     out = tmp_path / "field.toml"
@@ -273,7 +273,7 @@ def test_a_face_with_a_reference_holds_the_level_of_the_others(heliocube, tmp_pa
     assert "The gains of the vertical faces follow from that level by the model alone." in words
 
 
-def test_two_references_that_cannot_both_be_true_are_named(heliocube, tmp_path):
+def test_references_that_contradict_each_other_are_named(heliocube, tmp_path):
     utc_s, faces = in_place()
     ghi = ClearSky(SIRTA).at(utc_s).ghi_w_m2
     roof = write(tmp_path / "roof.csv", ["time", "ghi"], [(iso(t), 1.04 * g) for t, g in zip(utc_s, ghi, strict=True)])
@@ -291,7 +291,7 @@ def test_two_references_that_cannot_both_be_true_are_named(heliocube, tmp_path):
     assert json.loads(told)["contradictions"] == []
 
 
-def test_a_ghi_by_ten_minute_means_that_does_not_go_with_the_cube_is_refused_with_its_step(heliocube, tmp_path):
+def test_a_ghi_of_ten_minute_means_that_does_not_fit_the_cube_is_refused_naming_its_step(heliocube, tmp_path):
     fill_store(tmp_path, *in_place())
     utc_s = MAY + np.arange(0.0, 3 * 86400.0, 60.0)
     means = ClearSky(SIRTA).at(utc_s).ghi_w_m2.reshape(-1, 10).mean(axis=1)
@@ -302,7 +302,7 @@ def test_a_ghi_by_ten_minute_means_that_does_not_go_with_the_cube_is_refused_wit
     assert "its values are 10 min apart: is each mean's time the middle of its span?" in " ".join(err.split())
 
 
-def test_readings_of_another_calibration_are_refused(heliocube, tmp_path):
+def test_field_readings_recorded_under_another_calibration_are_refused(heliocube, tmp_path):
     utc_s, faces = in_place(1)
     fill_store(tmp_path, utc_s, faces, "20220320-0123abcd")
     code, _, err = heliocube("calibrate", "field", "--store", tmp_path, *SITE, "--out", tmp_path / "o.toml")
@@ -310,7 +310,7 @@ def test_readings_of_another_calibration_are_refused(heliocube, tmp_path):
     assert "was recorded under the calibration 20220320-0123abcd, and the settings have none" in " ".join(err.split())
 
 
-def test_a_field_calibration_that_the_readings_cannot_support_says_what_is_missing(heliocube, tmp_path):
+def test_a_field_calibration_with_too_few_clear_days_is_refused_and_says_what_is_missing(heliocube, tmp_path):
     utc_s, faces = in_place(2)
     fill_store(tmp_path, utc_s, faces)
     out = tmp_path / "field.toml"
@@ -353,7 +353,7 @@ def test_a_field_calibration_that_the_readings_cannot_support_says_what_is_missi
         ({"more": ["--out", "none/calibration.toml"]}, "--out: there is no folder none"),
     ],
 )
-def test_a_mistake_is_one_sentence_and_exit_code_2(heliocube, tmp_path, change, message):
+def test_a_mistaken_file_or_option_is_refused_with_the_reason_and_exit_code_2(heliocube, tmp_path, change, message):
     reference, sensors = beside(tmp_path, days=0.02)
     if "reference" in change:
         reference.write_text(change["reference"])
@@ -381,7 +381,7 @@ def test_a_mistake_is_one_sentence_and_exit_code_2(heliocube, tmp_path, change, 
         (("--ghi", "REFERENCE"), "and the cube's readings 2016-05-01T"),
     ],
 )
-def test_a_mistaken_tie_for_the_level_is_one_sentence_and_exit_code_2(heliocube, tmp_path, more, message):
+def test_a_mistaken_option_referenced_or_ghi_is_refused_with_its_reason_and_code_2(heliocube, tmp_path, more, message):
     utc_s = MAY + np.arange(0.0, 86400.0, 600.0)
     fill_store(tmp_path, utc_s, np.ones((utc_s.size, 4)))
     reference = write(tmp_path / "reference.csv", ["time", "ghi"], [(iso(BEGIN), 300.0), (iso(BEGIN + 60.0), 301.0)])
@@ -392,7 +392,7 @@ def test_a_mistaken_tie_for_the_level_is_one_sentence_and_exit_code_2(heliocube,
     assert not (tmp_path / "o.toml").exists()
 
 
-def test_an_overcast_comparison_is_refused(heliocube, tmp_path):
+def test_readings_beside_a_reference_under_an_overcast_sky_are_refused(heliocube, tmp_path):
     reference, sensors = beside(tmp_path, weather="overcast", days=0.5)
     code, _, err = heliocube("calibrate", "cube", reference, sensors, *SITE, "--out", tmp_path / "o.toml")
     assert code == 2

@@ -73,7 +73,7 @@ def powers(day, tmp_path):
     return tmp_path / "powers.csv"
 
 
-def test_fit_finds_the_bias_and_report_takes_it_away(compare, flat, day, tmp_path):
+def test_fit_finds_the_bias_of_the_measuring_chains_and_report_corrects_it(compare, flat, day, tmp_path):
     code, out, err = compare("fit", flat, "--out", tmp_path / "bias.json")
     assert (code, err) == (0, "")
     assert "720 pairs" in out
@@ -113,7 +113,7 @@ def test_fit_finds_the_bias_and_report_takes_it_away(compare, flat, day, tmp_pat
     assert "overcast" in out
 
 
-def test_a_correction_is_not_trusted_at_powers_that_it_was_not_fitted_to(compare, flat, powers, tmp_path):
+def test_report_warns_when_a_bias_corrects_powers_outside_those_of_its_fit(compare, flat, powers, tmp_path):
     _, out, _ = compare("fit", flat, "--out", tmp_path / "bias.json", "--json")
     fitted = json.loads(out)["bias"] | {"lowest_w": 98.0}
     whole = json.loads((tmp_path / "bias.json").read_text())
@@ -146,7 +146,7 @@ def test_the_same_measurements_are_the_same_bytes_from_csv_gzip_and_parquet(comp
 
 # The tables of the other tests have a row every 5 s.
 @pytest.mark.parametrize("step_s", [60.0, 61.0, 300.0])
-def test_a_wattmeter_may_write_as_seldom_as_it_likes(compare, tmp_path, step_s):
+def test_powers_measured_only_every_1_to_5_minutes_are_compared_without_gaps(compare, tmp_path, step_s):
     # A clock that is read every minute is a little late now and then.
     times = NOON + np.arange(0.0, 7201.0, step_s)
     times[1:] += 0.3 * (np.arange(times.size - 1) % 2)
@@ -174,7 +174,7 @@ def test_periods_by_the_clock_take_the_place_of_those_by_the_sky(compare, powers
     assert json.loads(out)["corrected"] is False
 
 
-def test_a_day_is_the_sites_own(compare, powers, tmp_path):
+def test_a_day_of_the_report_is_a_day_at_the_site_and_not_a_day_of_utc(compare, powers, tmp_path):
     # In Hawaii the two hours from 10:00 UTC on are around midnight.
     code, out, _ = compare("report", powers, "--site", "20,-165", "--out", tmp_path, "--json")
     assert code == 0
@@ -183,7 +183,7 @@ def test_a_day_is_the_sites_own(compare, powers, tmp_path):
     assert (tmp_path / "power-2022-10-11.png").exists()
 
 
-def test_a_time_by_the_clock_says_that_both_lay_flat_where_poses_are_not_known(compare, flat, tmp_path):
+def test_fit_without_poses_needs_from_and_to_as_the_time_when_both_trackers_lay_flat(compare, flat, tmp_path):
     lines = [",".join(line.split(",")[:3]) for line in flat.read_text().splitlines()]
     bare = table(tmp_path / "bare.csv", lines[1:], lines[0])
     code, _, err = compare("fit", bare, "--out", tmp_path / "b.json")
@@ -227,7 +227,7 @@ ROW = "2022-10-12T10:00:00Z,{},50"
         ),
     ],
 )
-def test_bad_tables_are_one_sentence(compare, tmp_path, columns, rows, message):
+def test_a_bad_table_is_refused_with_the_reason_and_without_a_traceback(compare, tmp_path, columns, rows, message):
     path = table(tmp_path / "bad.csv", rows, columns)
     code, _, err = compare("report", path, "--site", SITE, "--out", tmp_path / "out")
     assert code == 2
@@ -236,7 +236,7 @@ def test_bad_tables_are_one_sentence(compare, tmp_path, columns, rows, message):
 
 
 @pytest.mark.parametrize(("column", "wrong"), [("dhi_w_m2", -9999.0), ("ghi_w_m2", 1e9)])
-def test_an_irradiance_that_cannot_be_is_missing_and_tells_of_no_sky(compare, powers, tmp_path, column, wrong):
+def test_an_impossible_irradiance_counts_as_missing_and_defines_no_period(compare, powers, tmp_path, column, wrong):
     frame = pd.read_csv(powers)
     frame.loc[720:, column] = wrong
     frame.to_csv(powers, index=False)
@@ -249,7 +249,7 @@ def test_an_irradiance_that_cannot_be_is_missing_and_tells_of_no_sky(compare, po
 
 
 @pytest.mark.parametrize(("missing", "gain"), [(1, 2.0), (60, 2.0), (200, None)])
-def test_the_gain_in_irradiation_is_over_the_pairs_that_know_both(compare, powers, tmp_path, missing, gain):
+def test_the_gain_in_irradiation_uses_only_pairs_with_both_irradiances(compare, powers, tmp_path, missing, gain):
     frame = pd.read_csv(powers)
     cube = frame["tracker"] == "T-Cube"
     frame["irradiance_w_m2"] = np.where(cube, 510.0, 500.0)
@@ -261,7 +261,7 @@ def test_the_gain_in_irradiation_is_over_the_pairs_that_know_both(compare, power
     assert (whole_day["irradiation_pct"], whole_day["hours"]) == (pytest.approx(gain), pytest.approx(7195 / 3600))
 
 
-def test_without_a_flat_flat_period_there_is_no_fit(compare, day, tmp_path):
+def test_fit_is_refused_without_a_period_in_which_both_trackers_lay_flat(compare, day, tmp_path):
     code, _, err = compare("fit", day, "--out", tmp_path / "bias.json")
     assert code == 2
     assert "there is no period in which T-Cube and T-Chrono both lay flat" in err
@@ -288,14 +288,14 @@ def test_without_a_flat_flat_period_there_is_no_fit(compare, day, tmp_path):
         (("--site", "here"), "is not LAT,LON"),
     ],
 )
-def test_a_mistake_is_one_sentence(compare, day, tmp_path, arguments, message):
+def test_a_mistaken_report_option_is_refused_with_the_reason(compare, day, tmp_path, arguments, message):
     site = () if arguments[0] == "--site" else ("--site", SITE)
     code, _, err = compare("report", day, *site, "--out", tmp_path / "out", *arguments)
     assert code == 2
     assert message in err
 
 
-def test_a_bias_of_other_trackers_or_none_at_all_is_refused(compare, flat, day, tmp_path):
+def test_a_bias_file_of_other_trackers_or_without_a_bias_is_refused(compare, flat, day, tmp_path):
     compare("fit", flat, "--out", tmp_path / "bias.json", "--cube", "T-Chrono", "--chrono", "T-Cube")
     code, _, err = compare("report", day, "--site", SITE, "--out", tmp_path / "o", "--bias", tmp_path / "bias.json")
     assert code == 2
@@ -307,7 +307,7 @@ def test_a_bias_of_other_trackers_or_none_at_all_is_refused(compare, flat, day, 
     assert compare("report", tmp_path / "none.csv", "--site", SITE, "--out", tmp_path / "o")[0] == 2
 
 
-def test_one_store_has_both_trackers_with_their_own_laws_curves_and_poses(compare, few_curves, tmp_path):
+def test_one_store_keeps_laws_curves_and_poses_of_both_trackers_for_fit_and_report(compare, few_curves, tmp_path):
     arguments = ("--start", "2022-10-12T10:00", "--days", "0.02", "--weather", "overcast", "--laws", "flat,flat")
     code, out, err = compare("simulate", *arguments, *few_curves, "--store", tmp_path / "store")
     assert (code, err) == (0, "")
@@ -369,13 +369,13 @@ def test_two_stores_are_told_apart_by_the_names_they_are_given(compare, few_curv
         (("--store", "nowhere"), "there is no store at nowhere"),
     ],
 )
-def test_measurements_that_are_nowhere_are_asked_for(compare, tmp_path, arguments, message):
+def test_a_report_without_tables_and_without_an_existing_store_is_refused(compare, tmp_path, arguments, message):
     code, _, err = compare("report", "--site", SITE, "--out", tmp_path / "o", *arguments)
     assert code == 2
     assert message in err
 
 
-def test_a_store_without_curves_says_what_is_missing(compare, tmp_path):
+def test_a_store_without_i_v_curves_is_refused(compare, tmp_path):
     open_for_writing(tmp_path / "heliocube.sqlite").close()
     code, _, err = compare("report", "--store", tmp_path, "--out", tmp_path / "o")
     assert code == 2
@@ -391,7 +391,7 @@ def test_a_store_without_curves_says_what_is_missing(compare, tmp_path):
         (("--start", "2022-10-14T22:00"), "there was no light"),
     ],
 )
-def test_a_simulation_that_cannot_be_is_one_sentence(compare, tmp_path, arguments, message):
+def test_an_impossible_simulated_comparison_is_refused_with_the_reason(compare, tmp_path, arguments, message):
     given = {"--start": "2022-10-14", "--days": "0.01", "--weather": "clear", "--out": str(tmp_path / "o")}
     given |= {arguments[0]: arguments[1]}
     code, _, err = compare("simulate", *(word for pair in given.items() for word in pair))

@@ -37,14 +37,16 @@ def test_two_trackers_under_one_sky_follow_their_own_laws(compare, tmp_path):
     assert ratio == pytest.approx(1 / ((1 + np.cos(tilt)) / 2 + 0.2 * (1 - np.cos(tilt)) / 2), abs=0.02)
 
 
-def test_one_that_is_ended_leaves_nothing(compare, tmp_path, signal_at_once):
+def test_a_simulated_comparison_ended_by_sigterm_leaves_no_file(compare, tmp_path, signal_at_once):
     signal_at_once(signal.SIGTERM)
     code, _, err = compare("simulate", "--start", "2022-10-14T11:00", "--days", "0.02", "--out", tmp_path)
     assert (code, err) == (130, "heliocube: interrupted before its end; no result was written\n")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_law_that_fails_ends_the_comparison_in_a_sentence(compare, tmp_path, monkeypatch):
+def test_a_law_that_fails_ends_the_simulated_comparison_with_a_sentence_that_names_the_law(
+    compare, tmp_path, monkeypatch
+):
     def fails(*_):
         raise ZeroDivisionError("no such sky")
 
@@ -68,7 +70,7 @@ def test_a_law_that_fails_ends_the_comparison_in_a_sentence(compare, tmp_path, m
     assert list(tmp_path.iterdir()) == []
 
 
-def test_neither_tracker_runs_out_of_moves_for_the_day(compare, tmp_path):
+def test_the_daily_budget_of_moves_and_travel_does_not_limit_the_trackers_of_a_comparison(compare, tmp_path):
     (tmp_path / "thrifty.toml").write_text("[motion]\nmoves_per_day = 2\ntravel_per_day_deg = 50.0\n")
     arguments = ("--start", "2022-10-14T08:00", "--days", "0.02", "--weather", "clear", "--laws", "chronometric,flat")
     code, _, _ = compare("simulate", *arguments, "--config", tmp_path / "thrifty.toml", "--out", tmp_path)
@@ -78,7 +80,7 @@ def test_neither_tracker_runs_out_of_moves_for_the_day(compare, tmp_path):
     assert np.ptp(later["a_deg"]) > 2.0, "it follows the sun on"
 
 
-def test_a_store_with_records_of_real_instruments_takes_none_of_a_simulation(compare, tmp_path):
+def test_a_simulation_is_not_written_into_a_store_with_records_of_real_instruments(compare, tmp_path):
     file = stored_days(tmp_path / "real", simulated=False) / "heliocube.sqlite"
     before = file.read_bytes()
     code, _, err = compare("simulate", "--start", "2022-10-12T10:00", "--days", "0.02", "--store", tmp_path / "real")
@@ -86,7 +88,7 @@ def test_a_store_with_records_of_real_instruments_takes_none_of_a_simulation(com
     assert "has records of real instruments: name another folder" in " ".join(err.split())
 
 
-def test_a_bias_that_was_fitted_to_simulated_powers_corrects_no_measured_ones(compare, flat, powers, tmp_path):
+def test_a_bias_fitted_to_simulated_powers_is_refused_for_measured_powers(compare, flat, powers, tmp_path):
     pd.read_csv(flat).assign(simulated=True).to_csv(tmp_path / "made.csv", index=False)
     bias = tmp_path / "bias.json"
     assert compare("fit", tmp_path / "made.csv", "--out", bias)[0] == 0
@@ -96,7 +98,7 @@ def test_a_bias_that_was_fitted_to_simulated_powers_corrects_no_measured_ones(co
     assert err.startswith(f"heliocube: --bias: {bias} was fitted to simulated powers and cannot correct measured ones")
 
 
-def test_a_modelled_curve_says_so_in_its_picture_beside_measured_powers(compare, tmp_path):
+def test_a_modelled_curve_in_a_report_of_measured_powers_is_labelled_as_modelled(compare, tmp_path):
     rows = [f"2022-10-12T10:00:0{second}Z,{name},97,1000,30" for second in (0, 5) for name in ("T-Cube", "T-Chrono")]
     warm = table(tmp_path / "warm.csv", rows, "time,tracker,pmpp_w,irradiance_w_m2,module_temp_degc")
     assert compare("report", warm, "--site", SITE, "--out", tmp_path / "result")[0] == 0

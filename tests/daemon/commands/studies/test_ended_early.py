@@ -35,13 +35,13 @@ def _two_sites(tmp_path, monkeypatch):
         ("compare paper --out out", NOTHING),
     ],
 )
-def test_one_that_is_ended_keeps_what_is_done_and_says_so(heliocube, signal_at_once, words, told):
+def test_a_study_ended_by_sigterm_exits_with_130_and_says_what_was_written(heliocube, signal_at_once, words, told):
     signal_at_once(signal.SIGTERM)
     code, _, said = heliocube(*words.split())
     assert (code, said.splitlines()[-1]) == (130, f"heliocube: {told}")
 
 
-def test_a_campaign_that_is_ended_reports_what_is_done(heliocube, signal_at_once):
+def test_a_campaign_ended_by_sigterm_reports_the_schedules_that_are_done(heliocube, signal_at_once):
     signal_at_once(signal.SIGTERM)
     code, told, _ = heliocube("campaign", "--seeds", "2", "--hours", "0.1")
     assert code == 130
@@ -58,7 +58,7 @@ def test_a_campaign_that_is_ended_reports_what_is_done(heliocube, signal_at_once
         "compare report flat.csv --out .",
     ],
 )
-def test_one_that_is_ended_while_it_writes_leaves_no_part_of_a_file(study, tmp_path, monkeypatch, words):
+def test_a_study_ended_by_sigterm_while_it_writes_leaves_no_part_of_a_file(study, tmp_path, monkeypatch, words):
     before = signal.signal(signal.SIGTERM, lambda *_: None)
     replace = Path.replace
     monkeypatch.setattr(Path, "replace", lambda *paths: (signal.raise_signal(signal.SIGTERM), replace(*paths)))

@@ -45,7 +45,7 @@ def energy(monkeypatch, *arguments):
     return ended.value.code
 
 
-def test_there_is_no_share_of_what_the_bound_does_not_gain(monkeypatch, tmp_path, capsys):
+def test_the_share_of_the_bound_is_blank_when_the_bound_gains_nothing(monkeypatch, tmp_path, capsys):
     sunny = tmp_path / "weather.csv"
     sunny.write_text("time,ghi,dni,dhi\n2016-06-05T11:00Z,400,500,0\n2016-06-05T12:00Z,400,500,0\n")
     asked = ("--site", SITE, "--albedo", 0, "--ideal", "--laws", "flat,bound", "--out", tmp_path / "o")
@@ -56,7 +56,7 @@ def test_there_is_no_share_of_what_the_bound_does_not_gain(monkeypatch, tmp_path
     assert [row["share_pct"] for row in rows] == ["", ""]
 
 
-def test_it_writes_table_csv_and_picture(monkeypatch, short_weather, tmp_path, capsys):
+def test_energy_writes_a_text_table_a_csv_table_and_a_picture(monkeypatch, short_weather, tmp_path, capsys):
     laws = "flat,fixed:35,mu-prime,optimal,optimal:4,bound"
     asked = ("--laws", laws, "--sky", "isotropic,perez1993", "--out", tmp_path / "o")
     assert energy(monkeypatch, short_weather, "--site", SITE, *asked) == 0
@@ -71,7 +71,7 @@ def test_it_writes_table_csv_and_picture(monkeypatch, short_weather, tmp_path, c
     assert (tmp_path / "o" / "energy.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_plane_that_never_moves_has_neither_moves_nor_travel(monkeypatch, short_weather, tmp_path):
+def test_moves_and_travel_are_blank_for_a_fixed_plane_and_zero_for_the_law_flat(monkeypatch, short_weather, tmp_path):
     asked = ("--laws", "flat,fixed:35", "--out", tmp_path / "o")
     assert energy(monkeypatch, short_weather, "--site", SITE, *asked) == 0
     flat, fixed = csv.DictReader((tmp_path / "o" / "energy.csv").read_text().splitlines())
@@ -81,7 +81,7 @@ def test_a_plane_that_never_moves_has_neither_moves_nor_travel(monkeypatch, shor
     assert told.split()[-3:] == ["-", "-", "-"]
 
 
-def test_weather_that_nobody_measured_is_marked_wherever_its_results_stand(
+def test_results_from_simulated_weather_are_marked_in_text_csv_json_and_picture(
     monkeypatch, short_weather, tmp_path, capsys
 ):
     measured = short_weather.read_text()
@@ -101,7 +101,7 @@ def test_weather_that_nobody_measured_is_marked_wherever_its_results_stand(
     assert "SIMULATED" not in (out / "energy.txt").read_text()
 
 
-def test_what_lies_between_two_files_is_bridged_as_within_one(tmp_path):
+def test_the_time_between_two_weather_files_is_bridged_as_within_one_file(tmp_path):
     hours = [f"2016-06-05T{hour:02d}:00:00Z,450,500,150" for hour in range(24)]
     found = []
     for parts in ([hours], [hours[:12], hours[12:]], [hours[:10], hours[12:]]):
@@ -116,7 +116,7 @@ def test_what_lies_between_two_files_is_bridged_as_within_one(tmp_path):
 
 
 @pytest.mark.parametrize("hours", [(10,), (10, 12, 14)], ids=["one record", "hours between them"])
-def test_records_without_two_minutes_in_a_row_are_no_weather(monkeypatch, tmp_path, capsys, hours):
+def test_weather_with_only_single_minutes_is_refused(monkeypatch, tmp_path, capsys, hours):
     file = tmp_path / "one.csv"
     file.write_text("\n".join(["time,ghi,dni,dhi", *(f"2016-06-05T{hour}:00:00Z,450,500,150" for hour in hours)]))
     assert energy(monkeypatch, file, "--site", SITE, "--laws", "flat", "--out", tmp_path / "o") == 2
@@ -127,7 +127,7 @@ def test_records_without_two_minutes_in_a_row_are_no_weather(monkeypatch, tmp_pa
 PRICES = ("--peak-kw", 2, "--price", 0.25, "--drive-price", 600, "--drive-life-deg", 300000)
 
 
-def test_daylight_that_is_missing_between_two_files_is_told(monkeypatch, weather, tmp_path, capsys):
+def test_daylight_missing_between_two_weather_files_gives_a_warning(monkeypatch, weather, tmp_path, capsys):
     head, *lines = weather.read_text().splitlines()
     halves = tmp_path / "morning.csv", tmp_path / "evening.csv"
     for half, some in zip(halves, (lines[:600], lines[780:]), strict=True):
@@ -138,7 +138,7 @@ def test_daylight_that_is_missing_between_two_files_is_told(monkeypatch, weather
     assert told.endswith("3.0 h of daylight are missing, the first after 2016-12-05 09:59Z, until 2016-12-05 13:00Z")
 
 
-def test_a_law_s_worth_is_its_energy_less_the_wear_of_its_travel(monkeypatch, weather, tmp_path, capsys):
+def test_the_worth_of_a_law_is_its_energy_less_the_wear_of_its_travel(monkeypatch, weather, tmp_path, capsys):
     given = (weather, "--site", SITE, "--laws", "flat,mu-prime,optimal,bound", "--out", tmp_path / "o")
     assert energy(monkeypatch, *given, *PRICES, "--json") == 0
     page = json.loads(capsys.readouterr().out)
@@ -157,7 +157,9 @@ def test_a_law_s_worth_is_its_energy_less_the_wear_of_its_travel(monkeypatch, we
     assert all(len(line) <= 80 for line in text.splitlines())
 
 
-def test_travel_of_a_few_hours_is_told_as_more_than_that_of_a_day(monkeypatch, weather, tmp_path, capsys):
+def test_the_table_says_that_daily_travel_from_a_few_hours_is_more_than_that_of_whole_days(
+    monkeypatch, weather, tmp_path, capsys
+):
     head, *lines = weather.read_text().splitlines()
     given = (weather, "--site", SITE, "--laws", "chronometric", "--out", tmp_path / "o", "--force", "--json")
     found = {}
@@ -173,7 +175,7 @@ def test_travel_of_a_few_hours_is_told_as_more_than_that_of_a_day(monkeypatch, w
     assert (found["day"][2], found["hours"][2]) == (False, True)
 
 
-def test_halves_of_days_count_as_halves(monkeypatch, tmp_path, capsys):
+def test_half_days_of_weather_count_half_in_travel_moves_and_worth(monkeypatch, tmp_path, capsys):
     # Midnight of UTC is noon at 180 E: a file's day is the afternoon of one solar day and the morning of the next.
     pages = {}
     for longitude_deg in (0, 180):
@@ -194,7 +196,7 @@ def test_halves_of_days_count_as_halves(monkeypatch, tmp_path, capsys):
     assert worth["wear"] == pytest.approx(travel_deg / 300000 * 600)
 
 
-def test_days_without_sun_count_as_days_of_the_year_and_years_without_records_do_not(monkeypatch, tmp_path, capsys):
+def test_the_worth_of_a_year_counts_days_without_sun_but_not_years_without_records(monkeypatch, tmp_path, capsys):
     # At 78 N, where the sun returns in mid-February.
     starts = [datetime(year, 2, 9, tzinfo=UTC) for year in (2023, 2026)]
     hours = [start + timedelta(hours=hour) for start in starts for hour in range(12 * 24)]
@@ -238,7 +240,9 @@ def test_a_worth_without_one_of_its_prices_is_refused(monkeypatch, weather, tmp_
         (("--site", "91,0"), "is not on Earth"),
     ],
 )
-def test_a_mistake_is_one_sentence_and_exit_code_2(monkeypatch, weather, tmp_path, capsys, arguments, message):
+def test_a_mistaken_option_is_refused_with_the_reason_and_exit_code_2(
+    monkeypatch, weather, tmp_path, capsys, arguments, message
+):
     given = {"--site": SITE, "--out": str(tmp_path / "o")} | {arguments[0]: arguments[1]}
     code = energy(monkeypatch, weather, *(word for pair in given.items() for word in pair))
     assert code == 2
@@ -247,12 +251,12 @@ def test_a_mistake_is_one_sentence_and_exit_code_2(monkeypatch, weather, tmp_pat
     assert "Traceback" not in error
 
 
-def test_a_file_that_is_not_there_is_named(monkeypatch, tmp_path, capsys):
+def test_a_missing_weather_file_is_refused(monkeypatch, tmp_path, capsys):
     assert energy(monkeypatch, tmp_path / "none.csv", "--site", SITE, "--out", tmp_path) == 2
     assert "no weather file" in capsys.readouterr().err
 
 
-def test_other_weather_than_the_sites_is_said(monkeypatch, weather, tmp_path, capsys):
+def test_weather_that_does_not_fit_the_site_gives_a_warning(monkeypatch, weather, tmp_path, capsys):
     assert energy(monkeypatch, weather, "--site", "55.79,120", "--out", tmp_path / "o", "--laws", "flat", "--json") == 0
     written = capsys.readouterr()
     assert "does not fit" in " ".join(written.err.split())
@@ -262,7 +266,7 @@ def test_other_weather_than_the_sites_is_said(monkeypatch, weather, tmp_path, ca
     assert f"  {row['energy_kwh_m2']:.1f} " in (tmp_path / "o" / "energy.txt").read_text()
 
 
-def test_ctrl_c_leaves_the_laws_that_were_done(monkeypatch, weather, tmp_path, capsys):
+def test_ctrl_c_keeps_the_results_of_the_laws_that_were_done(monkeypatch, weather, tmp_path, capsys):
     def interrupted(*_weather):
         raise KeyboardInterrupt
 
@@ -283,7 +287,7 @@ def fails(*_):
     (fails, r"on 2016-12-05: ZeroDivisionError: no such sky \(test_energy\.py, line \d+\)"),
     (lambda *_: None, r"on 2016-12-05: TypeError: NoneType is not an Aim \(answers\.py, line \d+\)"),
 ])  # fmt: skip
-def test_a_law_that_fails_is_told_with_its_day_and_leaves_those_that_were_done(
+def test_a_law_that_fails_is_reported_with_its_day_and_the_laws_done_before_are_kept(
     monkeypatch, short_weather, tmp_path, capsys, answer, words
 ):
     monkeypatch.delattr("solar.laws.flat.steer")
@@ -296,7 +300,9 @@ def test_a_law_that_fails_is_told_with_its_day_and_leaves_those_that_were_done(
     assert [row["law"] for row in csv.DictReader((out / "energy.csv").read_text().splitlines())] == ["fixed:35"]
 
 
-def test_a_law_that_fails_as_the_first_is_told_in_a_sentence(monkeypatch, short_weather, tmp_path, capsys):
+def test_a_failure_of_the_first_law_is_reported_with_the_law_and_the_error(
+    monkeypatch, short_weather, tmp_path, capsys
+):
     monkeypatch.setattr("solar.laws.flat.steer", fails)
     assert energy(monkeypatch, short_weather, "--site", SITE, "--laws", "flat,bound", "--out", tmp_path / "o") == 2
     assert "heliocube: the law flat has failed: ZeroDivisionError: no such sky (test_energy.py, line" in (
@@ -359,6 +365,8 @@ def test_a_site_far_from_greenwich_has_no_day_more_than_its_file(monkeypatch, tm
         (("--sites", "none.csv"), "none.csv cannot be read"),
     ],
 )
-def test_one_site_and_many_are_not_mixed(monkeypatch, tmp_path, capsys, words, message):
+def test_mixed_or_incomplete_options_for_one_site_and_many_sites_are_refused_with_the_reason(
+    monkeypatch, tmp_path, capsys, words, message
+):
     assert energy(monkeypatch, *words, "--out", tmp_path / "o") == 2
     assert message in capsys.readouterr().err

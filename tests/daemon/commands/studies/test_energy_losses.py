@@ -70,7 +70,7 @@ def of(points, cause, sky="perez1990", law="optimal"):
     return sum(value for key, value in points.items() if key[:3] == (sky, law, cause))
 
 
-def test_what_is_lost_and_what_is_kept_are_all_that_the_bound_has(folder, points):
+def test_the_losses_by_cause_and_the_kept_share_add_up_to_the_gain_of_the_bound(folder, points):
     text = (folder / "energy-losses.txt").read_text()
     assert all(len(line) <= 80 for line in text.splitlines())
     assert "sky cie, optimal:8: the bound gains" in text
@@ -85,25 +85,27 @@ def test_what_is_lost_and_what_is_kept_are_all_that_the_bound_has(folder, points
     assert of(points, "structure", "cie") > 0.2
 
 
-def test_a_delay_is_lost_where_the_light_changes(points):
+def test_the_loss_by_delay_is_large_on_days_of_variable_light_only(points):
     assert points["perez1990", "optimal", "delay", "variable"] > 10.0
     assert abs(points["perez1990", "optimal", "delay", "overcast"]) < 4.0
     assert points["perez1990", "optimal", "delay", "clear"] == 0.0
 
 
-def test_thrift_is_paid_for_by_price(points):
+def test_a_higher_thrift_raises_the_loss_by_price_and_not_the_loss_by_delay(points):
     assert of(points, "price", law="optimal:8") > of(points, "price") + 3.0
     assert of(points, "delay", law="optimal:8") == pytest.approx(of(points, "delay"), abs=0.01)
 
 
-def test_it_is_the_benchmark_s_own_share_but_for_noise_and_gaps(monkeypatch, weather, tmp_path, points):
+def test_the_kept_share_plus_noise_and_gaps_equals_the_share_of_the_energy_benchmark(
+    monkeypatch, weather, tmp_path, points
+):
     assert energy(monkeypatch, weather, "--site", SITE, "--laws", "optimal", "--out", tmp_path / "b") == 0
     (row,) = csv.DictReader((tmp_path / "b" / "energy.csv").read_text().splitlines())
     kept = of(points, "kept") + of(points, "noise") + of(points, "gaps")
     assert kept == pytest.approx(float(row["share_pct"]), abs=0.01)
 
 
-def test_noise_and_gaps_are_those_of_the_seed_and_ideal_moves_lose_no_motion(
+def test_only_the_losses_by_noise_and_gaps_depend_on_the_seed_and_ideal_moves_lose_no_motion(
     monkeypatch, weather, tmp_path, points, capsys
 ):
     def rows(name, seed):
@@ -126,7 +128,7 @@ def test_noise_and_gaps_are_those_of_the_seed_and_ideal_moves_lose_no_motion(
         assert 100.0 * lost / room == pytest.approx(of(points, cause), abs=0.05)
 
 
-def test_interrupted_it_keeps_the_laws_that_are_done(monkeypatch, short_weather, tmp_path, capsys):
+def test_an_interrupted_run_keeps_the_losses_of_the_laws_that_are_done(monkeypatch, short_weather, tmp_path, capsys):
     steer = optimal_live.steer
 
     def interrupted(settings, *more):
@@ -142,7 +144,7 @@ def test_interrupted_it_keeps_the_laws_that_are_done(monkeypatch, short_weather,
     assert {law for _, law, _, _ in points_in(tmp_path / "o")} == {"optimal"}
 
 
-def test_weather_that_nobody_measured_is_marked(monkeypatch, short_weather, tmp_path, capsys):
+def test_losses_from_simulated_weather_are_marked_as_simulated(monkeypatch, short_weather, tmp_path, capsys):
     lines = short_weather.read_text().splitlines()
     short_weather.write_text("\n".join([f"{lines[0]},simulated", *(f"{line},true" for line in lines[1:])]))
     assert energy(monkeypatch, short_weather, "--site", SITE, "--losses", "--out", tmp_path / "o") == 0
@@ -165,18 +167,20 @@ def test_weather_that_nobody_measured_is_marked(monkeypatch, short_weather, tmp_
         (("--sky", "rainbow"), "there is no sky 'rainbow'"),
     ],
 )
-def test_what_it_cannot_tell_is_refused_before_the_work(monkeypatch, weather, tmp_path, capsys, more, reason):
+def test_laws_skies_and_prices_that_losses_cannot_handle_are_refused_before_the_work(
+    monkeypatch, weather, tmp_path, capsys, more, reason
+):
     assert energy(monkeypatch, weather, "--site", SITE, "--losses", "--out", tmp_path / "o", *more) == 2
     assert reason in capsys.readouterr().err
     assert not (tmp_path / "o").exists()
 
 
-def test_many_sites_have_no_losses(monkeypatch, tmp_path, capsys):
+def test_losses_for_many_sites_are_refused(monkeypatch, tmp_path, capsys):
     assert energy(monkeypatch, "--sites", tmp_path / "sites.csv", "--losses", "--out", tmp_path / "o") == 2
     assert "for the weather of one site" in capsys.readouterr().err
 
 
-def test_what_is_there_is_not_overwritten_unasked(monkeypatch, weather, tmp_path, capsys):
+def test_an_existing_losses_file_is_not_overwritten_unasked(monkeypatch, weather, tmp_path, capsys):
     out = tmp_path / "o"
     out.mkdir()
     (out / "energy-losses.csv").write_text("mine")

@@ -65,7 +65,7 @@ def study(heliocube, inputs, tmp_path, monkeypatch):
         ("replay faces.csv --out FILE", "replay.csv.gz"),
     ],
 )
-def test_a_file_that_a_full_disk_does_not_take_whole_is_as_it_was(study, tmp_path, words, file):
+def test_a_file_of_a_study_keeps_its_earlier_content_when_the_disk_is_full(study, tmp_path, words, file):
     (tmp_path / file).write_text("of yesterday")
     part = tmp_path / f".{file}.part"
     part.symlink_to("/dev/full")

@@ -59,7 +59,7 @@ def test_a_grid_has_a_row_for_each_latitude_tilt_azimuth_and_day(heliocube):
         assert row["eta_HS"] == pytest.approx(float(day.k_ds_clip / day.k_dh - 1.0))
 
 
-def test_a_year_is_the_ratio_of_its_sums(heliocube):
+def test_the_ratio_of_a_year_is_the_ratio_of_its_yearly_sums(heliocube):
     _, out, _ = heliocube("gain", "--lat", "-33.9", "--tilt=-30", "--year", "--format", "csv")
     (row,) = rows(out)
     year = gain.yearly(-33.9, -30.0)
@@ -67,12 +67,12 @@ def test_a_year_is_the_ratio_of_its_sums(heliocube):
     assert row["K_DH"] == pytest.approx(float(year.k_dh), rel=1e-13)
 
 
-def test_only_what_is_asked_for_is_told(heliocube):
+def test_the_table_has_only_the_columns_of_the_device_named_by_against(heliocube):
     _, out, _ = heliocube("gain", "--lat", "30", "--against", "vertical", "--format", "csv")
     assert out.splitlines()[0] == "phi_deg,beta_vertical_deg,lambda_deg,K_DV"
 
 
-def test_printed_days_carry_the_papers_forms_and_printed_years_its_scripts(heliocube):
+def test_printed_adds_the_equations_of_the_paper_to_a_day_and_its_scripts_to_a_year(heliocube):
     _, out, _ = heliocube("gain", "--lat", "45", "--tilt", "35", "--azimuth", "5", "--day", "172", "--printed",
                           "--format", "csv")  # fmt: skip
     (row,) = rows(out)
@@ -121,7 +121,7 @@ def test_parquet_has_the_same_numbers(heliocube, tmp_path):
     assert rows(text)[0]["K_DV"] == table["K_DV"][0]
 
 
-def test_a_ratio_of_a_polar_night_is_a_dash_like_its_gain(heliocube):
+def test_ratio_and_gain_of_a_polar_night_are_printed_as_dashes(heliocube):
     code, out, _ = heliocube("gain", "--lat", "90", "--day", "355")
     assert (code, out.splitlines()[3].split()) == (0, ["static", "panel", "65.0", "0", "-", "-"])
     assert "nan" not in out
@@ -134,14 +134,14 @@ def test_a_long_table_says_how_many_rows_it_left_out(heliocube):
     assert "and 1 row more: --format csv writes them all" in out.splitlines()
 
 
-def test_beside_a_figure_a_table_is_a_dozen_rows(heliocube, tmp_path):
+def test_a_table_printed_beside_a_figure_is_cut_to_a_dozen_rows(heliocube, tmp_path):
     _, out, _ = heliocube("gain", "--lat-range", "0:20", "--plot", tmp_path / "tilts.svg")
     tables, end = out.split("\nand 9 rows more: --format csv writes them all\n")
     assert all(len(part.splitlines()) == 13 for part in tables.split("\n\n"))
     assert end.startswith("\nK: the dual axis over a static panel")
 
 
-def test_each_part_of_a_wide_table_says_which_day_a_row_is(heliocube):
+def test_each_part_of_a_wide_table_repeats_the_column_of_the_day(heliocube):
     _, out, _ = heliocube("gain", "--lat", "48.7", "--printed", "--day", "1:10:3")
     parts = [part.splitlines() for part in out.split("\n\n")[:-1]]
     assert len(parts) > 1
@@ -157,7 +157,7 @@ def test_a_range_ends_at_its_end_in_spite_of_rounding(heliocube):
     assert "90" in last.values() or "90.0" in last.values(), last
 
 
-def test_a_clear_sky_stands_beside_the_theory(heliocube):
+def test_ratios_under_a_clear_sky_are_given_beside_those_of_the_theory(heliocube):
     _, out, _ = heliocube("gain", "--lat", "48.7", "--weather", "clear", "--format", "csv")
     (row,) = rows(out)
     # The atmosphere weakens mornings and evenings, when trackers gain most.
@@ -166,7 +166,7 @@ def test_a_clear_sky_stands_beside_the_theory(heliocube):
     assert row["eta_VS_sky"] == pytest.approx(row["K_DS_clip_sky"] / row["K_DV_sky"] - 1.0)
 
 
-def test_simulated_weather_is_called_so_in_every_table(heliocube, tmp_path):
+def test_simulated_weather_is_marked_as_simulated_in_every_table(heliocube, tmp_path):
     assert heliocube("samples", "--out", tmp_path)[0] == 0
     asked = ("gain", "--lat", 48.7176, "--lon", 2.2, "--weather", tmp_path / "clear.csv", "--day", "284:286")
     _, out, _ = heliocube(*asked)
@@ -192,7 +192,7 @@ def weather_file(folder):
     return file
 
 
-def test_under_a_measured_cloud_a_tracker_loses(heliocube, tmp_path):
+def test_under_measured_overcast_weather_a_tracker_receives_less_than_a_flat_panel(heliocube, tmp_path):
     file = weather_file(tmp_path)
     code, out, err = heliocube(
         "gain", "--lat", "48.7", "--lon", "2.2", "--weather", file, "--day", "157", "--tilt", "0", "--format", "csv"
@@ -201,7 +201,7 @@ def test_under_a_measured_cloud_a_tracker_loses(heliocube, tmp_path):
     assert rows(out)[0]["K_DS_clip_sky"] < 0.95
 
 
-def test_a_day_of_weather_beside_a_year_of_theory_is_said(heliocube, tmp_path):
+def test_weather_of_a_day_or_two_beside_the_theory_of_a_whole_year_gives_a_warning(heliocube, tmp_path):
     file = weather_file(tmp_path)
     given = ("gain", "--lat", "48.7", "--lon", "2.2", "--weather", file)
     _, _, err = heliocube(*given)
@@ -227,7 +227,7 @@ def test_a_day_of_weather_beside_a_year_of_theory_is_said(heliocube, tmp_path):
         ("printed", ["--lat", "45", "--azimuth", "5", "--printed"], "png"),
     ],
 )
-def test_each_request_has_its_figure(heliocube, tmp_path, kind, arguments, suffix):
+def test_each_kind_of_request_gets_its_fitting_figure_by_default(heliocube, tmp_path, kind, arguments, suffix):
     fitting, named = tmp_path / f"fitting.{suffix}", tmp_path / f"named.{suffix}"
     assert heliocube("gain", *arguments, "--plot", fitting)[0] == 0
     code, _, err = heliocube("gain", *arguments, "--plot", named, "--plot-kind", kind)
@@ -235,7 +235,7 @@ def test_each_request_has_its_figure(heliocube, tmp_path, kind, arguments, suffi
     assert fitting.stat().st_size == pytest.approx(named.stat().st_size, rel=0.01)
 
 
-def test_figures_show_the_sky_too(heliocube, tmp_path):
+def test_figures_also_show_the_ratios_under_the_weather(heliocube, tmp_path):
     for arguments in (["--lat-range", "0:60:60", "--tilt", "0:90:45"], ["--lat-range", "0:60:60"], ["--lat", "40"]):
         plain, sky = tmp_path / "plain.svg", tmp_path / "sky.svg"
         heliocube("gain", *arguments, "--against", "vertical", "--plot", plain, "--force")
@@ -246,7 +246,7 @@ def test_figures_show_the_sky_too(heliocube, tmp_path):
         assert sky.stat().st_size > 1.05 * plain.stat().st_size
 
 
-def test_a_file_of_one_day_has_its_dot_in_the_figure_of_days(heliocube, tmp_path):
+def test_a_weather_file_of_one_day_is_one_dot_in_the_figure_of_days(heliocube, tmp_path):
     assert heliocube("samples", "--out", tmp_path)[0] == 0
     figure = tmp_path / "figure.svg"
     asked = ("--lat", 48.7176, "--day", "280:290", "--against", "vertical", "--weather", tmp_path / "clear.csv")
@@ -304,7 +304,9 @@ def test_a_file_of_one_day_has_its_dot_in_the_figure_of_days(heliocube, tmp_path
         (["--points", "none.csv", "--lat", "1"], "--points takes its cases from the file; leave out --lat"),
     ],
 )
-def test_a_mistake_is_one_sentence_and_exit_code_two(heliocube, tmp_path, monkeypatch, arguments, sentence):
+def test_a_mistaken_option_is_refused_in_one_sentence_with_exit_code_2(
+    heliocube, tmp_path, monkeypatch, arguments, sentence
+):
     monkeypatch.chdir(tmp_path)
     code, out, err = heliocube("gain", *arguments)
     assert (code, out) == (2, "")
@@ -331,7 +333,7 @@ def test_a_mistake_is_one_sentence_and_exit_code_two(heliocube, tmp_path, monkey
         ),
     ],
 )
-def test_a_bad_points_file_is_refused_with_its_place(heliocube, tmp_path, text, sentence):
+def test_a_bad_points_file_is_refused_naming_the_file_and_the_mistake(heliocube, tmp_path, text, sentence):
     file = tmp_path / "points.csv"
     file.write_bytes(text if isinstance(text, bytes) else text.encode())
     code, out, err = heliocube("gain", "--points", file)

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 PICTURES = ("angles", "light", "motion")
 
 
-def test_pictures_of_a_store_and_of_exported_tables(heliocube, store, tmp_path):
+def test_plot_draws_a_store_and_exported_tables_and_refuses_a_day_without_records(heliocube, store, tmp_path):
     day = ("--store", store, "--day", "2022-10-14")
     assert heliocube("plot", "light", "motion", *day, "--out", tmp_path / "new" / "day.png")[0] == 0
     for name in ("day-light.png", "day-motion.png"):
@@ -42,7 +42,7 @@ def tables(heliocube, store, tmp_path):
     ("name", "picture"),
     [("scans", "light"), ("decisions", "angles"), ("moves", "motion"), ("poses", "angles"), ("modes", "angles")],
 )
-def test_a_last_line_that_breaks_off_is_left_out_of_a_picture_and_told(heliocube, tables, name, picture):
+def test_a_last_line_that_breaks_off_is_left_out_of_a_picture_with_a_warning(heliocube, tables, name, picture):
     folder, asked = tables
     path = folder / f"{name}.csv"
     head, *rows, last = path.read_text().splitlines()
@@ -80,7 +80,9 @@ def test_a_last_line_that_breaks_off_is_left_out_of_a_picture_and_told(heliocube
         ("scans", lambda _: b"PAR1", " is a Parquet file: a CSV file is needed"),
     ],
 )
-def test_a_damaged_table_is_one_sentence_with_its_place(heliocube, tables, name, spoil, sentence):
+def test_a_damaged_csv_table_is_refused_in_one_sentence_that_names_the_file_and_the_damage(
+    heliocube, tables, name, spoil, sentence
+):
     folder, asked = tables
     path = folder / f"{name}.csv"
     path.write_bytes(spoil(path.read_bytes()))
@@ -91,7 +93,7 @@ def test_a_damaged_table_is_one_sentence_with_its_place(heliocube, tables, name,
 
 
 @pytest.mark.parametrize("name", ["roof", "01", "NA"])
-def test_a_record_of_no_tracker_is_no_tracker_beside_the_one_of_the_tables(heliocube, tables, tmp_path, name):
+def test_an_event_without_a_tracker_does_not_count_as_a_second_tracker_of_the_tables(heliocube, tables, tmp_path, name):
     folder, asked = tables
     drawn = []
     for event in ("", "2022-10-14T09:00:00Z,1.0,cube,the cube is back,,true,1\n"):
@@ -112,7 +114,7 @@ def first_cell(text, column, content):
     return b"\n".join([head, b",".join(cells), rest])
 
 
-def test_a_damaged_table_of_parquet_is_one_sentence_with_its_place(heliocube, store, tmp_path):
+def test_a_damaged_parquet_table_is_refused_in_one_sentence_that_names_the_file(heliocube, store, tmp_path):
     folder = tmp_path / "tables"
     assert heliocube("export", "--store", store, "--out", folder, "--format", "parquet")[0] == 0
     path = folder / "scans.parquet"
@@ -122,7 +124,9 @@ def test_a_damaged_table_of_parquet_is_one_sentence_with_its_place(heliocube, st
     assert f"heliocube: {path} is not a table that can be read: it is damaged or cut off; export it anew" in said
 
 
-def test_tables_of_a_clock_that_was_set_back_are_taken_in_the_order_of_their_times(heliocube, tables, tmp_path):
+def test_tables_with_rows_out_of_order_after_a_clock_was_set_back_are_drawn_in_order_of_time(
+    heliocube, tables, tmp_path
+):
     folder, asked = tables
     assert heliocube("plot", *PICTURES, *asked)[0] == 0
     drawn = {path: path.read_bytes() for path in tmp_path.glob("a-*.svg")}
@@ -145,7 +149,9 @@ def test_tables_of_a_clock_that_was_set_back_are_taken_in_the_order_of_their_tim
         (("power", "--out", "new/x.png"), "power: no I-V curve from 2022-10-14 00:00 UTC to 2022-10-15 00:00 UTC in "),
     ],
 )
-def test_a_picture_that_cannot_be_drawn_is_one_sentence(heliocube, store, tmp_path, monkeypatch, arguments, message):
+def test_a_picture_that_cannot_be_drawn_is_refused_in_one_sentence(
+    heliocube, store, tmp_path, monkeypatch, arguments, message
+):
     monkeypatch.chdir(tmp_path)
     code, _, said = heliocube("plot", *arguments, "--store", store, "--day", "2022-10-14")
     assert (code, said.count("\n")) == (2, 1)
@@ -153,7 +159,7 @@ def test_a_picture_that_cannot_be_drawn_is_one_sentence(heliocube, store, tmp_pa
     assert not list(tmp_path.iterdir())
 
 
-def test_a_picture_without_data_keeps_none_of_the_others_back(heliocube, store, tmp_path):
+def test_the_other_pictures_are_written_when_one_picture_has_no_data(heliocube, store, tmp_path):
     asked = ("--store", store, "--day", "2022-10-14", "--out", tmp_path / "day.png", "--json")
     code, out, said = heliocube("plot", "power", "motion", *asked)
     assert (code, said.count("\n"), json.loads(out)) == (
@@ -165,7 +171,7 @@ def test_a_picture_without_data_keeps_none_of_the_others_back(heliocube, store, 
     assert [path.name for path in tmp_path.iterdir()] == ["day-motion.png"]
 
 
-def test_a_picture_of_a_wind_that_nobody_measured_is_not_drawn_empty(heliocube, tmp_path):
+def test_the_wind_picture_is_refused_when_no_wind_was_measured(heliocube, tmp_path):
     out = tmp_path / "tables"
     assert heliocube("simulate", "--start", "2022-06-21T11:00Z", "--days", "0.01", "--out", out)[0] == 0
     poses = (out / "poses.csv").read_text().splitlines()

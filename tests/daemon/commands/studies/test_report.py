@@ -121,7 +121,7 @@ def test_the_figures_of_the_page_are_those_of_the_export(heliocube, store, the_p
     ]
 
 
-def test_energy_is_that_of_the_planes_under_the_sky_that_made_the_readings(the_page):
+def test_the_page_compares_the_energy_of_the_tracker_with_the_chronometric_pose_and_the_bound(the_page):
     # Until noon the tracker lies flat and receives what the zenith face reads.
     utc_s = instants(1)
     zenith = faces_of(utc_s)[:, 3]
@@ -134,7 +134,7 @@ def test_energy_is_that_of_the_planes_under_the_sky_that_made_the_readings(the_p
     assert gain == pytest.approx(100.0 * (actual / chronometric - 1.0), abs=0.03)
 
 
-def test_modes_gaps_and_alarms_stand_with_their_times_in_utc_and_local(the_page):
+def test_the_page_lists_modes_gaps_and_alarms_with_their_utc_and_local_times(the_page):
     rows = Rows(the_page).rows
     assert ["stow", "13:00:00", "15:00:00", "60 min", "wind 17.2 m/s"] in rows
     assert figure(row(the_page, "tracking")[1]) == pytest.approx(9.5)
@@ -144,13 +144,13 @@ def test_modes_gaps_and_alarms_stand_with_their_times_in_utc_and_local(the_page)
     assert ["16:00:00", "18:00:00", "8 h 00 min, still on", "the day's moves are used up", "–"] in rows
 
 
-def test_what_strangers_wrote_is_text(the_page):
+def test_markup_in_texts_from_outside_is_escaped_on_the_page(the_page):
     assert "<script" not in the_page
     assert "&lt;script&gt;alert('x')&lt;/script&gt;" in the_page
     assert "Greenwich &amp; Sons" in the_page
 
 
-def test_simulated_stands_on_the_page_and_on_every_picture(the_page, heliocube, tmp_path):
+def test_the_page_and_every_picture_are_marked_simulated_for_simulated_records_only(the_page, heliocube, tmp_path):
     assert "<title>SIMULATED " in the_page
     assert "SIMULATED: no hardware is behind these figures." in the_page
     pictures = re.findall(r"<svg .*?</svg>", the_page, re.DOTALL)
@@ -162,7 +162,7 @@ def test_simulated_stands_on_the_page_and_on_every_picture(the_page, heliocube, 
     assert "SIMULATED" not in (tmp_path / "2022-10-14-roof.html").read_text(encoding="utf-8")
 
 
-def test_nothing_is_overwritten_unasked(heliocube, store, tmp_path):
+def test_an_existing_page_is_not_overwritten_without_force(heliocube, store, tmp_path):
     page = tmp_path / "2022-10-14-roof.html"
     page.write_text("mine")
     code, _, said = heliocube("report", "--store", store, "--day", "2022-10-14", "--out", tmp_path)
@@ -196,7 +196,7 @@ def test_nothing_is_overwritten_unasked(heliocube, store, tmp_path):
         (("--day", "2022-10-14", "--out", "/dev/null/x"), "--out: /dev/null/x cannot be a folder"),
     ],
 )
-def test_a_mistake_is_one_sentence(heliocube, store, tmp_path, arguments, message):
+def test_a_mistaken_request_for_a_report_is_refused_in_one_sentence(heliocube, store, tmp_path, arguments, message):
     code, out, said = heliocube("report", "--store", store, "--out", tmp_path / "new", *arguments)
     assert (code, out) == (2, "")
     assert message in said
@@ -219,7 +219,7 @@ def test_several_days_are_one_page_and_several_trackers_several(heliocube, tmp_p
     assert figure(first[1]) + figure(second[1]) == pytest.approx(whole, abs=0.011)
 
 
-def test_the_configuration_gives_limits_and_budget(heliocube, store, tmp_path):
+def test_the_page_takes_limits_and_daily_budget_from_the_configuration(heliocube, store, tmp_path):
     config = tmp_path / "heliocube.toml"
     config.write_text(
         f'[store]\ndirectory = "{store}"\n[motion]\ntravel_per_day_deg = 500.0\n[limits]\nb_min_deg = 89.0\n'
@@ -231,7 +231,7 @@ def test_the_configuration_gives_limits_and_budget(heliocube, store, tmp_path):
     assert figure(row(page, "Best pose at every instant: the bound")[2]) < 60.0
 
 
-def test_what_changed_in_the_configuration_is_said(heliocube, tmp_path):
+def test_the_page_lists_the_changes_of_the_configuration(heliocube, tmp_path):
     kept = opened(tmp_path / "store")
     for wind in (15.0, 15.0, 12.5):
         settings = Settings.model_validate({"safety": {"stow_wind_m_s": wind}}).model_dump(mode="json")
@@ -245,7 +245,7 @@ def test_what_changed_in_the_configuration_is_said(heliocube, tmp_path):
     assert changes == ["safety.stow_wind_m_s was 15.0 and is 12.5"]
 
 
-def test_a_store_in_a_folder_whose_name_is_no_utf_8_has_its_page(heliocube, store, tmp_path):
+def test_a_page_is_written_for_a_store_in_a_folder_whose_name_is_not_utf_8(heliocube, store, tmp_path):
     folder = tmp_path / os.fsdecode(b"caf\xe9")
     folder.symlink_to(store)
     asked = ("--store", folder, "--day", "2022-10-14", "--out", tmp_path, "--json")
@@ -254,7 +254,7 @@ def test_a_store_in_a_folder_whose_name_is_no_utf_8_has_its_page(heliocube, stor
     assert "caf\\udce9" in (tmp_path / "2022-10-14-roof.html").read_text(encoding="utf-8")
 
 
-def test_simulate_and_replay_write_the_same_page(heliocube, tmp_path):
+def test_the_pages_of_simulate_and_of_its_replay_agree_and_are_marked_simulated(heliocube, tmp_path):
     start = ("--start", "2022-06-21T11:00Z", "--days", "0.01")
     out = tmp_path / "tables"
     code, told, err = heliocube("simulate", *start, "--out", out, "--report", tmp_path / "pages", "--json")
@@ -285,7 +285,7 @@ def test_simulate_and_replay_write_the_same_page(heliocube, tmp_path):
 @pytest.mark.parametrize(
     ("command", "number"), [("simulate", signal.SIGINT), ("simulate", signal.SIGTERM), ("replay", signal.SIGTERM)]
 )
-def test_after_an_interruption_there_is_no_page_and_no_folder_for_it(
+def test_an_interrupted_simulate_or_replay_writes_no_page_and_makes_no_folder_for_it(
     heliocube, tmp_path, signal_at_once, command, number
 ):
     signal_at_once(number)
@@ -306,7 +306,7 @@ def test_after_an_interruption_there_is_no_page_and_no_folder_for_it(
 
 
 @pytest.mark.parametrize("command", ["simulate", "replay"])
-def test_in_the_background_of_a_script_where_ctrl_c_is_ignored_an_end_keeps_what_is_done_as_well(
+def test_sigterm_keeps_what_is_done_also_in_a_background_process_that_ignores_sigint(
     heliocube, tmp_path, signal_at_once, command
 ):
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -326,7 +326,7 @@ def test_in_the_background_of_a_script_where_ctrl_c_is_ignored_an_end_keeps_what
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
-def test_the_page_of_a_replay_knows_what_the_service_did_not_believe(heliocube, tmp_path):
+def test_the_page_of_a_replay_counts_readings_that_the_service_rejected_as_flagged(heliocube, tmp_path):
     minutes = [f"2022-10-12T{11 + minute // 60}:{minute % 60:02d}Z" for minute in range(70)]
     faces = tmp_path / "faces.csv"
     lines = [f"{at},{220 + count % 3},0.3,{210 + count % 2},{510 + count % 5}" for count, at in enumerate(minutes)]

@@ -26,7 +26,7 @@ def fails_from_noon_on(monkeypatch):
     monkeypatch.setattr(FlatLaw, "aim", fails)
 
 
-def test_so_many_trackers_have_names_of_their_own_and_one_line_stands_for_all_of_them(heliocube, tmp_path):
+def test_simulate_with_many_trackers_numbers_them_and_sums_all_of_them_up_together(heliocube, tmp_path):
     out = tmp_path / "out"
     code, told, _ = heliocube(
         "simulate", "--trackers", 11, "--start", "2022-10-14T11:00Z", "--days", 0.01, "--out", out
@@ -53,7 +53,7 @@ def warnings_of(*asked):
     return done.stderr.splitlines()
 
 
-def test_a_warning_of_one_tracker_of_several_names_it_behind_its_time(tmp_path):
+def test_a_warning_about_one_of_several_trackers_names_the_tracker_after_the_time(tmp_path):
     file = tmp_path / "heliocube.toml"
     # A scan every 20 s: simulating an hour, in which the second move is due, then takes a third of the time.
     file.write_text(
@@ -68,7 +68,7 @@ def test_a_warning_of_one_tracker_of_several_names_it_behind_its_time(tmp_path):
     ]
 
 
-def test_a_warning_of_one_of_two_that_are_compared_names_it_behind_its_time(tmp_path):
+def test_a_warning_about_one_of_two_compared_trackers_names_the_tracker_after_the_time(tmp_path):
     weather = tmp_path / "weather.csv"
     days = [f"2022-10-13T{hour:02}:00Z,300,500,90,2" for hour in (6, 7, 8, 13, 14)]
     weather.write_text("\n".join(["time,ghi,dni,dhi,wind_speed", *days, ""]))
@@ -87,7 +87,7 @@ def test_a_warning_of_a_replay_begins_with_its_time(tmp_path):
     assert [line[:14] for line in told if "no good scan" in line] == ["2022-10-13T08:"]
 
 
-def test_a_number_of_trackers_is_refused_where_the_file_names_them(heliocube, tmp_path):
+def test_the_option_trackers_is_refused_when_the_configuration_names_its_trackers(heliocube, tmp_path):
     file = tmp_path / "heliocube.toml"
     file.write_text('[[tracker]]\nname = "east"\n[[tracker]]\nname = "west"\n')
     code, _, told = heliocube(
@@ -99,7 +99,7 @@ def test_a_number_of_trackers_is_refused_where_the_file_names_them(heliocube, tm
     )
 
 
-def test_trackers_without_a_cube_are_told_what_is_missing_and_what_else_may_be_meant(heliocube, tmp_path):
+def test_trackers_without_a_cube_are_refused_naming_the_missing_key_and_the_role_tracker(heliocube, tmp_path):
     file = tmp_path / "heliocube.toml"
     file.write_text('[instruments]\nkind = "real"\n[[tracker]]\nname = "east"\n[[tracker]]\nname = "west"\n')
     code, _, told = heliocube("run", "--config", file)
@@ -110,7 +110,7 @@ def test_trackers_without_a_cube_are_told_what_is_missing_and_what_else_may_be_m
 
 
 @pytest.mark.usefixtures("fails_from_noon_on")
-def test_a_law_that_fails_is_told_in_the_summary_with_the_time_from_which_on_another_points(heliocube, tmp_path):
+def test_the_summary_says_that_a_law_has_failed_and_from_when_on_another_law_points(heliocube, tmp_path):
     asked = ("simulate", "--law", "flat", "--start", "2022-10-14T11:50Z", "--days", 0.01, "--out", tmp_path)
     code, told, _ = heliocube(*asked)
     assert (code, told.splitlines()[1]) == (0, f"{FAILED}12:00:31Z on")
@@ -119,7 +119,7 @@ def test_a_law_that_fails_is_told_in_the_summary_with_the_time_from_which_on_ano
 
 
 @pytest.mark.usefixtures("fails_from_noon_on")
-def test_a_replay_tells_of_a_law_that_fails_as_a_simulation_does(heliocube, tmp_path):
+def test_a_replay_reports_a_failed_law_as_a_simulation_does(heliocube, tmp_path):
     faces = tmp_path / "faces.csv"
     minutes = "".join(
         f"2022-10-14T{11 + m // 60}:{m % 60:02}:00Z,30{m % 10},50{m % 9},10{m % 8},60{m % 7}\n" for m in range(50, 71)
@@ -150,7 +150,7 @@ def test_pictures_without_a_page_have_the_local_times_of_the_zone_too(heliocube,
     assert "local time, JST" in (tmp_path / "day-angles.svg").read_text()
 
 
-def test_a_night_has_no_gain_and_the_summary_says_so(heliocube, tmp_path):
+def test_the_summary_of_a_simulated_night_says_no_light_instead_of_a_gain(heliocube, tmp_path):
     _, told, _ = heliocube("simulate", "--start", "2022-10-14T00:00Z", "--days", 0.01, "--out", tmp_path / "out")
     assert "0.00 where an ideal chronometric tracker stands: no light" in told
     assert "- %" not in told

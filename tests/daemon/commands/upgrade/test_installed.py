@@ -39,7 +39,9 @@ def installation(program, tmp_path, monkeypatch):
     return releases
 
 
-def test_an_installation_goes_back_in_one_command_and_starts_what_ran(heliocube, config, installation, tmp_path):
+def test_rollback_switches_to_the_older_release_and_starts_the_units_that_ran(
+    heliocube, config, installation, tmp_path
+):
     code, out, err = heliocube("rollback", "--json", "-c", config)
     assert code == 0
     assert err.splitlines()[-1] == "older is in use: look at the tracker, then release it as 'heliocube status' says"
@@ -58,7 +60,7 @@ def test_an_installation_goes_back_in_one_command_and_starts_what_ran(heliocube,
     ]
 
 
-def test_given_again_it_does_not_go_forward_to_the_newer_release(
+def test_a_second_rollback_is_refused_and_does_not_go_forward_to_the_newer_release(
     heliocube, config, installation, tmp_path, monkeypatch
 ):
     manager = tmp_path / "path" / "systemctl"
@@ -79,7 +81,7 @@ def test_given_again_it_does_not_go_forward_to_the_newer_release(
     assert not (tmp_path / "asked").exists(), "nothing is stopped"
 
 
-def test_what_ran_is_started_again_although_the_way_back_failed(heliocube, config, installation, tmp_path):
+def test_units_that_ran_are_started_again_when_a_rollback_fails(heliocube, config, installation, tmp_path):
     config.write_text("[site]\nlatitude_deg = 95\n")
     code, _, err = heliocube("rollback", "-c", config)
     assert code == 2
@@ -88,7 +90,9 @@ def test_what_ran_is_started_again_although_the_way_back_failed(heliocube, confi
     assert "start heliocube-tracker" in (tmp_path / "asked").read_text().splitlines()
 
 
-def test_a_unit_that_does_not_stop_leaves_the_others_running(heliocube, config, installation, tmp_path):
+def test_when_a_unit_does_not_stop_the_rollback_fails_and_all_units_that_ran_are_started_again(
+    heliocube, config, installation, tmp_path
+):
     manager = tmp_path / "path" / "systemctl"
     manager.write_text(f'{manager.read_text()}[ "$*" != "stop heliocube-cube" ]\n')
     code, _, err = heliocube("rollback", "-c", config)
@@ -102,7 +106,7 @@ def test_a_unit_that_does_not_stop_leaves_the_others_running(heliocube, config, 
 
 # When a call of systemctl is interrupted, its process is left to end by itself.
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_all_that_ran_is_started_although_somebody_does_not_wait_for_the_first_of_it(
+def test_all_units_that_ran_are_started_although_sigint_interrupts_the_start_of_the_first(
     heliocube, config, installation, tmp_path
 ):
     manager = tmp_path / "path" / "systemctl"
@@ -125,7 +129,7 @@ def test_all_that_ran_is_started_although_somebody_does_not_wait_for_the_first_o
 # When a call of systemctl is interrupted, its process is left to end by itself.
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.parametrize("by", ["INT", "HUP", "TERM"])
-def test_what_ran_is_started_again_although_somebody_or_a_lost_connection_ends_it(
+def test_units_that_ran_are_started_again_when_a_signal_interrupts_a_rollback(
     heliocube, config, installation, tmp_path, by
 ):
     manager = tmp_path / "path" / "systemctl"

@@ -76,7 +76,7 @@ def tables(folder):
         return version, {row[0] for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
 
 
-def test_the_store_is_of_the_version_before_with_what_came_since_and_the_newer_one_is_kept(
+def test_rollback_restores_the_older_store_with_the_records_since_and_keeps_the_newer_store(
     heliocube, config, program, upgraded
 ):
     scans, decisions = count(upgraded, "scans"), count(upgraded, "decisions")
@@ -101,7 +101,9 @@ def test_the_store_is_of_the_version_before_with_what_came_since_and_the_newer_o
     assert "records/heliocube.sqlite: 0.0.9 can use it as it is" in out
 
 
-def test_what_a_service_that_was_not_restarted_has_kept_since_comes_along(heliocube, config, program, tmp_path):
+def test_rollback_also_takes_over_records_kept_by_a_service_that_was_not_restarted(
+    heliocube, config, program, tmp_path
+):
     """It may be the cube's service, beside a newer tracker's in one folder: its run is older than the copy."""
     folder = tmp_path / "records"
     of_before = Store(folder, 0.05, 400, ORIGIN, SystemClock(), lambda event: None)
@@ -120,7 +122,7 @@ def test_what_a_service_that_was_not_restarted_has_kept_since_comes_along(helioc
     assert found == [(1, 0, 0), (2, 0, 1), (1, 1, 2)]
 
 
-def test_after_it_an_upgrade_brings_all_of_it_up_again(heliocube, config, program, upgraded):
+def test_an_upgrade_after_a_rollback_keeps_all_records(heliocube, config, program, upgraded):
     scans = count(upgraded, "scans")
     heliocube("rollback", "-c", config, "--to", program())
     store = opened(upgraded)
@@ -130,7 +132,7 @@ def test_after_it_an_upgrade_brings_all_of_it_up_again(heliocube, config, progra
     assert count(upgraded, "scans") == scans + 1
 
 
-def test_every_tracker_is_held_unless_a_person_has_asked_for_something(heliocube, tmp_path, program):
+def test_rollback_holds_every_tracker_that_has_no_order_of_a_person(heliocube, tmp_path, program):
     file = tmp_path / "heliocube.toml"
     file.write_text("[store]\ndirectory = 'records'\n[[tracker]]\nname = 'east'\n[[tracker]]\nname = 'west'\n")
     (tmp_path / "records" / "east").mkdir(parents=True)
@@ -149,7 +151,7 @@ def test_every_tracker_is_held_unless_a_person_has_asked_for_something(heliocube
     )
 
 
-def test_on_the_machine_of_a_cube_nothing_is_held(heliocube, program, tmp_path, monkeypatch):
+def test_rollback_holds_no_tracker_on_the_machine_of_a_cube(heliocube, program, tmp_path, monkeypatch):
     monkeypatch.setattr("daemon.commands.options.INSTALLED", tmp_path)
     for role in ("cube", "tracker"):
         file = tmp_path / f"{role}.toml"
@@ -160,7 +162,7 @@ def test_on_the_machine_of_a_cube_nothing_is_held(heliocube, program, tmp_path, 
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files to others")
-def test_what_root_writes_belongs_to_the_user_of_the_service(heliocube, config, program, tmp_path):
+def test_files_that_rollback_writes_as_root_belong_to_the_user_of_the_service(heliocube, config, program, tmp_path):
     records = tmp_path / "records"
     records.mkdir()
     os.chown(records, 65534, 65534)
@@ -170,7 +172,9 @@ def test_what_root_writes_belongs_to_the_user_of_the_service(heliocube, config, 
     assert {path.stat().st_uid for path in kept} == {65534}
 
 
-def test_a_service_whose_file_names_no_folder_is_held_in_the_one_that_it_uses(heliocube, config, program, tmp_path):
+def test_without_a_configured_folder_the_hold_is_written_to_the_folder_that_the_service_uses(
+    heliocube, config, program, tmp_path
+):
     config.write_text("[instruments]\nkind = 'real'\n")
     (tmp_path / "records").mkdir()
     code, out, _ = heliocube("rollback", "-c", config, "--to", program(VERSION))
@@ -183,7 +187,9 @@ def test_a_service_whose_file_names_no_folder_is_held_in_the_one_that_it_uses(he
 @pytest.mark.parametrize(
     ("tables", "folders"), [("", ["tracker"]), ("[[tracker]]\nname = 'east'", ["east", "tracker"])]
 )
-def test_a_folder_that_root_makes_belongs_to_whom_the_one_above_it_does(heliocube, program, tmp_path, tables, folders):
+def test_folders_that_rollback_makes_as_root_belong_to_the_owner_of_the_parent_folder(
+    heliocube, program, tmp_path, tables, folders
+):
     state = tmp_path / "state"
     state.mkdir()
     os.chown(state, 65534, 65534)
@@ -196,14 +202,18 @@ def test_a_folder_that_root_makes_belongs_to_whom_the_one_above_it_does(heliocub
     assert {path.stat().st_uid for path in made} == {65534}
 
 
-def test_a_release_that_does_not_say_which_it_is_goes_by_the_name_of_its_folder(heliocube, config, program, tmp_path):
+def test_a_release_that_does_not_tell_its_version_is_called_by_the_name_of_its_folder(
+    heliocube, config, program, tmp_path
+):
     (tmp_path / "records").mkdir()
     heliocube("rollback", "-c", config, "--to", program(VERSION, release="echo no module; exit 1"))
     hold = json.loads((tmp_path / "records" / "operator.json").read_text())["hold"]
     assert "to 0.0.9, and nobody" in hold["why"]
 
 
-def test_without_a_copy_a_new_store_can_begin_and_nothing_is_lost(heliocube, config, program, upgraded):
+def test_without_a_copy_of_the_older_store_rollback_sets_the_store_aside_for_a_new_one(
+    heliocube, config, program, upgraded
+):
     copy_path(upgraded / FILE_NAME, OLDER).unlink()
     code, out, _ = heliocube("rollback", "-c", config, "--to", program())
     assert code == 0
@@ -212,7 +222,7 @@ def test_without_a_copy_a_new_store_can_begin_and_nothing_is_lost(heliocube, con
     assert len(list(upgraded.glob("heliocube.newer-*.sqlite"))) == 1
 
 
-def test_one_that_was_interrupted_is_done_again(heliocube, config, program, upgraded):
+def test_rollback_can_be_repeated_after_an_interruption(heliocube, config, program, upgraded):
     scans = count(upgraded, "scans")
     shutil.copy(upgraded / FILE_NAME, upgraded / "kept")
     heliocube("rollback", "-c", config, "--to", program())
@@ -227,7 +237,9 @@ def test_one_that_was_interrupted_is_done_again(heliocube, config, program, upgr
     assert (tables(upgraded)[0], count(upgraded, "scans")) == (OLDER, scans)
 
 
-def test_a_newer_store_that_is_damaged_is_said_and_the_copy_is_there_all_the_same(heliocube, config, program, upgraded):
+def test_with_a_damaged_newer_store_rollback_restores_the_copy_and_says_what_is_missing(
+    heliocube, config, program, upgraded
+):
     path = upgraded / FILE_NAME
     content = bytearray(path.read_bytes())
     content[4096 * 2 :] = b"\xff" * (len(content) - 4096 * 2)
@@ -238,7 +250,9 @@ def test_a_newer_store_that_is_damaged_is_said_and_the_copy_is_there_all_the_sam
     assert (tables(upgraded)[0], count(upgraded, "scans")) == (OLDER, 5)
 
 
-def test_a_file_that_the_release_before_cannot_read_is_put_back_and_the_newer_one_is_kept(heliocube, config, program):
+def test_a_configuration_that_the_older_release_cannot_read_is_put_back_and_the_newer_one_is_kept(
+    heliocube, config, program
+):
     config.write_text("[law]\nname = 'flat' # for now\n")
     config.chmod(0o640)
     heliocube_before = config.read_text()
@@ -257,7 +271,7 @@ def test_a_file_that_the_release_before_cannot_read_is_put_back_and_the_newer_on
     assert config.stat().st_mode == newer.stat().st_mode == before(config).stat().st_mode
 
 
-def test_a_file_stays_where_it_is_if_the_one_before_would_not_do_either_and_wherever_it_is_named_from(
+def test_a_configuration_named_by_a_relative_path_or_no_worse_than_the_one_before_stays_in_place(
     heliocube, config, program, monkeypatch
 ):
     config.write_text("[law]\nname = 'flat'\n[site]\nlatitude_deg = 50\n")
@@ -274,7 +288,7 @@ def test_a_file_stays_where_it_is_if_the_one_before_would_not_do_either_and_wher
     assert f"{config} stays as it is: 0.0.9 finds mistakes in it and in {before(config)}" in out
 
 
-def test_an_empty_file_from_before_the_upgrade_is_no_configuration_to_go_back_to(heliocube, config, program):
+def test_an_empty_configuration_from_before_the_upgrade_is_not_put_back(heliocube, config, program):
     config.write_text("[law]\nname = 'flat'\n")
     heliocube("config", "migrate", "--keys-only", config)
     migrated = config.read_text()
@@ -284,7 +298,7 @@ def test_an_empty_file_from_before_the_upgrade_is_no_configuration_to_go_back_to
     assert f"{config} stays as it is" in out
 
 
-def test_of_several_files_from_before_an_upgrade_the_latest_is_put_back(heliocube, config, program):
+def test_of_several_configurations_from_before_an_upgrade_the_latest_is_put_back(heliocube, config, program):
     for law in ("flat", "mu-prime"):
         config.write_text(f"[law]\nname = '{law}'\n")
         heliocube("config", "migrate", "--keys-only", config)
@@ -293,9 +307,7 @@ def test_of_several_files_from_before_an_upgrade_the_latest_is_put_back(heliocub
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="what is synced is seen in /proc")
-def test_what_was_changed_since_the_upgrade_is_on_the_disk_before_the_file_is_put_back(
-    heliocube, config, program, synced
-):
+def test_the_newer_configuration_is_synced_to_disk_before_the_older_one_is_put_back(heliocube, config, program, synced):
     for law in ("flat", "mu-prime"):
         config.write_text(f"[law]\nname = '{law}'\n")
         heliocube("config", "migrate", "--keys-only", config)
@@ -309,7 +321,7 @@ def test_what_was_changed_since_the_upgrade_is_on_the_disk_before_the_file_is_pu
     assert len(list(config.parent.glob("*.newer-*"))) == 2, "what an earlier way back has kept is not overwritten"
 
 
-def test_a_service_that_runs_there_is_not_disturbed(heliocube, config, program, upgraded):
+def test_rollback_is_refused_while_a_service_uses_the_store(heliocube, config, program, upgraded):
     with claimed(upgraded, ("tracker",)):
         code, _, err = heliocube("rollback", "-c", config, "--to", program())
     assert code == 2
@@ -319,13 +331,15 @@ def test_a_service_that_runs_there_is_not_disturbed(heliocube, config, program, 
 
 
 @pytest.mark.parametrize("to", [(), ("--to", "/nowhere/bin/heliocube")])
-def test_without_a_release_before_it_is_one_sentence(heliocube, config, to):
+def test_rollback_without_an_older_release_is_refused_in_one_sentence(heliocube, config, to):
     code, out, err = heliocube("rollback", "-c", config, *to)
     assert (code, out, len(err.splitlines())) == (2, "", 1)
     assert "--to" in err
 
 
-def test_a_release_before_that_does_not_answer_is_one_sentence(heliocube, config, program, monkeypatch):
+def test_rollback_is_refused_in_one_sentence_when_the_older_release_does_not_answer(
+    heliocube, config, program, monkeypatch
+):
     monkeypatch.setattr("daemon.commands.upgrade.installed._WITHIN_S", 0.1)
     to = program(release="exec sleep 1000")
     code, out, err = heliocube("rollback", "-c", config, "--to", to)

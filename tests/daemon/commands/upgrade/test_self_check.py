@@ -41,7 +41,7 @@ def amiss(findings):
     return {each.subject: each for each in findings if not each.ok}
 
 
-def test_a_rig_that_is_well_has_a_line_each_and_ends_with_0(heliocube, config):
+def test_the_self_check_of_a_healthy_rig_has_one_ok_line_per_subject_and_exit_code_0(heliocube, config):
     code, out, err = heliocube("self-check", "-c", config)
     assert (code, err) == (0, "")
     assert [line.split()[:2] for line in out.splitlines()] == [
@@ -51,7 +51,7 @@ def test_a_rig_that_is_well_has_a_line_each_and_ends_with_0(heliocube, config):
     assert not (config.parent / "records").exists()
 
 
-def test_a_file_that_cannot_be_used_ends_with_2_and_one_that_is_not_named_too(heliocube, config):
+def test_the_self_check_has_exit_code_2_for_an_invalid_configuration_and_for_none(heliocube, config):
     config.write_text("[site]\nlatitude_deg = 95\n")
     code, out, err = heliocube("self-check", "--json", "-c", config)
     assert (code, err) == (2, "")
@@ -62,7 +62,7 @@ def test_a_file_that_cannot_be_used_ends_with_2_and_one_that_is_not_named_too(he
     assert (code, out, len(err.splitlines())) == (2, "", 1)
 
 
-def test_real_instruments_without_wind_and_positioner_are_told_with_what_to_do(heliocube, tmp_path):
+def test_a_missing_positioner_and_wind_source_are_reported_with_a_remedy_each(heliocube, tmp_path):
     file = tmp_path / "heliocube.toml"
     file.write_text(
         "[instruments]\nkind = 'real'\n[instruments.positioner]\nport = '/dev/serial/by-id/nothing'\n"
@@ -80,7 +80,9 @@ def test_real_instruments_without_wind_and_positioner_are_told_with_what_to_do(h
 
 @pytest.mark.parametrize("text", ["", "[api]\nenabled = false\n[instruments]\nkind = 'real'\n"])
 @pytest.mark.parametrize("command", ["self-check", "config check"])
-def test_the_file_of_a_unit_has_to_be_enough_for_the_role_of_that(heliocube, tmp_path, monkeypatch, command, text):
+def test_the_configuration_of_a_unit_is_checked_for_the_role_of_that_unit(
+    heliocube, tmp_path, monkeypatch, command, text
+):
     file = tmp_path / "tracker.toml"
     file.write_text(text)
     named = ["-c", file] if command == "self-check" else [file]
@@ -90,7 +92,7 @@ def test_the_file_of_a_unit_has_to_be_enough_for_the_role_of_that(heliocube, tmp
     assert "as tracker: bridge.key_file" in out + err
 
 
-def test_a_service_that_nobody_hears_is_said_not_to_run(heliocube, config):
+def test_a_service_that_does_not_listen_is_reported_as_not_running(heliocube, config):
     config.write_text("[api]\nlisten = '127.0.0.1:1'\n[store]\ndirectory = 'records'\n")
     _, out, _ = heliocube("self-check", "--json", "-c", config)
     assert by_subject(out)["service"]["text"] == "does not run: nothing listens at 127.0.0.1:1"
@@ -106,7 +108,9 @@ def test_a_service_that_nobody_hears_is_said_not_to_run(heliocube, config):
         (lambda path: path.rename(path.with_name("heliocube.20260101T000000Z.damaged.sqlite")), "store salvage", False),
     ],
 )
-def test_a_store_is_read_and_said_to_be_of_which_version(heliocube, config, spoil, said, ok):
+def test_the_self_check_reads_the_store_and_reports_its_version_or_what_is_wrong_with_it(
+    heliocube, config, spoil, said, ok
+):
     path = config.parent / "records" / FILE_NAME
     path.parent.mkdir()
     open_for_writing(path).close()
@@ -118,7 +122,9 @@ def test_a_store_is_read_and_said_to_be_of_which_version(heliocube, config, spoi
     assert code == (0 if ok else 4)
 
 
-def test_a_copy_that_will_not_fit_is_told_before_the_restart(heliocube, tmp_path, small_disk):
+def test_a_copy_of_the_store_that_will_not_fit_on_the_disk_is_reported_before_the_restart(
+    heliocube, tmp_path, small_disk
+):
     file = tmp_path / "heliocube.toml"
     file.write_text(f"[api]\nenabled = false\n[store]\ndirectory = '{small_disk}'\n[bridge]\ninsecure = true\n")
     open_for_writing(small_disk / FILE_NAME).close()
@@ -135,7 +141,7 @@ def set_version(path, version):
         connection.execute(f"PRAGMA user_version = {version}")
 
 
-def test_a_running_service_is_asked_and_not_its_instruments(serve):
+def test_the_findings_about_a_running_service_come_from_its_own_state_and_health(serve):
     async def scenario(rig, call):
         async def findings():
             await asyncio.sleep(2)
@@ -164,7 +170,7 @@ def test_a_running_service_is_asked_and_not_its_instruments(serve):
     serve(scenario, safety={"wind_stale_s": STALE_S})
 
 
-def test_a_service_that_was_not_restarted_after_an_upgrade_is_told(tmp_path):
+def test_a_service_that_was_not_restarted_after_an_upgrade_is_reported(tmp_path):
     settings = Settings.model_validate({"store": {"directory": tmp_path}})
     assert list(program(settings, "tracker")) == []
     (tmp_path / "release.json").write_text(json.dumps({"release": release()}))

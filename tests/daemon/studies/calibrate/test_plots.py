@@ -15,7 +15,7 @@ MARCH = 1_646_092_800.0
 """2022-03-01T00:00Z."""
 
 
-def test_every_reading_is_in_the_picture_however_wrong_the_old_gains_were():
+def test_every_reading_is_inside_the_axes_of_the_calibration_figure_however_wrong_the_old_gains():
     utc_s = MARCH + np.arange(0.0, 2 * DAY_S, 60.0)
     ghi = clear_sky_ghi(SIRTA, utc_s)[0]
     cube = CubeSettings()

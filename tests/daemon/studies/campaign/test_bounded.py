@@ -19,7 +19,7 @@ from daemon.studies.campaign.draw import draw
     ],
     ids=["little", "objects", "a queue", "a set", "a set of three trackers"],
 )
-def test_what_is_left_in_memory_is_a_leak_whatever_holds_it(left, trackers, leaks):
+def test_many_objects_or_a_long_queue_or_set_left_in_memory_are_reported_as_a_leak(left, trackers, leaks):
     bounded, failed, schedule = Bounded(lambda: 0.0), [], draw(1, 2, trackers=trackers)
     bounded.warm([])
     kept = left()

@@ -82,15 +82,15 @@ def found(events, door, *, heal=False):
         ((STOP,), {"stop": floods}, {"log"}),
     ],
 )
-def test_each_promise_about_answers_can_be_seen_broken(events, lies, promises):
+def test_the_campaign_notices_wrong_answers_a_service_that_dies_and_a_log_that_floods(events, lies, promises):
     assert promises <= found(events, Lying(**lies))
 
 
-def test_a_hold_that_was_seen_is_not_belied_by_a_count_that_is_lost_just_after_it():
+def test_a_count_lost_just_after_a_hold_does_not_make_its_answer_count_as_wrong():
     settles = replace(GOTO, value=(-10.0, 80.0))
     hold, slip = Happening(200.0, "command", "hold"), Happening(200.05, "fault", "b_slip")
     assert found((settles, hold, slip), DirectDoor()) == set()
 
 
-def test_a_tracker_that_does_not_work_again_is_seen():
+def test_the_campaign_notices_a_tracker_that_does_not_work_again():
     assert "does-not-recover" in found((STOP,), Lying(auto=says(done=True)), heal=True)

@@ -21,11 +21,11 @@ MEASURED = {6: (3, 5), 9: (5, 8)}
 UNPLUGGED = next(drill for drill in declared() if drill.fault == "unplug_positioner")
 
 
-def test_every_fault_has_a_row_or_a_reason():
+def test_every_fault_has_a_declared_row_or_a_reason_for_having_none():
     assert without_row() == set(UNSEEN)
 
 
-def test_every_cell_is_done_by_faults_that_there_are_or_refused_in_a_sentence():
+def test_every_cell_of_the_fault_matrix_has_known_faults_or_is_refused_with_a_sentence():
     for component in COMPONENTS:
         for kind in FAULT_KINDS:
             found = cell(component, kind)
@@ -41,12 +41,12 @@ def test_every_cell_is_done_by_faults_that_there_are_or_refused_in_a_sentence():
     }  # fmt: skip
 
 
-def test_a_word_that_names_nothing_is_refused():
+def test_an_unknown_fault_name_is_refused():
     with pytest.raises(UserError, match="there is no thunder"):
         chosen_faults(["thunder"])
 
 
-def test_what_a_drill_measures_is_what_happens():
+def test_a_drill_of_an_unplugged_positioner_measures_times_within_the_declared_bounds():
     schedules = list(UNPLUGGED.schedules())[:1]
     outcomes = run_all(schedules, HERE, lambda _: None)
     measured = UNPLUGGED.measure(schedules, outcomes)
@@ -56,7 +56,7 @@ def test_what_a_drill_measures_is_what_happens():
     assert replace(UNPLUGGED, mode=(Mode.SNOW,)).measure(schedules, outcomes).reached_s == math.inf
 
 
-def test_what_is_not_kept_is_said():
+def test_each_bound_or_promise_that_a_drill_does_not_keep_is_reported():
     assert [*beyond(UNPLUGGED, WorstSeen(0.5, 5.0, (), 3))] == []
     assert [*beyond(UNPLUGGED, WorstSeen(math.inf, math.nan, ("limits",), 3))] == [
         "unplug_positioner at rest: fault after inf s, 1 s are declared",
@@ -65,7 +65,7 @@ def test_what_is_not_kept_is_said():
     ]
 
 
-def test_the_page_has_what_is_declared_now():
+def test_docs_reliability_md_has_the_faults_and_pairs_that_are_declared_now():
     written = (ROOT / "docs" / "reliability.md").read_text()
     pairs = declared_pairs(declared())
     fresh = page(
@@ -75,7 +75,7 @@ def test_the_page_has_what_is_declared_now():
     assert written.count("Every bound is kept, and no promise was broken.") == 2
 
 
-def test_the_page_has_each_kind_of_fault_of_each_component_once():
+def test_the_reliability_page_has_each_kind_of_fault_of_each_component_once():
     matrix = page([], [], [], []).partition("Component by component")[2]
     rows = [line.strip("| ").split(" | ") for line in matrix.splitlines() if line.startswith("| ")][1:]
     for component in COMPONENTS:
@@ -99,7 +99,7 @@ def _pair(first: str, second: str, phase: str = "at rest") -> Pair:
     )
 
 
-def test_of_two_faults_the_stronger_mode_is_asked_for():
+def test_for_a_pair_of_faults_the_mode_of_the_stronger_one_is_expected():
     assert _pair("unplug_voltmeter", "face_stuck").modes == {Mode.FALLBACK}
     assert _pair("unplug_positioner", "unplug_voltmeter").modes == {Mode.FAULT}
     assert _pair("wind", "unplug_voltmeter").modes == {Mode.STOW, Mode.FAULT}
@@ -108,28 +108,28 @@ def test_of_two_faults_the_stronger_mode_is_asked_for():
     assert Mode.FAULT not in _pair("meter_restart", "bridge_replayed").modes
 
 
-def test_a_person_says_what_both_faults_ask_for():
+def test_the_person_gives_the_commands_that_both_faults_of_a_pair_need():
     assert _pair("button", "a_overcurrent").commands == ("auto", "clear")
     assert _pair("unplug_positioner", "button_in").commands == ("auto", "clear")
     assert _pair("a_overcurrent", "b_pulse_loss").commands == ("clear", "home", "home", "home")
     assert _pair("wind_silent", "unplug_voltmeter").commands == ()
 
 
-def test_what_contradicts_or_hides_each_other_is_no_pair():
+def test_faults_that_contradict_or_hide_each_other_form_no_pair():
     names = {(pair.first.fault, pair.second.fault) for pair in declared_pairs(declared())}
     assert not names & {("kill", "end"), ("a_switch_closed", "a_switch_open"), ("a_slip", "kill")}
     assert ("a_switch_closed", "b_switch_open") in names
 
 
 @pytest.mark.parametrize(("first", "second"), [("unplug_voltmeter", "face_stuck"), ("bridge_lost", "end")])
-def test_what_a_pair_measures_is_what_happens(first, second):
+def test_a_measured_pair_of_faults_keeps_its_declared_bounds(first, second):
     pair = _pair(first, second)
     (seen,) = measure_pairs([pair], HERE, lambda _: None)
     assert list(pair.beyond(seen)) == []
     assert seen.reached_s > 0
 
 
-def test_what_a_pair_does_not_keep_is_said():
+def test_each_bound_or_promise_that_a_pair_of_faults_does_not_keep_is_reported():
     seen = WorstSeen(math.inf, math.nan, ("limits",), 1)
     assert [*_pair("unplug_voltmeter", "bridge_lost").beyond(seen)] == [
         "unplug_voltmeter and bridge_lost at rest: fallback after inf s, 70 s are declared",

@@ -29,14 +29,14 @@ def run(*events, door=None, heal=False):
     return run_schedule(schedule, door, heal=heal)
 
 
-def test_a_rotator_is_stopped_told_of_and_set_right_when_another_client_sends_it_away():
+def test_a_rotator_that_another_client_moves_enters_fault_and_recovers_with_no_broken_promise():
     sent = Happening(120.0, "fault", "own_tracking", lasts_s=5.0)
     outcome = run(sent, heal=True)
     assert outcome.violations == ()
     assert Mode.FAULT in {mode for _, mode in outcome.entered}
 
 
-def test_a_stop_of_a_rotator_is_measured_and_one_that_does_not_reach_it_is_seen():
+def test_the_campaign_times_a_stop_of_a_rotator_and_notices_one_that_does_not_reach_it():
     stop = Happening(150.0, "command", "stop")
     (latency_s,) = run(GOTO, stop).stop_latencies_s
     assert latency_s < 0.7
@@ -44,7 +44,7 @@ def test_a_stop_of_a_rotator_is_measured_and_one_that_does_not_reach_it_is_seen(
 
 
 @pytest.mark.parametrize(("fault", "mode"), [("gone", True), ("stopless", False)])
-def test_a_rotator_that_rotctld_loses_or_that_knows_no_stop_is_no_danger(fault, mode):
+def test_a_rotator_that_rotctld_loses_or_that_knows_no_stop_breaks_no_promise(fault, mode):
     begins = Happening(148.0, "fault", fault, lasts_s=30.0)
     outcome = run(GOTO, begins, Happening(150.0, "command", "stop"), heal=True)
     assert outcome.violations == ()
@@ -53,14 +53,14 @@ def test_a_rotator_that_rotctld_loses_or_that_knows_no_stop_is_no_danger(fault, 
     assert len(outcome.stop_latencies_s) == (fault == "stopless")
 
 
-def test_a_rotator_may_leave_the_limits_on_its_way_and_never_its_range(monkeypatch):
+def test_the_campaign_lets_a_rotator_leave_the_limits_during_a_move_but_never_its_range(monkeypatch):
     assert run(GOTO).violations == ()
     narrow = {"a": (0.0, 360.0), "b": (60.0, 90.0)}
     monkeypatch.setattr("daemon.rigs.campaign.plant.PlantTracker.range_deg", lambda _mount, axis: narrow[axis])
     assert "limits" in run(GOTO).promises
 
 
-def test_what_no_rotator_can_have_is_refused_and_not_skipped(tmp_path):
+def test_faults_that_the_chosen_positioner_cannot_have_are_refused_and_not_skipped(tmp_path):
     drawn = {
         event.name
         for seed in range(200)
@@ -79,7 +79,7 @@ def test_what_no_rotator_can_have_is_refused_and_not_skipped(tmp_path):
 
 
 @pytest.mark.parametrize(("positioner", "has"), [("pozsol", "reset_position_lost"), ("rotctld", "gone")])
-def test_of_a_component_each_positioner_has_what_it_can_have(positioner, has):
+def test_the_faults_drawn_for_a_component_are_those_that_the_chosen_positioner_can_have(positioner, has):
     schedules = chosen_schedules(100, 1, 1.0, ("positioner-link",), (), None, 1, positioner)
     drawn = {event.name for schedule in schedules for event in schedule.events if event.what == "fault"}
     assert has in drawn

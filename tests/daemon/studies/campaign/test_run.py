@@ -21,7 +21,7 @@ from daemon.studies.spread.workers import HERE, Workers
 from sim_drivers.pozsol.core import FAULTS as UNIT_FAULTS
 
 
-def test_a_seed_is_the_same_schedule_and_the_same_run_each_time():
+def test_a_seed_gives_the_same_schedule_and_the_same_run_each_time():
     schedule = draw(7, 0.2)
     assert schedule == draw(7, 0.2)
     assert schedule == Schedule.from_json(schedule.json())
@@ -29,7 +29,7 @@ def test_a_seed_is_the_same_schedule_and_the_same_run_each_time():
     assert run_schedule(schedule, heal=False) == run_schedule(schedule, heal=False)
 
 
-def test_several_processes_show_what_one_shows():
+def test_a_campaign_in_two_processes_gives_the_same_lines_as_in_one():
     schedules = [draw(seed, 0.1) for seed in (3, 4)]
     one, two = (run_many(schedules, Workers(jobs), lambda *_: None, with_log=True) for jobs in (1, 2))
     assert sorted(one.lines()) == sorted(two.lines())
@@ -47,7 +47,7 @@ def test_every_fault_of_the_simulated_unit_is_in_the_campaign():
     assert names <= set(FAULTS)
 
 
-def test_every_fault_begins_and_ends():
+def test_every_fault_can_begin_and_end_without_a_broken_promise():
     events = []
     for name in SPANS:
         drawn = (event for seed in range(2000) for event in draw(seed, 1, only=[name]).events if event.name == name)
@@ -68,7 +68,7 @@ def test_every_fault_begins_and_ends():
         (Happening(60, "command", "dance"), "no command 'dance'"),
     ],
 )
-def test_what_cannot_be_done_is_refused_and_not_skipped(event, sentence):
+def test_an_unknown_fault_or_command_in_a_schedule_is_refused_and_not_skipped(event, sentence):
     schedule = replace(draw(1, 0.2), events=(event,))
     with pytest.raises(UserError, match=sentence):
         run_schedule(schedule)
@@ -100,7 +100,7 @@ WIND = {"at_s": 60, "what": "fault", "name": "wind", "value": [20]}
         ({"events": [WIND | {"name": "face_stuck", "value": [7, 1]}]}, "face_stuck at 60 s must be 0..3, 0..9.9"),
     ],
 )
-def test_a_schedule_that_cannot_be_run_is_refused_with_the_place(tmp_path, change, sentence):
+def test_a_schedule_file_that_cannot_be_run_is_refused_with_the_place_of_the_mistake(tmp_path, change, sentence):
     file = tmp_path / "mine.json"
     file.write_text(json.dumps(json.loads(draw(1, 0.2).json()) | change))
     with pytest.raises(UserError, match=sentence) as refused:
@@ -109,12 +109,12 @@ def test_a_schedule_that_cannot_be_run_is_refused_with_the_place(tmp_path, chang
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"hours": 1'])
-def test_what_is_no_schedule_is_refused(text):
+def test_a_text_that_is_not_one_json_object_is_refused_as_a_schedule(text):
     with pytest.raises(ValueError, match="it is not one object in JSON"):
         Schedule.from_json(text)
 
 
-def test_a_wrong_command_of_a_schedule_may_go_to_no_number(tmp_path):
+def test_a_deliberately_bad_command_of_a_schedule_may_have_nan_as_its_target(tmp_path):
     file = tmp_path / "mine.json"
     event = {"at_s": 60, "what": "command", "name": "bad", "value": [float("nan"), 60]}
     file.write_text(json.dumps(json.loads(draw(1, 0.2).json()) | {"events": [event]}))
@@ -123,7 +123,7 @@ def test_a_wrong_command_of_a_schedule_may_go_to_no_number(tmp_path):
 
 
 @pytest.mark.parametrize(("positioner", "trackers"), [("pozsol", 1), ("pozsol", 10), ("rotctld", 1)])
-def test_every_seed_has_settings_that_a_service_takes(positioner, trackers):
+def test_every_seed_draws_settings_that_a_service_accepts(positioner, trackers):
     drawn = [draw(seed, 0.1, trackers=trackers, positioner=positioner) for seed in range(40)]
     assert {len(settings_of(schedule).trackers) for schedule in drawn} == {trackers}
     ways = [way for ways in (CHOICES if positioner == "rotctld" else (*CHOICES, BUILT)) for way in ways]
@@ -149,7 +149,7 @@ OUTCOME = run_schedule(replace(draw(1, 0.02), events=()), heal=False)
 BROKEN = type("Broken", (), {"promise": "a promise"})()
 
 
-def test_a_failure_is_reduced_to_the_events_that_it_takes_in_fewer_runs_than_there_are_events():
+def test_a_failure_is_reduced_to_its_necessary_events_in_fewer_runs_than_there_are_events():
     names = [f"harmless {number}" for number in range(200)]
     names[150], names[160] = "stop", "own_tracking"
     events = tuple(Happening(300.0 * (1 + at), "fault", name) for at, name in enumerate(names))
@@ -165,7 +165,7 @@ def test_a_failure_is_reduced_to_the_events_that_it_takes_in_fewer_runs_than_the
     assert logging.getLogger("heliocube").handlers == []
 
 
-def test_each_failure_is_reduced_and_kept_so_that_it_can_be_run_alone(tmp_path, monkeypatch):
+def test_each_failure_is_reduced_and_saved_as_a_schedule_that_can_be_run_alone(tmp_path, monkeypatch):
     # With this bound, a service says too much as soon as a person has given a command.
     monkeypatch.setattr("daemon.studies.campaign.bounded.LINES_OF_A_COMMAND", -100)
     said, keep = [], tmp_path / "failures"
@@ -188,7 +188,7 @@ def _ctrl_c():
 
 
 @pytest.mark.usefixtures("_ctrl_c")
-def test_ctrl_c_ends_a_campaign_with_what_was_done(tmp_path):
+def test_ctrl_c_ends_a_campaign_with_a_report_of_what_was_done(tmp_path):
     said = []
     schedules = [draw(seed, 0.02) for seed in (1, 2, 3)]
     attack = Attack(schedules, HERE, said.append, tmp_path / "failures", show=False)
@@ -200,7 +200,7 @@ def test_ctrl_c_ends_a_campaign_with_what_was_done(tmp_path):
 
 
 @pytest.mark.usefixtures("_ctrl_c")
-def test_a_failure_before_ctrl_c_is_kept_whole(tmp_path, monkeypatch):
+def test_a_failure_found_before_ctrl_c_is_saved_unreduced(tmp_path, monkeypatch):
     monkeypatch.setattr("daemon.studies.campaign.bounded.LINES_OF_A_COMMAND", -100)
     said, keep = [], tmp_path / "failures"
     given = tuple(Happening(70.0 + 20 * at, "command", name) for at, name in enumerate(("stow", "auto")))

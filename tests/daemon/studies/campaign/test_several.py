@@ -35,7 +35,7 @@ def run(*events, door=None, heal=False):
     return run_schedule(schedule, door, heal=heal)
 
 
-def test_the_same_things_happen_at_the_same_times_as_to_one_tracker():
+def test_a_seed_draws_the_same_events_at_the_same_times_for_several_trackers_as_for_one():
     alone, several = draw(7, 3), draw(7, 3, trackers=3)
     assert {event.tracker for event in alone.events} == {0}
     assert {event.tracker for event in several.events} == {0, 1, 2, None}
@@ -44,14 +44,14 @@ def test_the_same_things_happen_at_the_same_times_as_to_one_tracker():
     assert several == draw(7, 3, trackers=3)
 
 
-def test_a_schedule_for_a_tracker_that_there_is_not_is_refused(tmp_path):
+def test_a_schedule_for_a_tracker_that_does_not_exist_is_refused(tmp_path):
     file = tmp_path / "mine.json"
     file.write_text(replace(draw(1, 0.2), events=(GOTO,)).json())
     with pytest.raises(UserError, match="goto is for tracker 1, and there are 1, from 0"):
         chosen_schedules(1, 1, 1.0, (), (), file)
 
 
-def test_a_schedule_from_before_there_were_several_is_for_one(tmp_path):
+def test_an_old_schedule_that_names_no_trackers_is_for_one_tracker(tmp_path):
     old = json.loads(draw(1, 0.2).json())
     del old["trackers"]
     for event in old["events"]:
@@ -59,18 +59,18 @@ def test_a_schedule_from_before_there_were_several_is_for_one(tmp_path):
     assert Schedule.from_json(json.dumps(old)) == draw(1, 0.2)
 
 
-def test_every_tracker_is_set_right_and_works_again():
+def test_every_tracker_recovers_and_works_again_without_a_broken_promise():
     stop = Happening(150.0, "command", "stop", tracker=None)
     assert run(GOTO, stop, TURNS_BY_ITSELF, heal=True).violations == ()
 
 
-def test_a_command_that_reaches_another_tracker_is_seen():
+def test_the_campaign_notices_a_command_that_reaches_another_tracker():
     hold = Happening(150.0, "command", "hold", tracker=1)
     assert "mixed-up" in run(hold, door=MixedUp(hold=0)).promises
 
 
 @pytest.mark.parametrize("also", [(), (replace(TURNS_BY_ITSELF, at_s=148.0, tracker=0),)])
-def test_a_stop_that_does_not_reach_a_tracker_is_seen_whatever_is_wrong_with_another(also):
+def test_the_campaign_notices_a_stop_that_misses_a_tracker_whatever_is_wrong_with_another(also):
     stop = Happening(150.0, "command", "stop", tracker=None)
     broken = [found for found in run(GOTO, *also, stop, door=MixedUp(stop=0)).violations if found.text.startswith("t1")]
     assert "moves-under-stop" in {found.promise for found in broken}

@@ -13,7 +13,7 @@ from daemon.studies.compare.pairs import frame_of, pair, read_tables
 NAMES = ("T-Cube", "T-Chrono")
 
 
-def test_a_table_that_was_cut_off(tmp_path):
+def test_a_packed_table_of_powers_that_was_cut_off_is_refused(tmp_path):
     rows = "".join(f"2022-10-12T10:00:{n % 60:02d}Z,T-Cube,{n * n % 97}\n" for n in range(9999))
     cut = tmp_path / "cut.csv.gz"
     cut.write_bytes(gzip.compress(f"time,tracker,pmpp_w\n{rows}".encode())[:2000])
@@ -22,7 +22,7 @@ def test_a_table_that_was_cut_off(tmp_path):
 
 
 @pytest.mark.parametrize("wrong", [{"mbe_w": None}, {"count": 1e999}, {"rmae_pct": float("nan")}])
-def test_a_bias_in_which_a_number_is_missing_or_is_none(tmp_path, wrong):
+def test_a_bias_file_with_a_missing_or_invalid_number_is_refused_as_damaged(tmp_path, wrong):
     flat = [Measurement(5.0 * n, name, 50.0 + n, *[0.0] * 6) for n in range(200) for name in NAMES]
     path = tmp_path / "bias.json"
     found = fit(pair(frame_of(flat), NAMES))

@@ -41,7 +41,7 @@ def day_of_power(offset_w):
 
 @pytest.mark.parametrize("bias", [None, BIAS])
 @pytest.mark.parametrize("offset_w", [0.0, -1.0, -5.0])
-def test_two_wattmeters_that_read_less_than_nothing_at_night_make_no_gain(offset_w, bias):
+def test_two_wattmeters_that_read_below_zero_at_night_make_no_gain(offset_w, bias):
     (whole,) = gains(measured(*day_of_power(offset_w)), bias, [], GREENWICH)
     assert (whole.gain_pct, whole.uncorrected_pct) == (0.0, 0.0)
     assert bias is None or 0.0 <= whole.extrapolated_pct < 0.1
@@ -79,7 +79,7 @@ def test_no_line_of_an_azimuth_runs_across_the_picture_where_it_passes_north(sit
 @pytest.mark.parametrize(("site", "label"), [
     (GREENWICH, "14 October 2022, UTC"), (SYDNEY, "13 October to 14 October 2022, UTC"),
 ])  # fmt: skip
-def test_a_day_of_the_site_that_is_two_of_utc_says_so(site, label):
+def test_gains_and_figures_name_the_utc_days_that_a_day_of_the_site_covers(site, label):
     utc_s = T0 - site.longitude_deg * 240.0 + np.arange(6 * 3600.0, 18 * 3600.0, 60.0)
     pairs = measured(utc_s, 100.0)
     rows = gains(pairs, None, [], site)
@@ -92,7 +92,7 @@ def test_a_day_of_the_site_that_is_two_of_utc_says_so(site, label):
     assert power_figure(pairs, None, "").axes[0].get_xlabel() == label
 
 
-def test_no_line_of_a_figure_crosses_a_time_that_adds_no_energy():
+def test_no_line_of_a_figure_of_powers_or_movements_crosses_a_gap_in_the_measurements():
     utc_s = T0 + np.concatenate([np.arange(8.0, 9.0, 1 / 720), np.arange(12.0, 13.0, 1 / 720)]) * 3600.0
     pairs = measured(
         utc_s, np.linspace(50.0, 250.0, utc_s.size), *angles_within(sun_direction(utc_s, *GREENWICH), Limits())

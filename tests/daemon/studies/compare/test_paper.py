@@ -62,7 +62,7 @@ def test_the_shape_of_the_papers_results_is_found_again(monkeypatch, capsys, tmp
         assert f"{path.name} is there already" in capsys.readouterr().err
 
 
-def test_the_ceiling_of_an_overcast_noon_by_hand():
+def test_the_ceiling_of_the_gain_at_an_overcast_noon_agrees_with_a_calculation_by_hand():
     found = {(period, sky): gain for period, sky, gain in ceilings(SIRTA, Limits())}
     # 11:15 UTC: the sun is 33.8 deg high, the tilt 56.2 deg; before and after, the sun is lower.
     # (1 + 0.556)/2 + 0.2 (1 - 0.556)/2 = 0.8225, that is 21.6 %.
@@ -75,13 +75,13 @@ def test_the_ceiling_of_an_overcast_noon_by_hand():
     assert dark[0] == ("overcast", "isotropic", pytest.approx(25.5, abs=0.5))
 
 
-def test_one_that_was_ended_early_does_not_pass_for_all_its_seeds():
+def test_the_notes_of_a_study_that_was_ended_early_say_how_many_of_its_runs_were_done():
     whole, part = (notes(Settings(), "broken", "mu-prime", 30, done=done, asked=60)[0] for done in (60, 8))
     assert "30 seeds from 1 on for each sky: on 12 October" in whole
     assert "30 seeds from 1 on for each sky (8 of these 60 runs: it was ended before the others): on 12" in part
 
 
-def test_weathers_are_told_by_their_spread_and_judged_by_none():
+def test_variable_weather_is_shown_by_the_median_quartiles_and_range_of_its_gains():
     *_, variable, _overcast_day = PRINTED
     shown = Spread(variable, "haydavies", (-6.0, -3.0, -1.5, 0.5, 20.0), asked=True)
     assert (shown.median_pct, shown.quartiles_pct, shown.of_all) == (-1.5, (-3.0, 0.5), "2 of 5")

@@ -88,7 +88,7 @@ def test_a_name_chooses_the_tracker_out_of_a_run_of_several(tmp_path):
         (None, CurveQuality.DARK, "holds I-V curves of 'east', 'west', but none of quality 'ok'"),
     ],
 )
-def test_a_store_whose_curves_cannot_be_used_is_not_said_to_hold_none(tmp_path, name, quality, why):
+def test_a_store_without_usable_curves_is_refused_with_the_trackers_whose_curves_it_holds(tmp_path, name, quality, why):
     folder = kept(tmp_path, "", quality)
     with pytest.raises(UserError) as refused:
         read_stores([(name, folder)])

@@ -13,7 +13,7 @@ T0 = 1665532800.0
 DAY_S = 86400.0
 
 
-def test_a_simulation_costs_no_day_that_the_store_has_from_one_before(tmp_path):
+def test_a_simulation_removes_no_day_that_an_earlier_one_has_left_in_the_store(tmp_path):
     settings = Settings(store=StoreSettings(keep_days=1))
     for day in range(3):
         start_utc_s = T0 + day * DAY_S

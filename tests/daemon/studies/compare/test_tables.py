@@ -15,13 +15,13 @@ def written(path, names, header="time,tracker,pmpp_w"):
 
 @pytest.mark.parametrize("names", [("NA", "EU"), ("01", "02"), ("1e3", "1000"), ("null", "nan")])
 @pytest.mark.parametrize("header", ["time,tracker,pmpp_w", "Time, Tracker, Pmpp_W", "time;tracker;pmpp_w"])
-def test_a_tracker_is_called_as_the_table_writes_it(tmp_path, names, header):
+def test_a_tracker_has_exactly_the_name_in_the_table_even_if_it_looks_like_a_number_or_nan(tmp_path, names, header):
     frame, _ = read_tables([written(tmp_path / "powers.csv", names, header)])
     assert pair(frame, names).utc_s.size == 9
 
 
 @pytest.mark.parametrize("name", ["", " "])
-def test_a_row_that_does_not_say_whose_power_it_is_is_refused(tmp_path, name):
+def test_a_row_of_powers_without_a_tracker_name_is_refused_with_its_row_number(tmp_path, name):
     path = written(tmp_path / "powers.csv", ("one", "other"))
     path.write_text(path.read_text() + f"2022-10-12T10:01:00Z,{name},100\n")
     parquet = tmp_path / "powers.parquet"
@@ -38,14 +38,14 @@ def test_a_row_that_does_not_say_whose_power_it_is_is_refused(tmp_path, name):
     "wrong",
     ["noon,one,1,1", "2022-10-12T10:00:00Z,,1,1", "2022-10-12T10:00:00Z,one,x,1", "2022-10-12T10:00:00Z,one,9999,1"],
 )
-def test_a_row_of_empty_cells_is_counted_among_those_before_a_wrong_one(tmp_path, wrong):
+def test_the_row_number_of_a_wrong_row_counts_rows_of_empty_cells_before_it(tmp_path, wrong):
     path = tmp_path / "powers.csv"
     path.write_text(f"time,tracker,pmpp_w,ghi_w_m2\n2022-10-12T09:00:00Z,one,1,1\n,,,\n{wrong}\n")
     with pytest.raises(UserError, match=r"powers\.csv, row 3: "):
         read_tables([path])
 
 
-def test_an_irradiance_that_cannot_be_is_told_with_its_row(tmp_path):
+def test_an_impossible_irradiance_is_reported_with_its_row_number(tmp_path):
     path = tmp_path / "powers.csv"
     path.write_text(
         "time,tracker,pmpp_w,ghi_w_m2\n2022-10-12T09:00:00Z,one,1,1\n,,,\n2022-10-12T10:00:00Z,one,1,-9999\n"

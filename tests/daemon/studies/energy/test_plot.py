@@ -55,12 +55,12 @@ def colours(axes):
     return {bar.get_facecolor() for bar in axes.patches}
 
 
-def test_what_loses_too_much_for_a_bar_is_named_with_its_loss(pictures):
+def test_a_law_that_loses_too_much_for_a_bar_is_named_with_its_loss(pictures):
     assert pictures["clear"].axes[0].get_xlabel() == "without a bar, on all days: fixed:35 -26.0 %, flat -56.0 %"
     assert pictures["overcast"].axes[0].get_xlabel() == ""
 
 
-def test_a_law_that_was_tried_with_a_parameter_alone_is_named_for_it_has_no_bar():
+def test_a_law_tried_only_with_parameters_has_no_bar_and_is_named_with_its_gains():
     tried = (row("optimal:0.5", 33.0, 99.5, 9.0), row("optimal:16", 2.0, 70.0, 3.0))
     alone, beside = picture((BOUND, *tried)), picture((*OVERCAST, *tried))
     assert alone.axes[0].get_xlabel() == "without a bar, on all days: optimal:0.5 +33.0 %, optimal:16 +2.0 %"
@@ -81,7 +81,7 @@ def test_the_legend_has_nothing_that_is_not_drawn(pictures):
     assert legend(picture(CLEAR[:1])) == []
 
 
-def test_what_has_no_mark_in_the_panel_of_wear_is_named_below_it(pictures):
+def test_a_law_without_a_mark_in_the_panel_of_wear_is_named_below_it_with_the_reason(pictures):
     assert pictures["clear"].axes[1].get_xlabel().endswith("\nbelow -60 %: fixed:35, flat")
     assert pictures["overcast"].axes[1].get_xlabel().endswith("\nnever moves: fixed:35")
     both = picture((*OVERCAST, row("optimal:16", -2.0, -70.0, 100.0)))
@@ -91,7 +91,7 @@ def test_what_has_no_mark_in_the_panel_of_wear_is_named_below_it(pictures):
 
 
 @pytest.mark.parametrize("day", DAYS)
-def test_names_lie_inside_the_panel_of_wear_and_not_over_one_another(pictures, day):
+def test_names_of_laws_lie_inside_the_panel_of_wear_and_do_not_overlap(pictures, day):
     axes = pictures[day].axes[1]
     frame, words = axes.get_window_extent(), [text.get_window_extent() for text in axes.texts]
     assert len(words) > 2
@@ -114,7 +114,7 @@ def test_no_name_lies_on_a_line_of_the_panel_of_wear():
     assert words == dict.fromkeys(("the bound", "flat", "mu-prime", "sun-vector"), False)
 
 
-def test_marks_of_a_parameter_have_its_values_and_its_name(pictures):
+def test_marks_of_a_law_tried_with_parameters_show_their_values_and_the_name_of_the_parameter(pictures):
     tried = [row(f"optimal{value}", 1.0, share, 300.0 + share) for value, share in ((":4", 70), ("", 80), (":0.5", 81))]
     other_sky = [row(each.law, 1.0, each.share_pct - 3.0, each.travel_deg_per_day, "cie") for each in tried]
     axes = picture((*tried, *other_sky, BOUND)).axes[1]
@@ -126,7 +126,7 @@ def test_marks_of_a_parameter_have_its_values_and_its_name(pictures):
 
 
 @pytest.mark.parametrize("day", DAYS)
-def test_the_panel_of_wear_has_room_left_of_nothing_and_never_shows_hundredths_of_a_degree(pictures, day):
+def test_the_panel_of_wear_has_room_left_of_zero_and_reaches_at_least_50_deg(pictures, day):
     left, right = pictures[day].axes[1].get_xlim()
     assert left < -1.0
     assert right >= 50.0

@@ -42,7 +42,7 @@ def dates_in(page):
     return [row.partition(">")[2].partition("<")[0] for row in rows]
 
 
-def test_instants_are_cut_at_the_site_s_midnights_into_its_own_days():
+def test_a_span_between_two_instants_is_divided_at_the_midnights_of_the_site():
     found = findings(EAST, T0, T0 + 3 * DAY_S, [T0 + 3600.0, T0 + 22 * 3600.0])
     lit_h = [each.daylight_s / 3600.0 for each in found.by_day]
     # From ten in the morning of the 14th to ten of the 17th: whole days, and a part at each end.
@@ -58,7 +58,7 @@ def test_the_picture_of_days_names_their_year():
     assert label == "day of the site in 2022, from solar midnight (month-day)"
 
 
-def test_minutes_of_the_night_at_either_end_are_no_day_of_their_own():
+def test_night_minutes_at_either_end_of_a_span_do_not_make_a_day_of_their_own():
     found = findings(PARIS, T0, T0 + 3 * DAY_S)
     assert dates_in(page_of(found)) == ["2022-10-14", "2022-10-15", "2022-10-16"]
     found = findings(PARIS, T0 - 3600.0, T0 + 2 * DAY_S - 3600.0)
@@ -71,7 +71,7 @@ def test_a_day_is_called_after_the_date_of_its_noon_at_the_date_line():
     assert dates_in(page_of(found)) == ["2022-10-14", "2022-10-15"]
 
 
-def test_a_span_of_a_day_is_one_wherever_it_begins():
+def test_a_span_of_24_hours_counts_as_one_day_wherever_it_begins():
     found = findings(EAST, T0, T0 + DAY_S)
     assert len(found.by_day) == len(found.motion.by_day) == 1
     assert "Day by day" not in page_of(found)

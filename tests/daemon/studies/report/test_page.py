@@ -23,7 +23,7 @@ def table(utc_s, **columns):
     return pd.DataFrame(columns, index=index)
 
 
-def test_a_table_that_is_cut_says_how_many_rows_there_are():
+def test_a_report_table_that_is_cut_short_says_how_many_rows_there_are():
     site = Site(48.7, 2.2, 0.0)
     changes_s = T0 + 120.0 * np.arange(1, 2 * MANY + 1)
     holds = [("tracking", "hold"), ("hold", "tracking")] * MANY
@@ -42,7 +42,7 @@ def test_a_table_that_is_cut_says_how_many_rows_there_are():
     assert "Messages of the service: the first 300 of 301" in captions
 
 
-def test_scans_that_were_recorded_twice_are_as_far_apart_as_once():
+def test_scans_that_were_recorded_twice_do_not_change_the_interval_that_the_report_expects():
     site = Site(48.7, 2.2, 0.0)
     utc_s = np.repeat(np.arange(T0, T0 + DAY_S, 300.0), 2)
     faces = {f"{face}_w_m2": 100.0 for face in FACES} | {f"{face}_quality": "ok" for face in FACES}

@@ -82,7 +82,7 @@ def test_no_line_is_drawn_where_nothing_was_recorded(drawing, name):
     assert [label for label in crossing(figure) if not label.startswith("sun")] == []
 
 
-def test_a_set_point_ends_with_the_records(drawing):
+def test_the_line_of_the_set_point_ends_with_the_last_record(drawing):
     (line,) = (line for line in PICTURES["angles"].draw(drawing).axes[0].lines if line.get_label() == "set")
     x = np.asarray(line.convert_xunits(line.get_xdata(orig=True)), dtype=np.float64)
     shown = x[np.isfinite(line.get_ydata())]
@@ -117,7 +117,7 @@ def test_a_picture_in_a_file_has_a_white_ground(tmp_path):
     assert pixels[0, 0].tolist() == [1.0, 1.0, 1.0, 1.0]
 
 
-def test_a_picture_that_a_full_disk_does_not_take_whole_is_as_it_was(tmp_path):
+def test_a_picture_file_stays_as_it_was_when_the_new_one_does_not_fit_on_the_disk(tmp_path):
     path = tmp_path / "wind.png"
     path.write_text("of yesterday")
     (tmp_path / ".wind.png.part").symlink_to("/dev/full")
@@ -129,7 +129,7 @@ def test_a_picture_that_a_full_disk_does_not_take_whole_is_as_it_was(tmp_path):
 @pytest.mark.parametrize(
     ("days", "words"), [(1, "14 October 2022, UTC; below it local time, CEST"), (2, "2022, UTC"), (30, "2022, UTC")]
 )
-def test_the_axis_of_time_says_what_stands_below_it(tmp_path, days, words):
+def test_the_axis_of_time_names_the_date_and_the_zones_of_its_times(tmp_path, days, words):
     found = material(days)
     figure = PICTURES["wind"].draw(Drawing(found, light_of(found), motion_of(found), ZoneInfo("Europe/Paris")))
     assert figure.axes[-1].get_xlabel() == words
@@ -179,7 +179,7 @@ def test_the_axis_of_time_of_a_short_span_has_ticks_to_read_it_by(minutes):
     assert len(set(texts)) == len(texts)
 
 
-def test_on_a_machine_whose_zone_is_none_the_axis_of_time_is_in_utc(monkeypatch):
+def test_on_a_machine_with_an_invalid_time_zone_the_axis_of_time_is_in_utc(monkeypatch):
     monkeypatch.setenv("TZ", "UTC+25")
     time.tzset()
     try:

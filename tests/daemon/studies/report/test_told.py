@@ -30,7 +30,7 @@ def alarms():
     return find
 
 
-def test_one_that_is_raised_again_is_another_one(alarms):
+def test_an_alarm_that_is_raised_again_after_its_end_is_another_alarm(alarms):
     assert alarms(
         "raised wind: no wind", "cleared wind: no wind", "raised wind: again", "acknowledged wind by ana"
     ) == [
@@ -39,20 +39,20 @@ def test_one_that_is_raised_again_is_another_one(alarms):
     ]
 
 
-def test_one_that_is_raised_anew_while_it_is_on_tells_the_newest_which_nobody_has_seen(alarms):
+def test_an_alarm_raised_anew_while_it_is_on_has_its_newest_text_and_is_not_acknowledged(alarms):
     found = alarms("raised face: south", "acknowledged face by ana", "raised face: south and west", "raised x: y")
     assert found[0] == AlarmSpan("face", "south and west", T0, None)
 
 
-def test_one_that_was_on_before_has_no_beginning(alarms):
+def test_an_alarm_that_was_on_before_the_first_event_has_no_beginning(alarms):
     assert alarms("cleared wind: no wind") == [AlarmSpan("wind", "no wind", None, T0)]
 
 
-def test_what_is_acknowledged_without_being_raised_here_is_none(alarms):
+def test_an_acknowledgement_of_an_alarm_that_was_not_raised_makes_no_alarm(alarms):
     assert alarms("acknowledged wind by ana: seen") == []
 
 
-def test_what_older_services_wrote_is_paired_by_its_text(alarms):
+def test_alarm_events_of_older_services_are_paired_by_their_text(alarms):
     assert alarms("the store is full", "over: the store is full") == [
         AlarmSpan("", "the store is full", T0, T0 + 60.0),
     ]
@@ -69,7 +69,7 @@ def night(store, start):
         store.keep(Pose(start + 60.0 * minute, 0.0, 0.0, 90.0, False, "roof"))
 
 
-def test_what_was_on_when_the_day_began_is_told_with_its_date_and_a_stop_of_the_day_before_as_its_mode(tmp_path):
+def test_an_alarm_and_a_hold_that_last_from_the_day_before_are_in_the_report_of_the_day(tmp_path):
     store = opened(tmp_path)
     for hour, text in (
         (8.0, "raised cube-face: the south face is dead"),
@@ -89,7 +89,7 @@ def test_what_was_on_when_the_day_began_is_told_with_its_date_and_a_stop_of_the_
     assert re.search(r"hold\s+23\.9\s+99\.7", page)
 
 
-def test_what_an_earlier_run_of_the_service_had_told_is_not_taken_for_lasting(tmp_path):
+def test_an_alarm_raised_by_an_earlier_run_of_the_service_is_not_taken_as_still_on(tmp_path):
     store = opened(tmp_path)
     store.keep(Event(T0 + 8.0 * 3600.0, 0.0, "alarm", "raised cube-face: the south face is dead", ""))
     store.close()

@@ -76,11 +76,11 @@ def told_of_the_sky(scans):
     return sky
 
 
-def test_a_clear_day_is_told_as_clear_beside_the_hours_of_a_low_sun():
+def test_the_summary_of_a_clear_day_names_its_clear_hours_and_those_with_a_low_sun():
     assert "h of daylight: 14.3 h clear, 1.8 h with the sun below 7 deg;" in told_of_the_sky(clear_day())
 
 
-def test_daylight_without_scans_is_told_as_not_known():
+def test_the_summary_of_a_day_names_daylight_without_scans_as_not_known():
     scans = clear_day()
     hours = (scans.index.hour >= 10) & (scans.index.hour < 13)
     assert ": 11.3 h clear, 3.0 h not known, 1.8 h with the sun below 7 deg;" in told_of_the_sky(scans[~hours])

@@ -24,7 +24,7 @@ def day_of(name):
     return pd.read_csv(heliocube.sample(name), index_col="time", parse_dates=["time"])
 
 
-def test_a_day_is_what_its_seed_makes(name):
+def test_a_sample_day_is_what_its_seed_makes(name):
     kept = list(csv.reader(heliocube.sample(name).read_text().splitlines()))
     made = list(csv.reader(text(name).splitlines()))
     assert kept[0] == made[0]
@@ -34,7 +34,7 @@ def test_a_day_is_what_its_seed_makes(name):
     assert [(row[0], row[-1]) for row in kept] == [(row[0], row[-1]) for row in made]
 
 
-def test_a_day_is_whole_and_says_that_it_is_simulated(name):
+def test_a_sample_day_is_complete_and_marked_as_simulated(name):
     day = day_of(name)
     assert len(day) == 1440
     assert str(day.index[0].date()) == DAYS[name]
@@ -42,12 +42,12 @@ def test_a_day_is_whole_and_says_that_it_is_simulated(name):
     assert not day.isna().any(axis=None)
 
 
-def test_the_skies_are_what_their_names_say():
+def test_the_share_of_diffuse_light_of_each_sample_day_fits_its_name():
     share = {name: day_of(name)["dhi"].sum() / day_of(name)["ghi"].sum() for name in DAYS}
     assert share["clear"] < 0.3 < share["mixed"] < 0.9 < share["overcast"] == pytest.approx(1.0)
 
 
-def test_a_day_is_a_recording_and_a_weather_file(name):
+def test_a_sample_day_can_be_read_as_a_recording_and_as_a_weather_file(name):
     faces = heliocube.read_faces(heliocube.sample(name))
     assert list(faces.columns) == ["east", "south", "west", "zenith"]
     start = f"{DAYS[name]}T11:00Z"
@@ -55,7 +55,7 @@ def test_a_day_is_a_recording_and_a_weather_file(name):
     assert tables["decisions"]["mode"].iloc[-1] == "tracking"
 
 
-def test_copies_are_written_once_and_an_unknown_day_lists_the_known(tmp_path):
+def test_samples_are_overwritten_only_with_force_and_for_an_unknown_day_the_known_ones_are_listed(tmp_path):
     out = tmp_path / "days"
     done = CliRunner().invoke(app, ["samples", "--out", str(out)])
     assert "SIMULATED" in done.output
@@ -67,7 +67,7 @@ def test_copies_are_written_once_and_an_unknown_day_lists_the_known(tmp_path):
         heliocube.sample("foggy")
 
 
-def test_a_day_that_a_full_disk_does_not_take_whole_is_as_it_was(tmp_path):
+def test_a_sample_file_stays_as_it_was_when_the_new_one_does_not_fit_on_the_disk(tmp_path):
     (tmp_path / "mixed.csv").write_text("of yesterday")
     (tmp_path / ".mixed.csv.part").symlink_to("/dev/full")
     done = CliRunner().invoke(app, ["samples", "--out", str(tmp_path), "--force"])
@@ -76,7 +76,7 @@ def test_a_day_that_a_full_disk_does_not_take_whole_is_as_it_was(tmp_path):
     assert (tmp_path / "mixed.csv").read_text() == "of yesterday"
 
 
-def test_what_may_not_be_overwritten_stays_as_it_was(tmp_path):
+def test_a_sample_file_that_cannot_be_overwritten_stays_as_it_was(tmp_path):
     (tmp_path / "mixed.csv").symlink_to("/proc/version")
     done = CliRunner().invoke(app, ["samples", "--out", str(tmp_path), "--force"])
     assert f"{tmp_path} cannot take mixed.csv" in str(done.exception)

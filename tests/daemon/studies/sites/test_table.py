@@ -55,17 +55,17 @@ def test_each_line_is_a_site_with_its_weather(table, tmp_path):
         (("name,latitude,longitude,weather", "x,1,2,clear", "x,1,2,clear"), "has 'x' twice with the same weather"),
     ],
 )
-def test_a_mistake_is_one_sentence_with_its_line(table, lines, sentence):
+def test_a_mistake_in_the_table_of_sites_is_refused_with_a_sentence_that_names_its_place(table, lines, sentence):
     with pytest.raises(UserError, match=sentence):
         read_sites(table(*lines), None)
 
 
-def test_a_year_beside_files_is_refused(table, tmp_path):
+def test_a_year_beside_weather_files_is_refused(table, tmp_path):
     (tmp_path / "w.csv").touch()
     with pytest.raises(UserError, match="line 2 has a year; weather files have their own"):
         read_sites(table("name,latitude,longitude,weather,year", "x,1,2,w.csv,2016"), None)
 
 
-def test_what_is_no_table_is_refused(tmp_path):
+def test_a_table_of_sites_that_does_not_exist_is_refused(tmp_path):
     with pytest.raises(UserError, match="cannot be read: No such file"):
         read_sites(tmp_path / "none.csv", None)

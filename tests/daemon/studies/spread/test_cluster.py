@@ -107,7 +107,7 @@ def another_release_is_refused(address, table, tmp_path):
     assert re.fullmatch(rf"heliocube: --cluster: the worker at tcp://\S+ {re.escape(both)}: [^\n]+\n", errors)
 
 
-def test_what_is_no_address_is_refused_before_anybody_is_asked():
+def test_an_invalid_cluster_address_is_refused_as_mistyped():
     with pytest.raises(UserError, match=r"'nonsense' is not an address, such as 192\.168\.1\.5:8786") as raised:
         gather(abs, [1], Workers(cluster="nonsense"), lambda _share: None)
     assert raised.value.exit_code is ExitCode.MISTYPED

@@ -64,37 +64,37 @@ def sleep_or_wait_for_who_sleeps(task):
     wait_until((folder / "sleeps").exists, "a worker that sleeps")
 
 
-def test_the_places_tell_which_result_is_whose_in_whichever_order_they_end():
+def test_each_result_comes_with_the_place_of_its_task_in_whichever_order_they_end():
     numbers = list(range(20))
     for workers in (HERE, Workers(3)):
         assert dict(spread(square, numbers, workers)) == {place: place**2 for place in numbers}
         assert gather(square, numbers, workers, lambda _share: None) == ([number**2 for number in numbers], None)
 
 
-def test_a_worker_that_is_killed_costs_no_result(tmp_path):
+def test_no_result_is_lost_when_a_worker_is_killed(tmp_path):
     died = tmp_path / "died"
     tasks = [(number, died) for number in range(6)]
     assert gather(square_or_die_once, tasks, Workers(2), lambda _share: None) == ([0, 1, 4, 9, 16, 25], None)
     assert died.exists()
 
 
-def test_a_task_that_kills_whoever_takes_it_ends_the_study_in_a_sentence():
+def test_a_task_that_kills_every_worker_that_takes_it_ends_the_study_with_one_sentence():
     with pytest.raises(WorkersError, match=r"every worker that took task 1 of 1 has died: look whether") as raised:
         gather(die, [1], Workers(2), lambda _share: None)
     assert raised.value.exit_code is ExitCode.UNREACHABLE
 
 
-def test_what_a_task_raises_is_raised_here():
+def test_an_error_that_a_task_raises_in_a_worker_is_raised_in_this_process():
     with pytest.raises(WorkersError, match="not 7"):
         gather(refuse, [7, 7], Workers(2), lambda _share: None)
 
 
-def test_a_task_that_cannot_be_done_keeps_what_is_done():
+def test_a_task_that_fails_leaves_the_results_that_were_done_before_it():
     results, ended = gather(refuse_two, [0, 1, 2, 3], HERE, lambda _share: None)
     assert (results, str(ended)) == ([0, 1], "not 2")
 
 
-def test_ctrl_c_keeps_what_is_done_and_says_so():
+def test_ctrl_c_keeps_the_results_that_are_done_and_reports_the_interruption():
     results, ended = gather(interrupt, [0, 1, 2, 3], HERE, lambda _share: None)
     assert results == [0, 1]
     assert isinstance(ended, InterruptedEarlyError)
@@ -104,7 +104,7 @@ def test_ctrl_c_keeps_what_is_done_and_says_so():
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signals")
 @pytest.mark.parametrize("number", ["SIGTERM", "SIGHUP"])
-def test_a_signal_that_counts_as_ctrl_c_keeps_what_is_done_and_ends_the_workers_whatever_they_are_at(tmp_path, number):
+def test_sigterm_and_sighup_keep_the_results_that_are_done_and_end_the_workers_in_mid_task(tmp_path, number):
     tasks = [(tmp_path, False), (tmp_path, True)]
     with as_ctrl_c():
         results, ended = gather(

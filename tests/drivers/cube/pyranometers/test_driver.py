@@ -67,7 +67,7 @@ def test_a_sensor_that_cannot_measure_gives_no_value_and_says_why(on_rig, keys, 
     assert values(after) == pytest.approx(LIGHT, abs=0.06)
 
 
-def test_four_makes_on_one_line_with_a_map_of_the_file(on_rig):
+def test_four_sensors_of_different_makes_and_configured_register_maps_are_read_on_one_line(on_rig):
     keys = {
         "make": "map",
         "map": {"function": 4, "register_number": 7, "number_type": "int16", "scale": 0.1, "status_register": 9},
@@ -85,7 +85,7 @@ def test_each_face_has_its_own_instant(on_rig):
     assert 0.0 < instants[-1] - instants[0] < took_s
 
 
-def test_a_dead_sensor_costs_the_others_a_third_of_a_second_and_then_nearly_nothing(on_rig):
+def test_a_dead_sensor_delays_a_scan_by_at_most_0_3_s_and_later_only_every_fifth_scan_or_fewer(on_rig):
     async def dies(rig):
         _, well_s = await rig.scans(2)
         rig.sensors[1].silent = True
@@ -128,7 +128,7 @@ def test_a_sensor_that_was_silent_for_an_hour_is_asked_twice_a_minute(on_rig):
     assert values(after) == pytest.approx(LIGHT)
 
 
-def test_opening_again_forgets_what_was_missed_before(on_rig):
+def test_reopening_the_cube_forgets_the_missed_replies_of_a_silent_sensor(on_rig):
     async def opened_again(rig):
         rig.sensors[3].silent = True
         at_last = (await rig.scans(6))[0].notes
@@ -141,7 +141,7 @@ def test_opening_again_forgets_what_was_missed_before(on_rig):
     assert after_two == ()
 
 
-def test_one_lost_reply_is_worth_no_word_and_no_pause(on_rig):
+def test_one_corrupt_reply_causes_no_note_and_the_sensor_is_read_again_within_two_scans(on_rig):
     async def garbles(rig):
         rig.sensors[3].corrupt = 1
         return (await rig.scans())[0], (await rig.scans(2))[0]
@@ -153,7 +153,7 @@ def test_one_lost_reply_is_worth_no_word_and_no_pause(on_rig):
 
 
 @pytest.mark.parametrize("make", ["smp", "hukseflux", "map"])
-def test_a_late_reply_is_never_taken_for_another(on_rig, make):
+def test_a_late_reply_is_never_taken_for_the_reply_to_another_question(on_rig, make):
     """The light changes with every scan, so an old reply would show."""
 
     async def late(rig):
@@ -187,7 +187,7 @@ def test_swapped_sensors_are_refused_where_their_serial_numbers_are_pinned(on_ri
     assert len(reading.notes) == 2
 
 
-def test_a_swap_while_nothing_was_asked_is_seen_within_four_scans(on_rig):
+def test_a_swap_of_pinned_sensors_between_two_scans_is_noticed_within_eight_scans(on_rig):
     async def swaps(rig):
         rig.cores[""].swap(0, 2)
         seen = [flaws((await rig.scans(2))[0]) for _ in range(4)]
@@ -204,7 +204,7 @@ def test_a_swap_of_sensors_that_are_not_pinned_is_not_seen(on_rig):
     assert values(on_rig(swaps))[0] == pytest.approx(LIGHT[2])
 
 
-def test_two_sensors_of_one_address_are_garbage(on_rig):
+def test_two_sensors_at_one_address_flaw_the_face_there_and_do_not_disturb_other_addresses(on_rig):
     async def doubles(rig):
         rig.sensors[1].address = 1
         return (await rig.scans(4))[0]
@@ -215,7 +215,7 @@ def test_two_sensors_of_one_address_are_garbage(on_rig):
 
 
 @pytest.mark.parametrize(("mode", "status", "flaw"), [(3, 0, "missing"), (1, 1, "missing"), (1, 2, "over-range")])
-def test_flags_and_modes_cost_the_face_and_are_told(on_rig, mode, status, flaw):
+def test_an_error_flag_or_a_wrong_mode_flaws_the_face_and_is_reported_in_a_note(on_rig, mode, status, flaw):
     async def flagged(rig):
         rig.sensors[0].mode, rig.sensors[0].status = mode, status
         return (await rig.scans())[0]
@@ -225,7 +225,7 @@ def test_flags_and_modes_cost_the_face_and_are_told(on_rig, mode, status, flaw):
     assert reading.notes[0].startswith("the east sensor (address 1) ")
 
 
-def test_a_delta_ohm_that_was_just_switched_on_is_waited_for(on_rig):
+def test_a_delta_ohm_sensor_is_late_while_it_boots_and_is_read_afterwards(on_rig):
     async def restarts(rig):
         rig.sensors[2].power_cycle(rig.clock.monotonic())
         return (await rig.scans())[0], (await rig.scans(5))[0]
@@ -235,7 +235,7 @@ def test_a_delta_ohm_that_was_just_switched_on_is_waited_for(on_rig):
     assert flaws(up) == (None, None, None, None)
 
 
-def test_of_two_lines_one_may_be_gone(on_rig):
+def test_with_one_of_two_lines_unplugged_the_other_is_read_and_the_lost_one_recovers(on_rig):
     async def pulled(rig):
         rig.lines["COM6"].link_up = False
         gone, _ = await rig.scans(3)
@@ -254,7 +254,7 @@ def test_lines_are_read_at_the_same_time(on_rig):
     assert shared_s < 0.6 * alone_s
 
 
-def test_a_cube_whose_only_line_is_pulled_is_lost(on_rig):
+def test_unplugging_the_only_line_of_the_cube_is_a_lost_link(on_rig):
     async def pulled(rig):
         rig.lines[""].link_up = False
         await rig.scans()
@@ -263,7 +263,7 @@ def test_a_cube_whose_only_line_is_pulled_is_lost(on_rig):
         on_rig(pulled)
 
 
-def test_a_line_whose_driver_hangs_for_good_ends_the_cube_once_no_other_is_left(on_rig):
+def test_a_line_with_a_hung_driver_ends_the_cube_only_when_no_other_line_is_left(on_rig):
     async def hung(_within_s=0.0):
         raise DriverHungError("cube", "8 calls of its driver never returned")
 
@@ -280,7 +280,7 @@ def test_a_line_whose_driver_hangs_for_good_ends_the_cube_once_no_other_is_left(
     assert flaws(on_rig(scenario, **TWO_LINES)) == ("missing", "missing", None, None)
 
 
-def test_a_cube_of_which_nobody_answers_is_lost_and_comes_back(on_rig):
+def test_a_cube_of_silent_sensors_is_a_lost_link_and_reopens_when_they_answer_again(on_rig):
     async def dark(rig):
         for sensor in rig.sensors:
             sensor.silent = True
@@ -295,7 +295,7 @@ def test_a_cube_of_which_nobody_answers_is_lost_and_comes_back(on_rig):
     assert on_rig(dark).startswith("SMP3 no. 24101 of 2023, software 108, SMP3 no. 24102")
 
 
-def test_another_kind_of_sensor_is_named(on_rig):
+def test_a_sensor_of_another_kind_is_named_in_a_note(on_rig):
     async def other(rig):
         rig.sensors[0].kind = 613
         return (await rig.scans(2))[0]
@@ -303,7 +303,7 @@ def test_another_kind_of_sensor_is_named(on_rig):
     assert "SHP1 pyrheliometer" in on_rig(other).notes[0]
 
 
-def test_a_register_that_is_not_there_is_told_with_the_remedy(on_rig):
+def test_a_missing_register_is_reported_with_a_hint_to_check_the_configured_make(on_rig):
     async def asked(rig):
         address, serial = rig.sensors[0].address, rig.sensors[0].serial
         rig.cores[""].sensors[0] = SimulatedApogee(address, serial, lambda _now: 1.0)
@@ -315,7 +315,7 @@ def test_a_register_that_is_not_there_is_told_with_the_remedy(on_rig):
 
 
 @pytest.mark.parametrize(("keys", "flaw"), [({}, None), ({"east": {"serial": 101}}, "missing")])
-def test_a_sensor_that_hides_its_number_is_read_unless_its_number_is_pinned(on_rig, keys, flaw):
+def test_a_sensor_without_a_readable_serial_number_is_read_unless_a_number_is_pinned(on_rig, keys, flaw):
     async def hides(rig):
         east = rig.sensors[0]
         data = {register: word for register, word in east.registers(0.0).items() if register < 41}
@@ -326,7 +326,7 @@ def test_a_sensor_that_hides_its_number_is_read_unless_its_number_is_pinned(on_r
     assert on_rig(hides, **keys) == [flaw] * 5
 
 
-def test_a_reading_cube_writes_nothing(on_rig):
+def test_the_pyranometer_cube_sends_only_read_functions(on_rig):
     async def watched(rig):
         asked = []
         core = rig.cores[""]

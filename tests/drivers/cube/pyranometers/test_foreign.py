@@ -66,7 +66,7 @@ async def read(line, **keys):
 
 
 @pytest.mark.parametrize(("kind", "framer"), [("tcp", FramerType.SOCKET), ("rtu-over-tcp", FramerType.RTU)])
-def test_four_maps_over_the_network(kind, framer):
+def test_four_register_maps_are_read_over_the_network(kind, framer):
     async def work():
         async with tcp_server(framer) as (_, port):
             return await read(f"{kind}:127.0.0.1:{port}")
@@ -76,7 +76,7 @@ def test_four_maps_over_the_network(kind, framer):
     assert identity == "Apogee SP-500, SMP11 no. 18010 of 2023, software 108, SR20-D2 no. 4321, without a name"
 
 
-def test_a_serial_number_that_is_not_the_pinned_one():
+def test_a_sensor_with_another_serial_number_than_pinned_is_missing_with_a_note():
     async def work():
         async with tcp_server() as (_, port):
             return await read(f"tcp:127.0.0.1:{port}", south={"make": "smp", "address": 2, "serial": 5})
@@ -86,7 +86,7 @@ def test_a_serial_number_that_is_not_the_pinned_one():
     assert "the serial number 18010, but 5 is configured" in reading.notes[0]
 
 
-def test_the_cable_to_a_server_is_pulled_and_plugged_in_again():
+def test_losing_the_server_is_a_lost_link_and_the_cube_reads_again_when_it_is_back():
     async def work():
         async with tcp_server() as (_, port):
             cube = cube_on(f"tcp:127.0.0.1:{port}", answer_within_s=0.5)
@@ -103,7 +103,7 @@ def test_the_cable_to_a_server_is_pulled_and_plugged_in_again():
     assert [face.value for face in asyncio.run(work()).faces] == pytest.approx(WANTED)
 
 
-def test_a_serial_line(tmp_path):
+def test_four_register_maps_are_read_over_a_serial_line(tmp_path):
     """Two pseudo-terminals, back to back: pymodbus has one end and the driver the other."""
 
     async def work():

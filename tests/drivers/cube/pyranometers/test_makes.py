@@ -15,16 +15,16 @@ def smp(**changes):
     return Smp().told(tuple(word & 0xFFFF for word in words.values()))
 
 
-def test_a_captured_smp_at_noon():
+def test_the_captured_registers_of_an_smp_at_noon_give_997_w_m2():
     assert smp() == (997.0, None, "")
 
 
-def test_its_scale_and_sign():
+def test_an_smp_value_is_decoded_with_its_scale_and_sign():
     found = [smp(scale=scale, value=value).w_m2 for scale, value in ((2, 1234), (1, 9970), (-1, 99), (1, -31))]
     assert found == [12.34, 997.0, 990.0, -3.1]
 
 
-def test_in_another_mode_it_is_not_believed():
+def test_an_smp_value_in_any_mode_but_the_normal_one_is_missing_with_a_note():
     for mode, word in {2: "service", 3: "calibration", 4: "factory", 5: "fatal", 9: "mode 9"}.items():
         told = smp(mode=mode)
         assert math.isnan(told.w_m2)
@@ -32,38 +32,38 @@ def test_in_another_mode_it_is_not_believed():
         assert word in told.note
 
 
-def test_with_a_flag_it_is_not_believed():
+def test_an_smp_value_with_an_error_flag_is_missing_with_a_note():
     for bit in (0, 2, 4, 5, 6, 7):
         told = smp(status=1 << bit)
         assert math.isnan(told.w_m2)
         assert (told.flaw, told.note[:7]) == ("missing", "reports")
 
 
-def test_an_overflow_is_over_range():
+def test_an_smp_overflow_flag_means_over_range():
     assert smp(status=2).flaw == "over-range"
 
 
-def test_bit_three_alone_is_a_warning_with_a_remedy():
+def test_smp_status_bit_3_alone_keeps_the_value_and_gives_a_note_with_the_remedy():
     told = smp(status=8)
     assert (told.w_m2, told.flaw) == (997.0, None)
     assert "--clear" in told.note
 
 
-def test_power_tilt_and_humidity_spoil_no_irradiance():
+def test_smp_power_tilt_and_humidity_flags_do_not_affect_the_irradiance():
     assert {smp(status=bits) for bits in (1 << 8, 1 << 9, 1 << 12)} == {(997.0, None, "")}
 
 
-def test_a_scale_that_the_manual_does_not_know_gives_nothing():
+def test_an_smp_scale_that_the_manual_does_not_list_is_reported():
     assert "scale 7" in smp(scale=7).note
 
 
-def test_what_is_no_smp_pyranometer_is_refused():
+def test_a_device_that_is_not_an_smp_pyranometer_is_refused_with_its_type():
     for kind, word in {613: "pyrheliometer", 609: "pyrgeometer", 4: "type 4"}.items():
         with pytest.raises(WrongSensorError, match=word):
             smp(kind=kind)
 
 
-def test_an_smp_says_who_it_is():
+def test_an_smp_is_identified_by_its_type_serial_number_and_software():
     who = Smp().identify((2023, 180123, 108, 5, 1), (633, 107))
     assert who == ("SMP12 no. 180123 of 2023, software 108", 180123)
     assert Smp().serial((2023, 180123, 108, 5, 1)) == 180123
@@ -79,12 +79,12 @@ def test_every_type_of_smp_has_its_name(name, kinds):
 
 
 @pytest.mark.parametrize("kind", [599, 609, 610, 613, 614, 700])
-def test_what_is_next_to_them_is_none(kind):
+def test_type_numbers_beside_those_of_smp_pyranometers_are_refused(kind):
     with pytest.raises(WrongSensorError):
         smp(kind=kind)
 
 
-def test_an_sr20_is_divided_by_its_own_scale():
+def test_sr20_values_are_divided_by_the_scale_that_the_sensor_reports():
     make = Hukseflux()
     assert make.told((1, 0x7C4F)).w_m2 == 973.59, "in hundredths, until it says otherwise"
     assert make.serial((4321, 0, 0)) == 4321
@@ -100,11 +100,11 @@ def test_an_sr20_is_divided_by_its_own_scale():
         make.identify((4321, 0, 0), (2225, 1234, 0, 100), model)
 
 
-def test_the_ends_of_its_range_are_no_values():
+def test_hukseflux_values_at_the_ends_of_the_number_range_are_over_range():
     assert {Hukseflux().told(ends).flaw for ends in ((0x7FFF, 0xFFFF), (0x8000, 0))} == {"over-range"}
 
 
-def test_what_is_no_sr_is_refused():
+def test_a_device_that_is_not_a_hukseflux_sr_is_refused():
     with pytest.raises(WrongSensorError, match="is not a Hukseflux"):
         Hukseflux().identify((1, 0, 0), (0, 0, 100, 0), (0x4241, 0, 0, 0, 0))
 
@@ -117,7 +117,7 @@ def test_hukseflux_is_never_asked_for_more_than_five_registers():
         assert len({block.length for block in blocks}) == len(blocks)
 
 
-def test_a_late_reply_cannot_pass_for_one_to_the_other_question():
+def test_the_data_and_proof_questions_of_every_make_have_replies_of_different_length():
     for name in ("smp", "hukseflux", "hukseflux-pv", "apogee", "eko-ms60s", "delta-ohm"):
         make = make_of(name, RegisterMapSettings())
         assert make.proof.length != make.data.length
@@ -134,14 +134,14 @@ MAPPED = [
 ]
 
 
-def test_a_map_reads_any_plain_register():
+def test_a_configured_register_map_reads_every_number_type_and_word_order():
     for used, words, w_m2 in MAPPED:
         make = make_of("map", RegisterMapSettings(**used))
         assert make.data.length == len(words)
         assert make.told(words).w_m2 == pytest.approx(w_m2)
 
 
-def test_a_map_heeds_its_status():
+def test_a_configured_register_map_reports_the_bits_of_its_status_register():
     make = make_of("map", RegisterMapSettings(number_type="int16", register_number=8, status_register=9, status_bits=5))
     assert make.told((300, 4)).note == "reports status bits 0x0004"
 
@@ -154,11 +154,11 @@ def test_a_map_heeds_its_status():
         ({"serial_register": 40, "serial_type": "uint16"}, (3, 40, 1), (7,), ("pyranometer no. 7", 7)),
     ],
 )
-def test_a_map_is_proven_by_its_serial_number_if_it_names_one(used, block, words, who):
+def test_a_register_map_identifies_its_sensor_by_serial_number_if_it_names_that_register(used, block, words, who):
     make = make_of("map", RegisterMapSettings(number_type="float32", **used))
     assert make.proof == block
     assert make.identify(words) == who
 
 
-def test_a_float_that_is_none_gives_nothing():
+def test_a_nan_in_a_float_register_gives_a_missing_value():
     assert make_of("apogee", RegisterMapSettings()).told((0x7FC0, 0)).flaw == "missing"

@@ -73,7 +73,7 @@ class Bus:
 SILENT = DeadlineError("cube", "")
 
 
-def test_a_silent_sensor_is_asked_ever_more_rarely_and_for_ever():
+def test_a_silent_sensor_is_asked_ever_more_rarely_and_then_every_30_s_for_ever():
     bus = Bus()
     sensor = bus.sensor()
     bus.wrong = SILENT
@@ -87,7 +87,7 @@ def test_a_silent_sensor_is_asked_ever_more_rarely_and_for_ever():
     assert bus.asked, "with a new connection it is asked at once"
 
 
-def test_it_is_told_from_the_third_miss_on():
+def test_a_silent_sensor_is_reported_from_the_third_missed_reply_on():
     bus = Bus()
     sensor = bus.sensor()
     assert bus.reads(sensor).value == 500.0
@@ -112,7 +112,7 @@ def test_it_is_told_from_the_third_miss_on():
         (None, "has the serial number 8, but 7 is configured"),
     ],
 )
-def test_what_answers_and_cannot_be_it_is_told_at_once(wrong, said):
+def test_a_sensor_with_a_missing_register_or_a_wrong_serial_number_is_reported_at_once(wrong, said):
     bus = Bus()
     sensor = bus.sensor(pinned=7)
     bus.wrong, bus.serial = wrong, 8
@@ -121,7 +121,7 @@ def test_what_answers_and_cannot_be_it_is_told_at_once(wrong, said):
     assert said in sensor.note
 
 
-def test_noise_is_no_silence():
+def test_a_garbled_answer_of_a_sensor_is_not_reported_as_silence():
     bus = Bus()
     sensor = bus.sensor()
     bus.wrong = DeadlineError("cube", "sent something that is not an answer")
@@ -129,7 +129,7 @@ def test_noise_is_no_silence():
     assert sensor.note == "the south sensor (address 2) answers, but sent something that is not an answer"
 
 
-def test_a_busy_one_is_told_from_the_third_miss_on_and_its_make_is_not_doubted():
+def test_a_busy_sensor_is_reported_from_the_third_miss_on_without_doubt_about_its_make():
     bus = Bus()
     sensor = bus.sensor()
     bus.wrong = UnreachedError("cube", "address 2 is busy (exception 6)")
@@ -139,7 +139,7 @@ def test_a_busy_one_is_told_from_the_third_miss_on_and_its_make_is_not_doubted()
         assert (sensor.answers, sensor.note) == (False, said)
 
 
-def test_of_a_line_that_is_gone_no_sensor_answers_and_each_is_proven_anew():
+def test_a_sensor_on_a_lost_line_counts_as_silent_and_is_identified_anew_before_it_is_read():
     bus = Bus()
     sensor = bus.sensor()
     bus.reads(sensor)
@@ -152,7 +152,7 @@ def test_of_a_line_that_is_gone_no_sensor_answers_and_each_is_proven_anew():
 
 
 @pytest.mark.parametrize(("proof", "flaw"), [(LONG_PROOF, None), (PROOF, "late"), (None, "late")])
-def test_the_first_reply_after_a_miss_is_believed_where_a_late_one_would_be_told_from_it(proof, flaw):
+def test_the_first_reply_after_a_miss_is_used_only_if_a_late_reply_would_look_different(proof, flaw):
     bus = Bus()
     sensor = bus.sensor(proof)
     bus.reads(sensor)
@@ -163,7 +163,7 @@ def test_the_first_reply_after_a_miss_is_believed_where_a_late_one_would_be_told
     assert bus.reads(sensor).flaw is None
 
 
-def test_on_a_line_that_was_opened_anew_a_late_reply_to_an_earlier_connection_is_not_believed():
+def test_the_first_reply_on_a_reopened_line_is_not_used_if_it_may_be_a_late_one():
     bus = Bus()
     sensor = bus.sensor(None)
     sensor.begin()
@@ -174,7 +174,7 @@ def test_on_a_line_that_was_opened_anew_a_late_reply_to_an_earlier_connection_is
 @pytest.mark.parametrize(("check", "pinned", "asked"), [
     (True, 7, [PROOF.register, DATA.register]), (True, None, [DATA.register]), (False, 7, [DATA.register]),
 ])  # fmt: skip
-def test_a_pinned_serial_number_is_compared_when_its_turn_comes(check, pinned, asked):
+def test_a_pinned_serial_number_is_read_again_only_in_a_scan_that_checks_it(check, pinned, asked):
     bus = Bus()
     sensor = bus.sensor(pinned=pinned)
     bus.reads(sensor)
@@ -183,7 +183,7 @@ def test_a_pinned_serial_number_is_compared_when_its_turn_comes(check, pinned, a
     assert [register for _, register in bus.asked] == asked
 
 
-def test_a_sensor_that_was_exchanged_is_found_in_as_many_scans_as_there_are_on_the_line():
+def test_an_exchanged_sensor_is_noticed_within_as_many_scans_as_its_line_has_sensors():
     for place in range(4):
         buses = [Bus() for _ in range(4)]
         sensors = [(face, bus.sensor(pinned=7)) for face, bus in enumerate(buses)]

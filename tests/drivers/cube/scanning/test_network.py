@@ -53,7 +53,7 @@ def cube_of(port, host="127.0.0.1"):
     return build(ScanningMeterSettings(driver="scanning-meter", meter="daq6510", resource=resource), around)
 
 
-def test_it_is_read_over_its_socket_and_again_after_its_cable_was_pulled():
+def test_a_scanning_meter_is_read_over_its_socket_and_again_after_its_cable_was_unplugged():
     async def act():
         meter = Meter()
         await meter.plug()
@@ -90,7 +90,7 @@ async def lose(cube):
         ("no-such-host.invalid", 5025, "there is no host no-such-host.invalid: is the name right?"),
     ],
 )
-def test_a_meter_that_is_not_there_is_a_sentence(host, port, sentence):
+def test_a_meter_that_cannot_be_reached_is_reported_in_one_sentence(host, port, sentence):
     async def act():
         with pytest.raises(ConnectError) as caught:
             await cube_of(port, host).open()
@@ -99,7 +99,7 @@ def test_a_meter_that_is_not_there_is_a_sentence(host, port, sentence):
     assert asyncio.run(act()).startswith(sentence)
 
 
-def test_a_bus_that_cannot_be_opened_is_told_with_the_keys_that_there_are():
+def test_a_gpib_bus_that_cannot_be_opened_is_reported_with_the_setting_that_helps():
     around = CubeSurroundings(utc_s=time.time, monotonic_s=time.monotonic, deadline_s=1.0, switched_meter=None)
     cube = build(ScanningMeterSettings(resource="GPIB0::9::INSTR"), around)
     with pytest.raises(ConnectError, match=r'it needs linux-gpib, or instruments\.cube\.visa = "ni"$'):

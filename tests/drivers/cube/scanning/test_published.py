@@ -84,7 +84,7 @@ DAQ = {
         ("+1.00000000E-01", "AUTO", "RANG"),
     ],
 )
-def test_a_range_that_is_not_the_asked_one_on_any_channel_is_refused(range_v, answer, problem):
+def test_a_scanning_meter_that_keeps_another_range_than_asked_on_any_channel_is_refused(range_v, answer, problem):
     asked = ":SENS:VOLT:DC:RANG? (@101,102,103,104)"
     line = Published(AGILENT | {asked: f"{range_v},{answer},{range_v},{range_v}"})
     around = CubeSurroundings(utc_s=lambda: 0.0, monotonic_s=lambda: 0.0, deadline_s=1.0, switched_meter=None)
@@ -98,7 +98,7 @@ def test_a_range_that_is_not_the_asked_one_on_any_channel_is_refused(range_v, an
 
 
 @pytest.mark.parametrize(("meter", "answers"), [("agilent34970a", AGILENT), ("daq6510", DAQ)])
-def test_answers_as_others_have_published_them_are_understood(meter, answers):
+def test_published_answers_of_scanning_meters_are_understood(meter, answers):
     line = Published(answers)
     around = CubeSurroundings(utc_s=lambda: 0.0, monotonic_s=lambda: 0.0, deadline_s=1.0, switched_meter=None)
     cube = build(ScanningMeterSettings(driver="scanning-meter", meter=meter, meter_range_v=0.1), around, line)
@@ -133,7 +133,7 @@ def published(answers, meter="agilent34970a", meter_range_v=0.1):
         ("1E-3,101,1E-3,102,1E-3,103,1E-3,105", ["missing"] * 4),
     ],
 )
-def test_a_reply_is_four_readings_of_the_four_channels_within_the_range(reply, flaws):
+def test_a_scan_reply_needs_one_reading_of_each_of_four_channels_and_each_within_the_range(reply, flaws):
     async def act():
         cube = published(AGILENT | {":READ?": reply})
         await cube.open()
@@ -157,7 +157,7 @@ def test_a_reply_is_four_readings_of_the_four_channels_within_the_range(reply, f
         ("(A101,102,103,104)", False),
     ],
 )
-def test_a_list_of_channels_is_read_in_each_way_to_write_it(scans, right):
+def test_an_answered_channel_list_is_understood_in_every_notation_and_refused_if_wrong(scans, right):
     cube = published(AGILENT | {":ROUT:SCAN?": scans})
     if right:
         asyncio.run(cube.open())

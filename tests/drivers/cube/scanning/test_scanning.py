@@ -78,7 +78,7 @@ def test_one_trigger_reads_four_channels_and_stamps_each(run, meter):
 
 
 @every_make
-def test_a_reading_began_after_it_was_asked_for(run, meter):
+def test_a_reading_begins_only_after_it_was_requested(run, meter):
     async def act(bench):
         await bench.cube.open()
         await bench.cube.read()
@@ -102,7 +102,7 @@ def test_channels_in_any_order_go_to_their_faces(run):
 
 
 @every_make
-def test_the_edge_of_a_cloud_is_read(run, meter):
+def test_an_irradiance_of_1500_w_m2_at_the_edge_of_a_cloud_is_read(run, meter):
     async def act(bench):
         await bench.cube.open()
         # 1500 W/m2.
@@ -166,7 +166,7 @@ def test_a_wrong_card_is_refused_in_a_sentence(run, meter, card):
     run(meter, act)
 
 
-def test_channels_that_the_card_has_not_are_refused_in_a_sentence(run):
+def test_channels_that_the_card_does_not_have_are_refused_in_a_sentence(run):
     async def act(bench):
         with pytest.raises((IdentityError, ProtocolError), match="did not take"):
             await bench.cube.open()
@@ -209,7 +209,7 @@ def test_a_late_reply_is_never_taken_for_the_next_scan(run, meter):
 
 
 @every_make
-def test_a_restart_between_two_scans_is_a_lost_link_and_opening_mends_it(run, meter):
+def test_a_meter_restart_between_two_scans_is_a_lost_link_and_reopening_repairs_it(run, meter):
     async def act(bench):
         await bench.cube.open()
         bench.core.power_cycle(bench.now())
@@ -231,7 +231,7 @@ def test_a_restart_between_two_scans_is_a_lost_link_and_opening_mends_it(run, me
 
 
 @pytest.mark.parametrize("meter", ["keithley2000-scan", "agilent34970a"])
-def test_a_trigger_source_that_was_changed_at_the_meter_ends_the_readings_and_opening_mends_it(run, meter):
+def test_a_trigger_source_changed_at_the_meter_ends_the_readings_and_reopening_repairs_it(run, meter):
     async def act(bench):
         await bench.cube.open()
         bench.core.change(bench.now(), trigger_source="EXT")
@@ -245,7 +245,7 @@ def test_a_trigger_source_that_was_changed_at_the_meter_ends_the_readings_and_op
 
 
 @every_make
-def test_a_range_that_was_chosen_at_the_meter_ends_the_readings_soon(run, meter):
+def test_a_range_changed_at_the_meter_ends_the_readings_within_20_scans(run, meter):
     async def act(bench):
         await bench.cube.open()
         bench.core.press_range(10.0, bench.now())
@@ -265,7 +265,7 @@ def test_a_range_that_was_chosen_at_the_meter_ends_the_readings_soon(run, meter)
         ("agilent34970a", {"math_factor": 100.0, "math_on": True}, r"CALC:SCAL:STAT\?.*"),
     ],
 )
-def test_what_makes_other_readings_of_them_ends_them_soon(run, meter, pressed, question):
+def test_a_reference_or_math_setting_made_at_the_meter_ends_the_readings_within_20_scans(run, meter, pressed, question):
     async def act(bench):
         await bench.cube.open()
         bench.core.change(bench.now(), **pressed)
@@ -283,7 +283,7 @@ async def read_often(cube):
 
 
 @every_make
-def test_a_garbled_reply_gives_no_wrong_value_and_is_over_with_the_next(run, meter):
+def test_a_garbled_reply_gives_no_wrong_value_and_the_next_scan_has_no_flaw(run, meter):
     async def act(bench):
         await bench.cube.open()
         for _ in range(20):
@@ -299,7 +299,7 @@ def test_a_garbled_reply_gives_no_wrong_value_and_is_over_with_the_next(run, met
 
 
 @every_make
-def test_a_pulled_cable_is_a_lost_link_and_the_next_opening_goes_on(run, meter):
+def test_an_unplugged_cable_is_a_lost_link_and_the_meter_is_read_again_after_reopening(run, meter):
     async def act(bench):
         await bench.cube.open()
         bench.line.link_up = False
@@ -314,7 +314,7 @@ def test_a_pulled_cable_is_a_lost_link_and_the_next_opening_goes_on(run, meter):
     run(meter, act)
 
 
-def test_four_faces_may_take_four_times_as_long_as_one(run):
+def test_a_scan_of_four_faces_may_take_four_times_the_deadline_of_one_answer(run):
     async def act(bench):
         cube = build(bench.settings, replace(bench.around, deadline_s=0.5), bench.line)
         await cube.open()
@@ -330,5 +330,5 @@ def test_four_faces_may_take_four_times_as_long_as_one(run):
 
 
 @pytest.mark.parametrize(("channels", "found"), [(None, 0), ((1, 2, 3, 4), 0), ((1, 2, 3, 1), 1)])
-def test_channels_that_are_left_out_are_no_conflict(channels, found):
+def test_a_channel_given_twice_is_a_conflict_and_omitted_channels_are_none(channels, found):
     assert len(list(ScanningMeterSettings(driver="scanning-meter", channels=channels).conflicts())) == found

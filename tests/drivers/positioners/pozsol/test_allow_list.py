@@ -67,7 +67,7 @@ def public(scope, kind):
     }
 
 
-def test_these_are_all_the_doors_that_the_tests_below_go_through():
+def test_the_pozsol_driver_has_exactly_the_public_names_that_the_allow_list_tests_cover():
     assert public(PozsolPositioner, inspect.isroutine) == {
         "open", "close", "read_telemetry", "fields", "has_lines", "disable_autonomy", "move_to", "stop", "halt", "home",
         "clear_faults", "repeated_s", "standing", "recall",
@@ -85,7 +85,7 @@ def test_these_are_all_the_doors_that_the_tests_below_go_through():
 
 
 @given(CODES, VALUES)
-def test_whatever_is_encoded_is_one_allowed_command_or_nothing(code, value):
+def test_encode_command_returns_one_allowed_command_or_raises_for_random_codes_and_values(code, value):
     try:
         packet = encode_command(code, value)
     except (ValueError, TypeError, OverflowError):
@@ -95,7 +95,7 @@ def test_whatever_is_encoded_is_one_allowed_command_or_nothing(code, value):
     assert packet[1] == code
 
 
-def test_every_code_with_every_odd_value_is_one_allowed_command_or_nothing():
+def test_encode_command_returns_one_allowed_command_or_raises_for_every_code_with_odd_values():
     made = set()
     for code in range(256):
         for value in (*ODD, 1, 1.0, "s", "5", "6", "N", "0"):
@@ -109,14 +109,14 @@ def test_every_code_with_every_odd_value_is_one_allowed_command_or_nothing():
 
 
 @given(st.binary(max_size=70))
-def test_the_last_gate_lets_no_other_bytes_pass(data):
+def test_require_allowed_refuses_all_bytes_that_are_not_an_allowed_command(data):
     for packet in (data, b"$" + data, b"$" + data + b"\r", b"$,1.0000\r" + data):
         if not ALLOWED.fullmatch(packet):
             with pytest.raises(ValueError, match="is not a command"):
                 pozsol_wire.require_allowed(packet)
 
 
-def test_no_public_call_of_driver_or_port_sends_anything_else(positioner_host):
+def test_no_public_call_of_driver_or_port_sends_anything_but_allowed_commands(positioner_host):
     async def scene():
         arrived = []
         async with positioner_host() as host:

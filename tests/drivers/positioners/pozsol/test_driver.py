@@ -29,14 +29,14 @@ def limits(a_min_deg, a_max_deg, b_min_deg, b_max_deg):
         ({"apex_deg": 51.5, "low_deg": 51.0, "sense": "lowers"}, (-50.0, 50.0), False),
     ],
 )
-def test_an_axis_whose_triangle_is_flat_at_some_angle_is_named(a_axis, limits_deg, wrong):
+def test_an_axis_whose_triangle_is_flat_at_some_angle_of_its_range_is_a_settings_conflict(a_axis, limits_deg, wrong):
     settings = PozsolSettings.model_validate({"driver": "pozsol", "position_unit": "mm", "a_axis": a_axis})
     found = list(settings.conflicts(limits(*limits_deg, 15.0, 90.0)))
     assert [conflict.key for conflict in found] == (["a_axis.apex_deg"] if wrong else [])
     assert not list(settings.model_copy(update={"position_unit": "deg"}).conflicts(limits(-90.0, 90.0, 0.0, 90.0)))
 
 
-def test_no_silence_is_too_long_that_the_screens_which_gather_before_they_are_read_make_themselves():
+def test_telemetry_stale_s_is_at_least_0_5_s_because_screens_are_gathered_before_reading():
     assert PozsolSettings(driver="pozsol", telemetry_stale_s=0.5).telemetry_stale_s == 0.5
     with pytest.raises(ValidationError, match=r"greater than or equal to 0\.5"):
         PozsolSettings(driver="pozsol", telemetry_stale_s=0.4)

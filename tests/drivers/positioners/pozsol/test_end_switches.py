@@ -37,7 +37,7 @@ OUT, IN = ((5.0, 10.0), (5.2, 11.0), (5.4, 12.0)), ((5.0, 12.0), (5.2, 11.0), (5
     (IN, FIRST | THIRD, None),
     (IN, 0, None),
 ])  # fmt: skip
-def test_each_way_tells_by_its_own_bit(looks, word, bit):
+def test_each_direction_of_axis_b_reveals_the_place_of_its_status_bits_by_its_own_bit(looks, word, bit):
     assert found(*looks, word=word) == bit
 
 
@@ -59,17 +59,17 @@ def test_each_way_tells_by_its_own_bit(looks, word, bit):
     (((5.0, 10.0), (5.2, 11.0), (5.2, 12.0)), False),
     (((5.0, 10.0), (5.2, 11.0), (5.1, 12.0)), False),
 ])  # fmt: skip
-def test_two_steps_the_same_way_within_a_second_each_are_a_movement(looks, told):
+def test_axis_b_counts_as_moving_after_two_steps_in_one_direction_within_a_second_each(looks, told):
     word = FIRST if looks[-1][1] > looks[0][1] else SECOND
     assert (found(*looks, word=word) is not None) == told
 
 
 @pytest.mark.parametrize(("late_s", "told"), [(0.69, True), (0.71, False), (-0.69, True), (-0.71, False)])
-def test_a_status_of_another_time_tells_nothing(late_s, told):
+def test_a_status_over_0_7_s_from_the_position_reveals_nothing_about_the_bits_of_axis_b(late_s, told):
     assert (found(*OUT, late_s=late_s) is not None) == told
 
 
-def test_what_was_set_stays_until_something_else_is_seen():
+def test_a_preset_place_of_the_bits_of_axis_b_stays_while_b_does_not_move():
     layout = BLayout(B_OUT_BIT_LPC)
     layout.update(1.0, 1.0, FIRST, 1.0)
     assert layout.bit == B_OUT_BIT_LPC
@@ -84,20 +84,20 @@ def texts(*looks):
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_closed_switch_does_not_fit_from_four_degrees_on(side):
+def test_a_closed_end_switch_contradicts_a_count_more_than_four_degrees_away_from_it(side):
     near, far = side * 0.99 * FAR, side * 1.01 * FAR
     assert texts((near, LOW, 1.0), (near, LOW, 2.0), (near, LOW, 3.0)) == [False] * 3
     assert texts((far, LOW, 1.0), (far, LOW, 2.0), (far, LOW, 3.0)) == [False, True, True]
 
 
-def test_it_takes_two_statuses_one_after_the_other():
+def test_a_wrongly_closed_end_switch_is_reported_only_after_two_consecutive_statuses():
     far = 2 * FAR
     assert texts((far, LOW, 1.0), (far, LOW, 1.0), (far, LOW, 0.9)) == [False] * 3
     assert texts((far, LOW, 1.0), (far, OPEN, 2.0), (far, LOW, 3.0), (far, LOW, 4.0)) == [False, False, False, True]
     assert texts((far, LOW, 1.0), (0.0, LOW, 2.0), (far, LOW, 3.0)) == [False] * 3
 
 
-def test_between_the_two_it_is_suspected():
+def test_an_end_switch_is_suspected_from_a_first_contradicting_status_until_the_next_one():
     check, seen = SwitchCheck("a", A), []
     for status, status_s in ((OPEN, 1.0), (LOW, 2.0), (LOW, 2.0), (OPEN, 3.0)):
         check.update(2 * FAR, status, status_s)
@@ -105,7 +105,7 @@ def test_between_the_two_it_is_suspected():
     assert seen == [False, True, True, False]
 
 
-def test_an_axis_leaves_its_switch_by_five_degrees_within_its_limit_wherever_it_stands():
+def test_an_axis_in_doubt_is_sent_five_degrees_off_its_switch_unless_it_might_pass_its_limits():
     slew = AxisSetup(Proportional(10.0, 0.0), 2.0, 90.0)
     assert off_switch(slew, 0.0, None) is None, "nothing is in doubt"
     assert off_switch(slew, 0.0, 300.0) == 50

@@ -23,7 +23,7 @@ FIELDS |= dict(zip(range(96, 104), ("255.9", "300.0", "300.0", "0.0", "0.0", "1.
 
 
 @given(st.sampled_from([A, B]), st.floats(0, 1))
-def test_what_is_sent_stands_within_the_limits_and_half_a_unit_from_the_target_unless_at_a_limit(setup, share):
+def test_a_destination_is_within_the_limits_and_half_a_unit_from_the_target_unless_at_a_limit(setup, share):
     target_deg = setup.minimum_deg + share * (setup.maximum_deg - setup.minimum_deg)
     target_deg = min(target_deg, setup.maximum_deg)
     sent = setup.destination(target_deg)
@@ -43,7 +43,7 @@ def test_what_is_sent_stands_within_the_limits_and_half_a_unit_from_the_target_u
     # With its holder subtracted, the actuator would have a negative length.
     (Triangle(300.0, 300.0, 4.0, 6.0, holder_mm=50.0), 5.0),
 ])  # fmt: skip
-def test_an_angle_where_the_travel_begins_is_that_many_units(geometry, units):
+def test_an_angle_at_the_beginning_of_the_travel_is_converted_into_position_units(geometry, units):
     assert AxisSetup(geometry, -50.0, 50.0).units(5.0) == pytest.approx(units, abs=0.01)
 
 
@@ -57,12 +57,12 @@ def test_an_angle_where_the_travel_begins_is_that_many_units(geometry, units):
     (AxisSetup(Proportional(59.5, 13.0), 15.0, 90.0), 0.5 / 59.5),
     (replace(B, minimum_deg=89.9), math.nan),
 ])  # fmt: skip
-def test_an_axis_rests_within_what_whole_units_leave(setup, within_deg):
+def test_rests_within_is_the_largest_angle_error_that_whole_units_and_run_out_leave(setup, within_deg):
     assert setup.rests_within() == pytest.approx(within_deg, abs=0.01, nan_ok=True)
 
 
 @pytest.mark.parametrize("setup", [A, B, replace(B, zero_offset=0.33), AxisSetup(Proportional(1.0, 13.05), 15.0, 90.0)])
-def test_no_angle_is_further_from_where_the_axis_rests(setup):
+def test_no_angle_is_further_than_rests_within_from_where_the_axis_comes_to_rest(setup):
     angles_deg = np.linspace(setup.minimum_deg, setup.maximum_deg, 2000)
     rests_deg = [setup.geometry.angle(setup.destination(angle) + setup.zero_offset) for angle in angles_deg]
     assert np.abs(rests_deg - angles_deg).max() <= setup.rests_within()
@@ -75,7 +75,7 @@ def test_a_target_at_a_limit_is_rounded_inwards():
 
 
 @pytest.mark.parametrize("sense", ["raises", "lowers"])
-def test_a_holder_and_either_sense_of_extension_turn_into_angles_and_back(sense):
+def test_a_triangle_with_a_holder_converts_angles_to_lengths_and_back_in_either_sense(sense):
     apex_deg, low_deg = (90.0, -52.0) if sense == "raises" else (90.0, 52.0)
     triangle = Triangle(300.0, 290.0, apex_deg, low_deg, 39.6, sense)
     for angle_deg in (-50.0, -10.0, 0.0, 33.3, 50.0):
@@ -93,17 +93,17 @@ def test_a_length_that_two_arms_cannot_span_has_no_angle(length_mm, angle_deg):
     assert A.geometry.angle_at_length(length_mm) == pytest.approx(angle_deg, abs=1e-3, nan_ok=True)
 
 
-def test_an_actuator_may_be_folded_to_nothing_beside_its_holder_and_no_further():
+def test_an_actuator_may_fold_to_zero_length_beside_its_holder_and_has_no_position_beyond():
     stretched = Triangle(300.0, 300.0, 90.0, 90.0, 600.0)
     assert stretched.low_length_mm == 0.0
     assert math.isnan(stretched.position(89.0))
 
 
-def test_an_offset_of_the_unit_is_taken_off_what_is_sent():
+def test_the_zero_offset_of_the_unit_is_subtracted_from_the_destination():
     assert replace(A, zero_offset=2.5).destination(0.0) == round(A.geometry.position(0.0) - 2.5)
 
 
-def test_a_geometry_that_cannot_be_has_no_destination():
+def test_destination_raises_for_an_impossible_geometry_and_for_an_angle_that_is_not_a_number():
     for setup in (
         replace(A, geometry=Triangle(300.0, 300.0, 90.0, -52.0, 290.0)),
         replace(A, geometry=Proportional(math.nan, 0.0)),
@@ -114,7 +114,7 @@ def test_a_geometry_that_cannot_be_has_no_destination():
         A.destination(math.nan)
 
 
-def test_a_unit_that_is_set_as_configured_contradicts_nothing_and_silence_contradicts_nothing():
+def test_a_unit_set_as_configured_and_a_unit_that_reports_no_settings_cause_no_conflicts():
     assert conflicts(FIELDS, A, B) == ()
     assert missing_fields(FIELDS) == ()
     assert conflicts({}, A, B) == ()
@@ -139,12 +139,12 @@ def test_a_unit_that_is_set_as_configured_contradicts_nothing_and_silence_contra
         (192, "1.50", "field 192.*a_axis.zero_offset is 0: set it to 1.5"),
     ],
 )
-def test_each_setting_that_differs_is_told_with_field_both_values_and_remedy(code, text, sentence):
+def test_each_differing_unit_setting_is_reported_with_field_both_values_and_remedy(code, text, sentence):
     (found,) = conflicts(FIELDS | {code: text}, A, B)
     assert re.search(sentence, found), found
 
 
-def test_the_other_geometries_of_the_firmware_are_understood():
+def test_geometry_modes_1_2_and_13_of_the_firmware_are_understood():
     # Mode 13 counts from the zenith; mode 2 has arms, holder and length in another order.
     lowers = replace(A, geometry=Triangle(300.0, 300.0, 90.0, 52.0, 0.0, "lowers"))
     assert conflicts(FIELDS | {83: "13", 76: "0.0"}, lowers, B) == ()

@@ -36,34 +36,34 @@ def ended(place, aim=None, remain=0.0, status=LOW, rest_s=0.5, **how):
     ((1.2, 100.0, 110.0, 0.0, QUIET), False),
     ((1.2, 100.0, 100.0, 0.0, B_HOMING), False),
 ])  # fmt: skip
-def test_a_run_has_begun_when_bit_aim_or_place_say_so(look, begun):
+def test_a_reference_run_has_begun_once_homing_bit_destination_or_position_shows_it(look, begun):
     assert run(look).begun == begun
 
 
-def test_who_stands_on_the_switch_is_home_before_anybody_can_look():
+def test_a_reference_run_of_an_axis_on_its_switch_counts_as_begun_at_the_first_look():
     for place, home in ((0.99 * COAST, True), (1.01 * COAST, False)):
         assert run((1.2, place, place, 0.0, LOW), before=place).begun == home
 
 
 @pytest.mark.parametrize(("rest_s", "over"), [(0.49, False), (0.5, True)])
-def test_it_is_over_after_half_a_second_at_rest(rest_s, over):
+def test_a_reference_run_is_over_after_half_a_second_at_rest(rest_s, over):
     assert ended(0.0, rest_s=rest_s).over == over
 
 
 @pytest.mark.parametrize(("aim", "over"), [(0.99, True), (1.01, False), (-1.01, False)])
-def test_it_is_not_over_while_it_aims_elsewhere(aim, over):
+def test_a_reference_run_is_not_over_while_its_destination_is_elsewhere(aim, over):
     assert ended(0.0, aim=aim).over == over
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_count_that_was_not_set_on_the_switch_fails_it(side):
+def test_a_reference_run_fails_if_it_ends_further_from_zero_than_the_axis_coasts(side):
     assert ended(side * 0.99 * COAST).failure == ""
     place = side * 1.01 * COAST
     assert ended(place).failure == f"the reference run of A ended at {place:g}, not on its end switch"
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_trusted_count_may_slip_by_half_a_degree(side):
+def test_a_trusted_count_may_be_off_by_half_a_degree_at_the_switch_without_a_mismatch(side):
     assert ended(0.0, remain=side * 0.99 * SLIP).mismatch == ""
     told = ended(0.0, remain=side * 1.01 * SLIP).mismatch
     assert told.startswith(f"axis A met its end switch where its count was {side * 1.01 * SLIP:g}, not 0")
@@ -72,31 +72,31 @@ def test_a_trusted_count_may_slip_by_half_a_degree(side):
 
 
 @pytest.mark.parametrize("how", [{}, {"trusted": False, "stood": 100.0}])
-def test_a_count_at_the_switch_that_is_no_number_contradicts_the_switch(how):
+def test_a_count_at_the_switch_that_is_not_a_number_is_a_mismatch(how):
     told = ended(0.0, remain=math.nan, **how)
     assert told.mismatch.startswith("axis A met its end switch where its count was nan, not ")
     assert told.stands is None
 
 
-def test_an_axis_that_stood_nowhere_known_and_did_not_move_is_suspicious():
+def test_a_run_without_motion_is_a_mismatch_if_the_former_position_is_not_a_number():
     looks = ((1.2, 0.0, 0.0, 0.0, LOW), (2.0, 0.0, 0.0, 0.0, LOW))
     assert "did not move" in run(*looks, before=0.0, trusted=False, stood=math.nan).mismatch
 
 
-def test_an_axis_that_stood_within_half_a_degree_need_not_have_moved():
+def test_a_run_without_motion_is_a_mismatch_only_if_the_count_was_over_half_a_degree_from_zero():
     for place, suspicious in ((0.99 * SLIP, False), (1.01 * SLIP, True), (-1.01 * SLIP, True)):
         looks = ((1.2, 0.0, 0.0, 0.0, LOW), (2.0, 0.0, 0.0, 0.0, LOW))
         assert ("did not move" in run(*looks, before=place).mismatch) == suspicious
 
 
-def test_who_lost_his_count_and_did_not_move_is_suspicious_by_where_he_stood_before():
+def test_a_run_without_motion_after_a_lost_count_is_judged_by_where_the_axis_stood_before():
     stands = ((1.2, 0.0, 0.0, 0.0, LOW), (2.0, 0.0, 0.0, 0.0, LOW))
     for stood, suspicious in ((1.01 * SLIP, True), (0.99 * SLIP, False), (None, False)):
         assert ("did not move" in run(*stands, before=0.0, trusted=False, stood=stood).mismatch) == suspicious
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_lost_count_is_held_to_five_degrees_of_where_the_axis_stood_before(side):
+def test_a_lost_count_may_be_off_by_five_degrees_from_where_the_axis_stood_before(side):
     # Its count is 0 where it had been 60: the way to the switch is 60 long.
     for off, told in ((0.99, ""), (1.01, "not -60: home it again")):
         remain = -60.0 + side * off * A.units(5.0)
@@ -111,7 +111,7 @@ def remain_at(count):
     return 41.0, 0.0, 0.0, count, LOW
 
 
-def test_what_is_over_stays_as_it_was_judged():
+def test_a_finished_reference_run_keeps_its_verdict_whatever_comes_later():
     good = ended(0.0)
     assert (good.over, good.travelled) == (True, True)
     again = run(*UNDER_WAY, *((at_s, 0.0, 0.0, 0.0, LOW) for at_s in (40.0, 41.0)), (50.0, 80.0, 70.0, 9.0, HOMING))
@@ -122,7 +122,7 @@ def test_what_is_over_stays_as_it_was_judged():
 STANDS_ABROAD = ((50.0, 80.0, 80.0, 0.0, QUIET), (51.0, 80.0, 80.0, 0.0, QUIET))
 
 
-def test_who_never_began_is_not_over_and_who_stopped_where_he_began_has_failed():
+def test_a_run_that_never_began_is_not_over_and_one_that_stopped_where_it_began_has_failed():
     quiet = run((1.2, 100.0, 100.0, 0.0, QUIET), (2.0, 100.0, 100.0, 0.0, QUIET))
     assert (quiet.begun, quiet.over) == (False, False)
     stopped = run((1.2, 100.0, 100.0, 0.0, HOMING), (5.0, 100.0, 100.0, 0.0, QUIET), (6.0, 100.0, 100.0, 0.0, QUIET))
@@ -134,7 +134,7 @@ def late(status_s, place, aim, status, time_s, homing):
     return homing
 
 
-def test_a_status_from_before_the_command_or_from_before_it_stood_says_nothing():
+def test_a_status_from_before_the_homing_command_or_before_the_axis_stood_is_ignored():
     homing = HomingRun("a", A, 100.0, 1.0, trusted=True, stood=100.0)
     assert not late(0.9, 100.0, 100.0, HOMING, 1.2, homing).begun
     assert not late(1.0, 100.0, 100.0, HOMING, 1.2, homing).begun
@@ -146,22 +146,22 @@ def test_a_status_from_before_the_command_or_from_before_it_stood_says_nothing()
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(("place", "aim"), [(1.05, 0.95), (0.95, 1.05)])
-def test_place_and_aim_both_have_to_be_on_the_switch(side, place, aim):
+def test_a_reference_run_fails_unless_position_and_destination_are_both_on_the_switch(side, place, aim):
     assert ended(side * place * COAST, aim=side * aim * COAST).failure.startswith("the reference run of A ended at")
 
 
-def test_on_the_switch_but_aimed_elsewhere_nothing_has_begun():
+def test_a_reference_run_on_the_switch_with_another_destination_has_not_begun():
     assert not run((1.2, 0.0, 50.0, 0.0, LOW), before=0.0).begun
 
 
-def test_a_fault_of_the_other_axis_is_not_this_one_s():
+def test_a_fault_of_the_other_axis_does_not_fail_a_reference_run():
     status = parse_status(str(1 << 19 | 1 << 5))
     assert [fault[0] for fault in status.faults] == ["b"]
     assert ended(0.0, status=status).failure == ""
 
 
 @pytest.mark.parametrize("b_out_bit", [None, wire.B_OUT_BIT_STM])
-def test_a_reference_run_begins_is_on_and_ends(positioner_host, b_out_bit):
+def test_a_reference_run_of_each_axis_shows_as_homing_and_ends_at_its_low_end(positioner_host, b_out_bit):
     async def scene():
         async with positioner_host(HURRIED) as host:
             positioner = positioner_on(host.port.link, b_out_bit=b_out_bit)
@@ -183,7 +183,7 @@ def test_a_reference_run_begins_is_on_and_ends(positioner_host, b_out_bit):
 
 
 @pytest.mark.parametrize("b_out_bit", [None, wire.B_OUT_BIT_STM])
-def test_a_lost_count_is_a_lost_reference_until_it_is_cleared_and_homing_finds_the_switch(positioner_host, b_out_bit):
+def test_a_lost_count_is_in_doubt_until_cleared_and_homing_then_reports_the_wrong_count(positioner_host, b_out_bit):
     async def scene():
         async with positioner_host(HURRIED) as host:
             positioner = positioner_on(host.port.link, b_out_bit=b_out_bit)

@@ -31,7 +31,7 @@ async def _lost(positioner, why):
     return False
 
 
-def test_a_port_that_is_away_held_or_no_port_is_one_sentence(positioner_host, tmp_path):
+def test_opening_a_missing_held_or_non_serial_port_is_refused_in_one_sentence(positioner_host, tmp_path):
     async def scene():
         with pytest.raises(ConnectError, match=r"there is no .*nowhere"):
             await positioner_on(tmp_path / "nowhere").open()
@@ -61,7 +61,7 @@ sys.stdin.read()
     asyncio.run(scene())
 
 
-def test_the_mode_of_a_port_that_somebody_holds_is_left_alone(positioner_host):
+def test_the_terminal_mode_of_a_port_held_by_another_program_is_left_alone(positioner_host):
     async def scene():
         async with positioner_host() as host:
             holder = os.open(host.port.link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -78,7 +78,7 @@ def test_the_mode_of_a_port_that_somebody_holds_is_left_alone(positioner_host):
 
 
 @pytest.mark.parametrize(("dtr", "rts"), [(True, True), (False, True), (True, False), (False, False)])
-def test_the_modem_lines_are_put_as_configured_at_open(positioner_host, monkeypatch, dtr, rts):
+def test_the_modem_lines_are_set_as_configured_when_the_port_is_opened(positioner_host, monkeypatch, dtr, rts):
     """A pseudo-terminal has no modem lines, so a stand-in gives the operating system's answer."""
     lines, system = {termios.TIOCM_DTR: True, termios.TIOCM_RTS: True}, fcntl.ioctl
 
@@ -102,7 +102,7 @@ def test_the_modem_lines_are_put_as_configured_at_open(positioner_host, monkeypa
     asyncio.run(scene())
 
 
-def test_a_port_without_modem_lines_is_used_and_said_to_have_none(positioner_host):
+def test_a_port_without_modem_lines_is_used_and_reported_to_have_none(positioner_host):
     async def scene():
         async with positioner_host() as host:
             line = SerialLine(lambda: open_port(str(host.port.link), dtr=False, rts=False), time.monotonic)
@@ -114,7 +114,7 @@ def test_a_port_without_modem_lines_is_used_and_said_to_have_none(positioner_hos
     asyncio.run(scene())
 
 
-def test_a_port_with_echo_does_harm(positioner_host):
+def test_a_port_left_with_echo_sends_the_telemetry_back_to_the_unit(positioner_host):
     async def scene():
         async with positioner_host() as host:
             victim = os.open(host.port.link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -126,7 +126,7 @@ def test_a_port_with_echo_does_harm(positioner_host):
     asyncio.run(scene())
 
 
-def test_the_driver_lets_no_echo_happen_and_sees_one_that_is_switched_on(positioner_host):
+def test_the_driver_opens_the_port_without_echo_and_reports_an_echo_that_is_switched_on(positioner_host):
     async def scene():
         async with positioner_host() as host:
             positioner = positioner_on(host.port.link)
@@ -144,7 +144,7 @@ def test_the_driver_lets_no_echo_happen_and_sees_one_that_is_switched_on(positio
     asyncio.run(scene())
 
 
-def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for_and_its_reference_is_in_doubt(positioner_host):
+def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for_and_shows_its_reset_mark(positioner_host):
     async def scene():
         async with positioner_host() as host:
             host.boots_at_open_s = 3.0
@@ -161,7 +161,7 @@ def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for_and_its_ref
     asyncio.run(scene())
 
 
-def test_a_banner_in_mid_run_is_a_restart_that_loses_link_and_reference(positioner_host):
+def test_a_banner_during_operation_counts_as_a_restart_that_loses_link_and_reference(positioner_host):
     async def scene():
         async with positioner_host() as host:
             positioner = positioner_on(host.port.link, banner=BANNER.decode().strip())
@@ -180,7 +180,7 @@ def test_a_banner_in_mid_run_is_a_restart_that_loses_link_and_reference(position
     asyncio.run(scene())
 
 
-def test_a_pulled_cable_is_a_lost_link_and_the_same_name_works_again(positioner_host):
+def test_a_pulled_cable_is_a_lost_link_and_the_same_port_name_works_after_replugging(positioner_host):
     async def scene():
         async with positioner_host() as host:
             positioner = positioner_on(host.port.link)
@@ -254,7 +254,7 @@ def test_a_unit_that_takes_no_data_any_more_is_a_lost_link_within_the_deadline(p
     asyncio.run(scene())
 
 
-def test_a_port_that_no_thread_can_be_had_to_read_is_closed_again():
+def test_the_port_is_closed_again_when_no_reader_thread_can_be_started():
     class Opened:
         closed = False
 

@@ -72,7 +72,7 @@ async def fails_after(action, now, seconds, error, match):
     assert now() - begin_s == pytest.approx(seconds, abs=0.05)
 
 
-def test_another_board_is_told_and_nothing_is_ever_sent_to_it():
+def test_opening_refuses_another_board_and_nothing_is_ever_sent_to_it():
     async def scenario(positioner, unit, now):
         sentence = "says it is board '37B2', not 36A1: nothing is sent to it"
         await fails_after(positioner.open(), now, 0.0, IdentityError, sentence)
@@ -84,7 +84,7 @@ def test_another_board_is_told_and_nothing_is_ever_sent_to_it():
     on_unit(scenario, says={Field.BOARD: b"37B2"})
 
 
-def test_a_stop_while_it_is_not_known_who_it_is_is_not_sent():
+def test_a_stop_is_not_sent_while_the_unit_has_not_been_identified():
     async def scenario(positioner, unit, _):
         opening = asyncio.ensure_future(positioner.open())
         await asyncio.sleep(1.0)
@@ -99,7 +99,7 @@ def test_a_stop_while_it_is_not_known_who_it_is_is_not_sent():
     on_unit(scenario, comes_s={Field.SERIAL: 2.0})
 
 
-def test_a_silent_unit_is_told_within_seconds_and_one_without_some_fields_a_little_later():
+def test_opening_fails_within_seconds_for_a_silent_unit_and_a_little_later_if_fields_are_missing():
     async def silent(positioner, unit, now):
         unit.silent = True
         await fails_after(positioner.open(), now, 2.54, ConnectError, "sends no telemetry: it hangs")
@@ -116,7 +116,7 @@ def test_a_silent_unit_is_told_within_seconds_and_one_without_some_fields_a_litt
     on_unit(lacking, comes_s={Field.SERIAL: math.inf, Field.STATUS: math.inf})
 
 
-def test_a_unit_that_may_be_silent_for_longer_is_waited_for_as_long_at_its_opening():
+def test_opening_waits_for_telemetry_as_long_as_the_configured_silence_allows():
     async def scenario(positioner, unit, now):
         assert (await positioner.open()).board == "36A1"
         assert missing_fields(positioner.fields()) == ()
@@ -127,7 +127,7 @@ def test_a_unit_that_may_be_silent_for_longer_is_waited_for_as_long_at_its_openi
 
 
 @pytest.mark.parametrize(("comes_s", "seconds", "told"), [(3.0, 3.0, 1), (math.inf, 4.5, 0), (0.0, 0.0, 1)])
-def test_how_the_unit_is_set_is_waited_for_one_turn_of_its_screens(comes_s, seconds, told):
+def test_opening_waits_for_missing_setup_fields_for_one_turn_of_the_slow_screens(comes_s, seconds, told):
     async def scenario(positioner, _, now):
         identity = await positioner.open()
         assert now() == pytest.approx(seconds, abs=0.05)
@@ -137,7 +137,7 @@ def test_how_the_unit_is_set_is_waited_for_one_turn_of_its_screens(comes_s, seco
     on_unit(scenario, replace(A, zero_offset=2.0), comes_s={192: comes_s})
 
 
-def test_each_opening_begins_anew():
+def test_reopening_reports_an_unfinished_reference_run_and_sends_the_first_stop_twice_again():
     async def scenario(positioner, unit, now):
         await positioner.open()
         await positioner.move_to(-30.0, 45.0)
@@ -198,7 +198,7 @@ def test_a_stop_is_sent_at_once_and_twice_only_where_the_first_packet_may_be_los
 
 
 @pytest.mark.parametrize("act", ["move", "home", "clear", "quieten"])
-def test_a_stop_ends_whatever_is_under_way_and_no_more_is_sent(act):
+def test_a_stop_ends_any_move_homing_clear_or_disable_autonomy_and_no_more_is_sent(act):
     async def scenario(positioner, unit, _):
         await positioner.open()
         await positioner.stop()
@@ -229,7 +229,7 @@ def test_a_stop_ends_whatever_is_under_way_and_no_more_is_sent(act):
     ({Field.SUPPLY: b"20.00"}, "a_ignores_targets", "and no reason"),
     ({Field.MODE: b"wind"}, "a_ignores_targets", "and no reason|its own mode is on"),
 ])  # fmt: skip
-def test_why_a_target_was_not_taken_is_said(says, fault, why):
+def test_a_move_whose_target_was_not_taken_is_refused_with_its_likely_cause(says, fault, why):
     async def scenario(positioner, unit, now):
         await positioner.open()
         unit.core.inject(fault, now())
@@ -242,7 +242,7 @@ def test_why_a_target_was_not_taken_is_said(says, fault, why):
     on_unit(scenario, says=says)
 
 
-def test_angles_and_positions_that_do_not_go_together_are_given_no_target():
+def test_a_move_is_refused_and_not_sent_when_shown_angle_and_position_do_not_fit_the_geometry():
     async def scenario(positioner, unit, _):
         await positioner.open()
         with pytest.raises(
@@ -254,7 +254,7 @@ def test_angles_and_positions_that_do_not_go_together_are_given_no_target():
     on_unit(scenario, says={Field.A_ANGLE: b"40.0"})
 
 
-def test_one_that_stands_but_aims_elsewhere_takes_no_stop():
+def test_halt_fails_after_12_s_if_the_unit_stands_short_of_its_destinations():
     async def scenario(positioner, unit, now):
         await positioner.open()
         sentence = r"does not accept the stop: it stands short of its destinations: A at \S+ of 300, B at \S+ of \S+"
@@ -266,7 +266,7 @@ def test_one_that_stands_but_aims_elsewhere_takes_no_stop():
     on_unit(scenario, says={Field.A_DESTINATION: b"300.0000"})
 
 
-def test_what_trembles_by_a_hall_count_stands_as_the_unit_itself_tells():
+def test_a_tremble_of_one_hall_count_as_the_unit_reports_it_counts_as_standstill():
     async def scenario(positioner, unit, now):
         await positioner.open()
         at = float(unit.state().values[Field.A_POSITION].number)
@@ -303,7 +303,7 @@ def test_what_trembles_by_a_hall_count_stands_as_the_unit_itself_tells():
         (Field.B_DESTINATION, -0.51, False),
     ],
 )
-def test_a_target_is_taken_when_both_destinations_show_within_half_a_unit(field, off, taken):
+def test_a_target_counts_as_taken_when_both_shown_destinations_are_within_half_a_unit(field, off, taken):
     async def scenario(positioner, unit, now):
         await positioner.open()
         setup, angle_deg = {Field.A_DESTINATION: (A, -30.0), Field.B_DESTINATION: (B, 45.0)}[field]
@@ -319,7 +319,7 @@ def test_a_target_is_taken_when_both_destinations_show_within_half_a_unit(field,
     on_unit(scenario)
 
 
-def test_fields_are_told_in_their_order_as_they_are_printed():
+def test_fields_returns_the_unit_fields_sorted_by_code_as_they_are_printed():
     async def scenario(positioner, unit, _):
         await positioner.open()
         assert list(positioner.fields()) == sorted(positioner.fields())
@@ -328,7 +328,7 @@ def test_fields_are_told_in_their_order_as_they_are_printed():
     on_unit(scenario, comes_s={40: 0.1})
 
 
-def test_details_are_mode_closed_switches_their_counts_and_a_memory_that_fails():
+def test_telemetry_details_contain_mode_closed_switches_their_counts_and_a_failing_memory():
     async def scenario(positioner, unit, _):
         await positioner.open()
         unit.says |= {Field.STATUS: str(1 << 19).encode(), Field.MODE: b" auto ", Field.A_REMAIN: b"1.5000"}
@@ -342,7 +342,7 @@ def test_details_are_mode_closed_switches_their_counts_and_a_memory_that_fails()
     on_unit(scenario)
 
 
-def test_once_b_has_moved_its_high_end_switch_can_be_told():
+def test_the_high_end_switch_of_axis_b_is_reported_only_once_b_has_moved():
     async def scenario(positioner, unit, _):
         await positioner.open()
         unit.says[Field.STATUS] = str(1 << B_HIGH_BIT_STM).encode()
@@ -363,7 +363,7 @@ B_DEG = B_ACTUATOR.angle_deg(282.0)
 
 
 @pytest.mark.parametrize(("b_deg", "told"), [(60.0, [b"$2195\r"]), (B_DEG, [])])
-def test_an_axis_that_stands_at_its_target_is_told_nothing(b_deg, told):
+def test_an_axis_that_stands_at_its_target_is_sent_no_destination(b_deg, told):
     async def scenario(positioner, unit, _):
         await positioner.open()
         await positioner.halt()
@@ -377,7 +377,7 @@ def test_an_axis_that_stands_at_its_target_is_told_nothing(b_deg, told):
     on_unit(scenario, setup=Setup(start=Angles(A_ACTUATOR.angle_deg(228.75), B_DEG)))
 
 
-def test_an_axis_further_from_its_target_is_told():
+def test_an_axis_that_stands_0_35_units_from_its_target_is_sent_the_destination():
     async def scenario(positioner, unit, _):
         await positioner.open()
         await positioner.halt()
@@ -388,7 +388,7 @@ def test_an_axis_further_from_its_target_is_told():
     on_unit(scenario, setup=Setup(start=Angles(A_ACTUATOR.angle_deg(228.65), B_DEG)))
 
 
-def test_an_axis_that_only_passes_its_target_is_told():
+def test_an_axis_that_is_only_passing_its_target_is_sent_the_destination():
     async def scenario(positioner, unit, _):
         await positioner.open()
         unit.says |= {Field.A_POSITION: b"229.0000", Field.A_DESTINATION: b"300.0000"}

@@ -62,7 +62,7 @@ def run(act):
         runner.run(scene())
 
 
-def test_a_count_that_is_lost_while_the_link_is_down_is_in_doubt_though_no_mark_tells_of_it():
+def test_a_count_lost_while_the_link_is_down_is_in_doubt_although_the_reset_mark_is_gone():
     async def act(cable):
         seen = await cable.out(lambda now: cable.core.power_cycle(now, keep_position=False))
         assert (seen.was_reset, seen.a_deg, seen.b_deg) == (False, -52.0, 13.0)
@@ -76,7 +76,7 @@ def test_a_count_that_is_lost_while_the_link_is_down_is_in_doubt_though_no_mark_
     run(act)
 
 
-def test_a_restart_that_keeps_the_count_leaves_no_doubt_where_the_mark_is_gone():
+def test_a_restart_during_an_outage_that_keeps_the_count_leaves_no_doubt_if_its_mark_is_gone():
     async def act(cable):
         assert (await cable.out(cable.core.power_cycle)).reference_doubt == ""
 
@@ -101,7 +101,7 @@ def test_a_move_that_goes_on_while_the_link_is_down_leaves_no_doubt(shown):
 
 
 @pytest.mark.parametrize("fault", ["own_tracking", "button_in"])
-def test_who_was_moved_while_the_link_was_down_is_in_doubt_unless_the_unit_moves_of_its_own_accord(fault):
+def test_an_axis_moved_while_the_link_is_down_is_in_doubt_unless_the_unit_tracks_by_itself(fault):
     async def act(cable):
         seen = await cable.out(lambda now: cable.core.inject(fault, now))
         assert seen.a_deg < -9.0
@@ -130,7 +130,7 @@ def test_an_axis_that_is_on_its_switch_after_an_outage_is_in_doubt_until_two_ref
     run(act)
 
 
-def test_a_reference_run_that_ends_while_the_link_is_down_takes_one_more():
+def test_a_reference_run_that_ends_while_the_link_is_down_leaves_a_doubt_until_one_more_run():
     async def act(cable):
         homing = asyncio.ensure_future(cable.positioner.home("b"))
         await asyncio.wait((homing,), timeout=3.0)
@@ -144,7 +144,7 @@ def test_a_reference_run_that_ends_while_the_link_is_down_takes_one_more():
     run(act)
 
 
-def test_a_count_that_is_lost_in_an_outage_while_it_is_in_doubt_is_not_found_on_a_stuck_switch():
+def test_a_doubtful_count_lost_in_an_outage_stays_in_doubt_after_homing_on_a_stuck_switch():
     async def act(cable):
         def upset(now):
             cable.core.power_cycle(now, keep_position=False)
@@ -161,7 +161,7 @@ def test_a_count_that_is_lost_in_an_outage_while_it_is_in_doubt_is_not_found_on_
     run(act)
 
 
-def test_where_an_axis_stands_if_its_switch_has_lied_is_known_after_its_count_was_lost_too():
+def test_the_position_assumed_for_a_wrong_end_switch_stays_known_after_the_count_is_lost():
     async def act(cable):
         await cable.positioner.home("a")
         await asyncio.sleep(5.0)

@@ -38,7 +38,7 @@ def on_unit(scenario, setup=None):
         runner.run(scene())
 
 
-def test_a_halt_of_a_standing_unit_is_quick_and_of_a_moving_one_lasts_until_it_stands():
+def test_halt_returns_quickly_for_a_standing_unit_and_waits_until_a_moving_unit_stands():
     async def scenario(positioner, core, now):
         start_s = now()
         await positioner.halt()
@@ -55,7 +55,7 @@ def test_a_halt_of_a_standing_unit_is_quick_and_of_a_moving_one_lasts_until_it_s
     on_unit(scenario)
 
 
-def test_a_target_whose_telemetry_comes_late_is_not_called_refused():
+def test_a_target_is_not_reported_as_refused_when_its_telemetry_comes_late():
     async def scene():
         now = asyncio.get_running_loop().time
         line = InMemoryStream(PositionerCore(now()), now)
@@ -73,7 +73,7 @@ def test_a_target_whose_telemetry_comes_late_is_not_called_refused():
         runner.run(scene())
 
 
-def test_a_machine_that_was_busy_for_a_second_has_yet_sent_stop_twice():
+def test_halt_sends_stop_twice_even_if_the_machine_was_busy_for_a_second():
     async def scene():
         late_s, sent, loop = [0.0], [], asyncio.get_running_loop()
 
@@ -98,7 +98,7 @@ def test_a_machine_that_was_busy_for_a_second_has_yet_sent_stop_twice():
         runner.run(scene())
 
 
-def test_a_command_keeps_its_distance_from_the_end_of_one_that_took_long_to_go_out():
+def test_commands_are_spaced_from_the_end_of_a_previous_command_that_took_long_to_send():
     async def scene():
         now, times = asyncio.get_running_loop().time, []
         line = InMemoryStream(PositionerCore(now()), now)
@@ -120,7 +120,7 @@ def test_a_command_keeps_its_distance_from_the_end_of_one_that_took_long_to_go_o
         runner.run(scene())
 
 
-def test_own_tracking_is_off_only_when_both_axes_stand():
+def test_disable_autonomy_switches_own_tracking_off_and_returns_only_when_both_axes_stand():
     async def scenario(positioner, core, now):
         core.inject("own_tracking", now())
         await asyncio.sleep(10.0)
@@ -137,7 +137,7 @@ def test_own_tracking_is_off_only_when_both_axes_stand():
     on_unit(scenario, Setup(own_target=lambda _now: Angles(-40.0, 20.0)))
 
 
-def test_a_unit_that_is_deaf_while_it_moves_is_told_as_still_moving():
+def test_halt_reports_a_unit_that_ignores_stops_as_still_moving_after_12_s():
     async def scenario(positioner, core, now):
         await positioner.move_to(-40.0, 45.0)
         core.inject("deaf", now())
@@ -149,7 +149,7 @@ def test_a_unit_that_is_deaf_while_it_moves_is_told_as_still_moving():
     on_unit(scenario)
 
 
-def test_a_geometry_that_has_no_place_for_the_target_refuses_the_move():
+def test_a_move_is_refused_when_the_configured_geometry_has_no_position_for_the_target():
     async def scenario(positioner, core, now):
         flat = replace(A, geometry=Triangle(300.0, 300.0, 90.0, -52.0, 290.0))
         positioner = PozsolPositioner(InMemoryStream(core, now), now, flat, B)
@@ -161,7 +161,7 @@ def test_a_geometry_that_has_no_place_for_the_target_refuses_the_move():
 
 
 @pytest.mark.parametrize(("deaf_axis", "other"), [("a", "b_deg"), ("b", "a_deg")])
-def test_a_move_that_one_axis_does_not_take_is_refused_and_the_other_is_stopped(deaf_axis, other):
+def test_a_move_is_refused_and_the_other_axis_stopped_when_one_axis_does_not_take_its_target(deaf_axis, other):
     async def scenario(positioner, core, now):
         core.inject(f"{deaf_axis}_ignores_targets", now())
         with pytest.raises(RefusedError, match="did not take the target"):
@@ -174,7 +174,7 @@ def test_a_move_that_one_axis_does_not_take_is_refused_and_the_other_is_stopped(
     on_unit(scenario)
 
 
-def test_with_a_fault_of_one_axis_nothing_is_sent_to_the_other():
+def test_a_move_is_refused_and_neither_axis_moves_while_one_axis_reports_a_fault():
     async def scenario(positioner, core, now):
         core.inject("a_overcurrent", now())
         stands = core.truth(now())
@@ -186,7 +186,7 @@ def test_with_a_fault_of_one_axis_nothing_is_sent_to_the_other():
     on_unit(scenario)
 
 
-def test_a_reference_run_that_a_stop_ends_leaves_the_doubt_for_the_axis():
+def test_a_stopped_reference_run_leaves_a_reference_doubt_of_its_axis_until_it_is_cleared():
     async def scenario(positioner, core, now):
         await positioner.home("a")
         await asyncio.sleep(3.0)
@@ -201,7 +201,7 @@ def test_a_reference_run_that_a_stop_ends_leaves_the_doubt_for_the_axis():
     on_unit(scenario)
 
 
-def test_a_restart_is_forgotten_once_both_axes_have_been_homed():
+def test_the_doubt_after_a_restart_ends_once_both_axes_have_been_homed():
     async def scenario(positioner, core, now):
         core.power_cycle(now())
         assert "has restarted" in (await positioner.read_telemetry()).reference_doubt
@@ -215,7 +215,7 @@ def test_a_restart_is_forgotten_once_both_axes_have_been_homed():
     on_unit(scenario)
 
 
-def test_old_telemetry_is_silence_and_old_status_is_too():
+def test_the_link_is_lost_when_axis_fields_are_older_than_2_s_or_slow_fields_older_than_8_s():
     texts = dict.fromkeys(FAST, b"0.0") | {Field.SUPPLY: b"24.00", Field.STATUS: b"0000", Field.MODE: b"ok"}
     clock = [0.0]
 
@@ -256,20 +256,20 @@ def looks(status, *times_s, **texts):
         yield watch.read(LinkState(values, time_s))
 
 
-def test_what_is_said_again_has_the_time_of_that():
+def test_repeated_telemetry_carries_the_time_of_its_last_repetition():
     for look, time_s in zip(looks(b"0000", 100.0, 101.0, 250.0), (100.0, 101.0, 250.0), strict=True):
         assert (look.time_monotonic_s, look.status_monotonic_s) == (time_s, time_s)
     (alone,) = looks(b"0000", -math.inf)
     assert (alone.time_monotonic_s, alone.status_monotonic_s) == (100.0, 100.0)
 
 
-def test_an_end_switch_that_cannot_be_is_told_though_nothing_else_changes():
+def test_an_end_switch_closed_far_from_its_position_is_reported_although_nothing_else_changes():
     first, second = looks(b"%d" % (1 << 19), 100.0, 101.0, A_POSITION=b"200.0")
     assert first.reference_doubt == ""
     assert "low end switch closed although its count is 200" in second.reference_doubt
 
 
-def test_a_unit_that_has_restarted_is_lost_until_it_is_opened_anew():
+def test_a_restarted_unit_counts_as_a_lost_link_until_it_is_opened_again():
     watch, values = at_rest([100.0])
     restarted = LinkState(values, 101.0, restarted_s=100.5)
     with pytest.raises(LinkLostError, match="has restarted: it prints its banner"):
@@ -278,7 +278,7 @@ def test_a_unit_that_has_restarted_is_lost_until_it_is_opened_anew():
     assert watch.read(restarted).reference_doubt == "the positioner has restarted"
 
 
-def test_where_an_axis_stood_is_known_although_a_restart_has_set_its_count_to_nothing():
+def test_the_position_of_an_axis_stays_known_after_a_restart_has_set_its_count_to_zero():
     watch, values = at_rest([100.0], A_POSITION=b"30.0")
     watch.read(LinkState(values, 100.0))
     _, lost = at_rest([100.0], A_POSITION=b"0.0", STATUS=b"%d" % (1 << RESET_BIT))
@@ -298,7 +298,9 @@ BUTTON = b"%d" % (1 << BUTTON_BIT)
     ],
     ids=["told nothing", "on its way", "a button"],
 )
-def test_a_count_that_changed_while_nothing_was_heard_is_in_doubt_if_nothing_led_there(before, after, doubt, stands):
+def test_a_count_that_changed_during_silence_is_in_doubt_unless_a_move_or_a_button_explains_it(
+    before, after, doubt, stands
+):
     watch, values = at_rest([100.0], **{"A_POSITION": b"30.0", "A_DESTINATION": b"30.0"} | before)
     watch.read(LinkState(values, 100.0))
     _, lost = at_rest([100.0], **{"A_POSITION": b"0.0"} | after)
@@ -307,7 +309,7 @@ def test_a_count_that_changed_while_nothing_was_heard_is_in_doubt_if_nothing_led
     assert watch.standing()[0] == pytest.approx(stands, abs=0.1)
 
 
-def test_a_jump_that_a_person_has_forgiven_is_not_told_again():
+def test_a_jump_of_the_count_is_not_reported_again_once_it_has_been_forgiven():
     watch, values = at_rest([100.0])
     jumped = LinkState(values, 100.0, jumped_s=99.0)
     assert watch.read(jumped).reference_doubt == "the positioner's count has jumped"
@@ -315,7 +317,7 @@ def test_a_jump_that_a_person_has_forgiven_is_not_told_again():
     assert watch.read(jumped._replace(values=dict(values))).reference_doubt == ""
 
 
-def test_where_an_axis_stood_before_is_recalled_where_that_is_known():
+def test_recall_sets_the_position_of_an_axis_only_where_one_is_known():
     now = iter(range(100)).__next__
     positioner = PozsolPositioner(InMemoryStream(PositionerCore(0.0), now), now, A, B)
     assert positioner.standing() == (None, None)
@@ -323,7 +325,7 @@ def test_where_an_axis_stood_before_is_recalled_where_that_is_known():
     assert positioner.standing() == (50.0, None)
 
 
-def test_a_glance_stands_for_the_last_look_alone_and_only_while_nothing_is_new():
+def test_repeated_s_gives_a_time_only_for_the_last_reading_and_only_while_nothing_has_changed():
     watch, values = at_rest([100.0])
     assert watch.repeated_s(None, LinkState(values, 100.0)) is None, "nobody has looked"
     seen = watch.read(LinkState(values, 100.0))
@@ -337,7 +339,7 @@ def test_a_glance_stands_for_the_last_look_alone_and_only_while_nothing_is_new()
     assert watch.repeated_s(watch.read(again), again) is None, "a run ends by time alone"
 
 
-def test_a_run_goes_by_the_count_of_an_axis_that_is_not_in_doubt():
+def test_a_reference_run_trusts_the_starting_count_only_of_an_axis_that_is_not_in_doubt():
     watch, values = at_rest([100.0], A_POSITION=b"30.0", B_POSITION=b"40.0")
     seen = watch.read(LinkState(values, 100.0))
     watch.reference.note("x", "A was turned by hand", "a")

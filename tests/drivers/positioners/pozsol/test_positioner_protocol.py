@@ -96,7 +96,7 @@ class Player(threading.Thread):
 
 @pytest.mark.live
 @pytest.mark.usefixtures("patience")
-def test_the_driver_sends_these_bytes_and_believes_this_telemetry(transcript, tmp_path):
+def test_the_driver_sends_the_recorded_bytes_and_reads_the_recorded_telemetry(transcript, tmp_path):
     pieces = transcript("positioner")
     player = Player(pieces, tmp_path / "positioner")
 
@@ -118,7 +118,7 @@ def test_the_driver_sends_these_bytes_and_believes_this_telemetry(transcript, tm
     assert (telemetry.a_deg, telemetry.position_a, telemetry.supply_v) == (0.1, 229.1333, 24.0)
 
 
-def test_the_simulated_unit_shows_the_same_telemetry_after_the_same_bytes(transcript):
+def test_the_simulated_unit_shows_the_recorded_telemetry_after_the_recorded_bytes(transcript):
     core, shown = PositionerCore(0.0, Setup()), {}
     for piece in transcript("positioner"):
         if piece.direction == ">":
@@ -131,7 +131,7 @@ def test_the_simulated_unit_shows_the_same_telemetry_after_the_same_bytes(transc
     assert shown[Field.A_DESTINATION] == b"264.0000"
 
 
-def test_listening_identifies_and_a_move_is_confirmed_followed_and_stopped(positioner_host):
+def test_the_driver_identifies_the_unit_by_listening_and_follows_a_move_to_its_target(positioner_host):
     async def scene():
         async with positioner_host() as host:
             positioner = positioner_on(host.port.link)
@@ -155,7 +155,7 @@ def test_listening_identifies_and_a_move_is_confirmed_followed_and_stopped(posit
 
 
 @pytest.mark.parametrize("together", [True, False])
-def test_a_simulated_unit_loses_no_command_because_the_machine_held_it_up(positioner_host, together):
+def test_the_simulated_unit_loses_no_command_when_a_busy_machine_holds_it_up(positioner_host, together):
     async def scene():
         async with positioner_host() as host:
             positioner = positioner_on(host.port.link)
@@ -183,7 +183,7 @@ def test_a_simulated_unit_loses_no_command_because_the_machine_held_it_up(positi
 
 
 @pytest.mark.parametrize("how", ["stop", "halt"])
-def test_a_stop_goes_out_at_once_and_a_move_that_was_being_sent_goes_no_further(positioner_host, how):
+def test_stop_and_halt_go_out_at_once_and_an_interrupted_move_sends_no_further_target(positioner_host, how):
     async def scene():
         a_is_sent, loop = asyncio.Event(), asyncio.get_running_loop()
 
@@ -217,7 +217,7 @@ def test_a_stop_goes_out_at_once_and_a_move_that_was_being_sent_goes_no_further(
     asyncio.run(scene())
 
 
-def test_commands_keep_their_distance(positioner_host):
+def test_commands_leave_the_port_at_least_the_required_spacing_apart_except_for_a_stop(positioner_host):
     async def scene():
         times = []
         async with positioner_host() as host:
@@ -254,7 +254,7 @@ def test_a_target_outside_the_limits_is_never_sent(positioner_host, target):
     asyncio.run(scene())
 
 
-def test_another_board_a_silent_unit_and_a_foreign_stream_are_refused_and_nothing_is_sent(positioner_host):
+def test_another_board_and_a_silent_unit_are_refused_at_opening_and_nothing_is_sent_to_them(positioner_host):
     async def scene():
         async with positioner_host() as host:
             host.core.parameters[Field.BOARD] = "29C3"
@@ -301,7 +301,7 @@ def test_own_tracking_is_switched_off_and_a_refusal_names_its_likely_cause(posit
     asyncio.run(scene())
 
 
-def test_settings_that_may_move_the_axes_some_day_are_named(positioner_host):
+def test_telemetry_names_the_unit_settings_that_may_move_its_axes_unasked(positioner_host):
     async def scene():
         async with positioner_host() as host:
             positioner = positioner_on(host.port.link)
@@ -322,7 +322,7 @@ def test_settings_that_may_move_the_axes_some_day_are_named(positioner_host):
     asyncio.run(scene())
 
 
-def test_a_geometry_that_is_not_the_units_is_told_and_no_move_passes_for_taken(positioner_host):
+def test_a_move_is_refused_and_not_sent_when_the_configured_geometry_does_not_fit_the_unit(positioner_host):
     async def scene():
         async with positioner_host() as host:
             wrong = AxisSetup(Proportional(59.5, -52.0), -50.0, 50.0)

@@ -11,7 +11,7 @@ def known(position=500.0, destination=500.0):
     return last
 
 
-def test_where_an_axis_stands_is_known_from_its_first_count_that_is_trusted():
+def test_the_position_of_an_axis_is_known_from_its_first_trusted_count_on():
     last = LastKnown()
     assert (last.of("a", 500.0), last.at_worst("a")) == (None, None)
     last.note("a", 500.0, 500.0, trusted=False, set_anew=False)
@@ -20,7 +20,7 @@ def test_where_an_axis_stands_is_known_from_its_first_count_that_is_trusted():
     assert (last.of("a", 520.0), last.at_worst("a"), last.of("b", 0.0)) == (520.0, 510.0, None)
 
 
-def test_a_count_that_was_set_anew_is_short_of_what_it_has_lost_each_time():
+def test_the_last_known_position_adds_up_what_each_reset_of_the_count_has_lost():
     last = known()
     last.note("a", 0.0, 0.0, trusted=False, set_anew=True)
     assert (last.of("a", 20.0), last.at_worst("a")) == (520.0, 500.0)
@@ -32,7 +32,7 @@ def test_a_count_that_was_set_anew_is_short_of_what_it_has_lost_each_time():
     assert last.of("a", 7.0) == 7.0, "what is trusted is short of nothing"
 
 
-def test_a_run_that_ended_where_the_axis_stood_has_set_the_count_there():
+def test_after_a_reference_run_without_motion_the_position_is_counted_from_where_the_axis_stood():
     last = known()
     last.stuck("a", 500.0, 0.0)
     last.note("a", 0.0, 0.0, trusted=False, set_anew=False)
@@ -41,7 +41,7 @@ def test_a_run_that_ended_where_the_axis_stood_has_set_the_count_there():
     assert last.of("a", 40.0) == 40.0
 
 
-def test_a_run_that_its_end_switch_may_have_cut_short_leaves_two_places_until_the_next_good_one():
+def test_a_run_that_its_switch_may_have_cut_short_leaves_two_possible_positions_until_a_good_run():
     last = known()
     last.referenced("a")
     last.contradicted("a", 200.0, 3.0)
@@ -53,7 +53,7 @@ def test_a_run_that_its_end_switch_may_have_cut_short_leaves_two_places_until_th
     assert (last.of("a", 3.0), last.at_worst("a")) == (3.0, -7.0)
 
 
-def test_a_place_that_is_recalled_is_where_the_axis_was_and_was_going():
+def test_a_recalled_position_is_taken_as_last_position_and_last_destination_of_the_axis():
     last = LastKnown()
     last.recall("a", 300.0)
     assert (last.of("a", 310.0), last.at_worst("a")) == (310.0, 300.0)
@@ -80,7 +80,7 @@ def test_a_place_that_is_recalled_is_where_the_axis_was_and_was_going():
         (500.0, 900.0, 494.9, True),
     ],
 )
-def test_an_axis_has_strayed_beyond_all_ways_that_it_may_have_gone(shown, told, position, strays):
+def test_an_axis_has_strayed_only_if_no_shown_or_sent_destination_explains_its_position(shown, told, position, strays):
     last = LastKnown()
     assert last.strayed("a", position, 5.0) == "", "nobody has seen it"
     if told is not None:
@@ -90,7 +90,7 @@ def test_an_axis_has_strayed_beyond_all_ways_that_it_may_have_gone(shown, told, 
 
 
 @pytest.mark.parametrize(("shown", "waits"), [(899.4, True), (899.5, False), (900.5, False), (900.6, True)])
-def test_a_target_is_waited_for_until_it_shows_or_nothing_is_under_way(shown, waits):
+def test_a_sent_target_explains_a_position_until_it_has_been_shown_or_the_axes_stand(shown, waits):
     last = known()
     last.tell("a", 900.0)
     last.note("a", 500.0, shown, trusted=True, set_anew=False)
@@ -100,7 +100,7 @@ def test_a_target_is_waited_for_until_it_shows_or_nothing_is_under_way(shown, wa
     assert last.strayed("a", 700.0, 5.0)
 
 
-def test_a_run_on_the_spot_settles_no_doubt_that_takes_a_way_and_each_axis_only_its_own():
+def test_a_run_without_travel_settles_no_doubt_that_needs_travel_and_each_run_only_its_own_axis():
     reference = Reference()
     assert (reference.text, reference.kinds, reference.may_stand_at("a")) == ("", (), None)
     reference.note("reset", "has restarted")

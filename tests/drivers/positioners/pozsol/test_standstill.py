@@ -21,7 +21,7 @@ def standing(places, destination=None, begin_s=0.0):
     return still
 
 
-def test_an_axis_stands_once_fresh_positions_have_not_changed_for_a_while():
+def test_an_axis_counts_as_standing_once_fresh_positions_have_not_changed_for_a_while():
     assert not standing([1.0, 1.0, 1.0]).reached
     assert standing([1.0, 1.0, 1.0, 1.0]).reached
     assert standing([1.0, 1.0133, 1.0, 1.0133]).reached, "one Hall count is jitter"
@@ -43,7 +43,7 @@ def run(*looks, before=100.0, trusted=True, stood=None):
 UNDER_WAY = ((1.2, 99.0, 89.0, 0.0, QUIET), (5.0, 80.0, 70.0, 0.0, HOMING), (9.0, 60.0, 50.0, 0.0, HOMING))
 
 
-def test_a_run_is_over_when_bit_and_position_say_so():
+def test_a_reference_run_is_over_when_the_homing_bit_is_gone_and_the_axis_rests():
     assert run(*UNDER_WAY).begun
     assert not run(*UNDER_WAY, (40.0, -0.3, -0.3, 0.0, HOMING), (41.0, -0.3, -0.3, 0.0, HOMING)).over
     good = run(*UNDER_WAY, (40.0, -0.3, -0.3, 0.0, LOW), (41.0, -0.3, -0.3, 0.0, LOW))
@@ -58,13 +58,15 @@ def test_a_run_is_over_when_bit_and_position_say_so():
         (-0.9, 0.0, parse_status(str(1 << 1)), "ended with a_hall_fault"),
     ],
 )
-def test_a_run_that_ends_otherwise_has_failed(place, remain, status, why):
+def test_a_reference_run_fails_if_it_ends_off_its_switch_with_the_switch_open_or_with_a_fault(
+    place, remain, status, why
+):
     ended = run(*UNDER_WAY, (40.0, place, place, remain, status), (41.0, place, place, remain, status))
     assert ended.over
     assert why in ended.failure
 
 
-def test_a_switch_that_contradicts_a_trusted_count_is_told():
+def test_a_reference_run_reports_an_end_switch_that_contradicts_the_count():
     slipped = ((40.0, 0.0, 0.0, 12.0, LOW), (41.0, 0.0, 0.0, 12.0, LOW))
     assert "met its end switch where its count was 12" in run(*UNDER_WAY, *slipped).mismatch
     assert run(*UNDER_WAY, *slipped, trusted=False).mismatch == ""
@@ -78,7 +80,7 @@ def test_a_switch_that_contradicts_a_trusted_count_is_told():
 
 @pytest.mark.parametrize("start", [B_OUT_BIT_STM, B_OUT_BIT_LPC])
 @pytest.mark.parametrize(("way", "bits"), [(1.0, (0,)), (-1.0, (1,)), (-1.0, (1, 2))])
-def test_where_bs_bits_are_shows_when_b_moves(start, way, bits):
+def test_the_place_of_the_status_bits_of_axis_b_is_found_only_when_b_moves(start, way, bits):
     layout, word = BLayout(None), sum(1 << start + bit for bit in bits)
     for index in range(6):
         layout.update(100.0, 0.12 * index, word, 0.12 * index)
@@ -88,7 +90,7 @@ def test_where_bs_bits_are_shows_when_b_moves(start, way, bits):
     assert layout.bit == start
 
 
-def test_a_low_end_switch_that_shows_closed_far_from_it_is_told_at_the_second_status():
+def test_a_low_end_switch_shown_closed_far_from_its_position_is_reported_at_the_second_status():
     check = SwitchCheck("a", A)
     assert check.update(200.0, LOW, 1.0) == ""
     assert check.update(200.0, LOW, 1.0) == ""
@@ -96,7 +98,7 @@ def test_a_low_end_switch_that_shows_closed_far_from_it_is_told_at_the_second_st
     assert check.update(-0.3, LOW, 7.0) == ""
 
 
-def test_a_doubt_lasts_until_both_axes_are_proven_or_a_person_forgives_exactly_it():
+def test_a_doubt_lasts_until_good_reference_runs_or_until_exactly_that_doubt_is_forgiven():
     reference = Reference()
     reference.note("reset", "it has restarted")
     reference.proven("a", travelled=True)

@@ -75,27 +75,27 @@ def angle(text):
 REST = b"$%c1.0000$%c1.0000$" % (Field.A_POSITION, Field.A_DESTINATION)
 
 
-def test_the_newest_value_counts_with_the_time_at_which_it_came(wire, reader):
+def test_the_table_keeps_the_newest_value_of_a_field_with_its_time_of_arrival(wire, reader):
     wire.say(angle(b"1.0"))
     wire.say(angle(b"1.5"))
     assert reader.table.get(Field.A_ANGLE) == Value(b"1.5", pytest.approx(0.24), 1.5)
     assert reader.table.get(Field.B_ANGLE) is None
 
 
-def test_what_comes_within_the_first_instant_is_an_old_screen_and_not_believed(wire, reader):
+def test_a_screen_that_comes_just_after_opening_is_taken_as_old_and_ignored(wire, reader):
     wire.say(angle(b"1.0"), after_s=0.05)
     assert (reader.heard, reader.table.get(Field.A_ANGLE)) == (False, None)
 
 
 @pytest.mark.parametrize("text", [b"", b".", b"-", b"nan", b"inf", b"1e1", b"--1.0", b"1.0x", b"1.0.0", b"361.0"])
-def test_what_is_no_number_that_can_be_is_dropped(wire, reader, text):
+def test_an_angle_that_is_not_a_possible_number_is_dropped(wire, reader, text):
     wire.say(angle(b"2.0"))
     wire.say(angle(text))
     assert reader.table.get(Field.A_ANGLE).text == b"2.0"
 
 
 @pytest.mark.parametrize("text", [b"1x0", b"70.0"])
-def test_what_stands_beside_an_angle_that_is_not_believed_is_not_believed_either(wire, reader, text):
+def test_the_position_beside_an_angle_that_is_not_believed_is_not_believed_either(wire, reader, text):
     wire.say(angle(b"2.0"))
     wire.say(angle(text).replace(b"1.0000", b"9.0000"))
     assert reader.table.get(Field.A_POSITION).text == b"1.0000"
@@ -103,7 +103,7 @@ def test_what_stands_beside_an_angle_that_is_not_believed_is_not_believed_either
     assert reader.table.get(Field.A_POSITION).text == b"1.5000"
 
 
-def test_an_axis_is_shown_once_its_screen_is_whole(wire, reader):
+def test_new_values_of_an_axis_appear_only_once_its_screen_is_complete(wire, reader):
     wire.say(angle(b"2.0"))
     new = angle(b"2.5").replace(b"1.0000", b"1.5000")
     for byte in new[:-1]:
@@ -124,13 +124,13 @@ def test_one_impossible_angle_is_dropped_and_a_confirmed_one_is_a_jump(wire, rea
     assert reader.table.jumped_s == wire.now_s
 
 
-def test_after_a_gap_any_angle_is_possible(wire, reader):
+def test_any_angle_is_accepted_without_a_jump_after_a_gap_in_the_telemetry(wire, reader):
     wire.say(angle(b"10.0"))
     wire.say(angle(b"40.0"), after_s=5.0)
     assert (reader.table.get(Field.A_ANGLE).text, reader.table.jumped_s) == (b"40.0", None)
 
 
-def test_what_an_axis_can_turn_by_while_nothing_is_read_is_no_jump(wire, reader):
+def test_an_angle_that_an_axis_can_reach_while_nothing_is_read_is_not_a_jump(wire, reader):
     wire.say(angle(b"10.0"))
     # The first piece is read late and shows a moment in between; then screens are missing for want of room.
     for text, after_s in ((b"11.0", 0.9), (b"15.0", 0.02), (b"15.1", 0.02)):
@@ -199,7 +199,7 @@ class StoodStill(Resting):
         return self._waiting.pop(0) if self.now_s > 1.0 and self._waiting else screens
 
 
-def test_what_has_waited_in_the_port_is_not_let_gather():
+def test_a_backlog_in_the_port_is_read_at_once_without_gathering():
     unit = StoodStill()
     reader = TelemetryReader(unit, lambda: unit.now_s, gather_s=60.0)
     assert unit.begun.wait(PATIENCE_S)
@@ -212,7 +212,7 @@ def test_what_has_waited_in_the_port_is_not_let_gather():
     reader.close()
 
 
-def test_a_lost_port_and_an_echo_end_the_reading_and_say_why(wire, reader):
+def test_a_lost_port_and_an_echo_end_the_telemetry_reader_with_a_reason(wire, reader):
     wire.end()
     reader.close()
     assert reader.lost == "pulled"
@@ -237,14 +237,14 @@ def booting(wire):
     reader.close()
 
 
-def test_what_comes_before_the_banner_is_from_before_the_restart(wire, booting):
+def test_telemetry_before_the_banner_of_a_restart_is_ignored(wire, booting):
     wire.say(angle(b"1.0"), after_s=0.5)
     assert (booting.heard, booting.restarted_s) == (False, None)
     wire.say(BANNER + angle(b"2.0"), after_s=0.5)
     assert (booting.table.get(Field.A_ANGLE).text, booting.restarted_s) == (b"2.0", 1.0)
 
 
-def test_without_a_banner_the_time_of_a_restart_is_waited_for(wire, booting):
+def test_telemetry_without_a_banner_is_ignored_until_the_boot_time_is_over(wire, booting):
     wire.say(angle(b"1.0"), after_s=1.9)
     assert not booting.heard
     wire.say(angle(b"1.0"), after_s=0.2)
@@ -252,7 +252,7 @@ def test_without_a_banner_the_time_of_a_restart_is_waited_for(wire, booting):
 
 
 @pytest.mark.parametrize("length", [1, 2, 5, 11, 40])
-def test_a_banner_in_any_pieces_ends_what_was_known(wire, booting, length):
+def test_a_restart_banner_in_any_pieces_clears_all_known_values(wire, booting, length):
     wire.say(angle(b"1.0"), after_s=2.5)
     text = b"$8Micro tracking" + BANNER + b"$,"
     for start in range(0, len(text), length):

@@ -18,21 +18,21 @@ def take_together(table, *blocks):
 
 
 @pytest.mark.parametrize("last", [(10.0, 14.0, 14.0), (16.0, 16.0)])
-def test_a_jump_is_seen_in_screens_that_were_let_come_together(last):
+def test_a_jump_of_the_angle_is_detected_in_screens_that_were_gathered(last):
     table = FieldTable()
     take_together(table, (10.0, 10.0), (10.0, 10.0), (10.0, 10.0), last)
     assert (table.get(Field.A_ANGLE).number, table.jumped_s) == (last[-1], 0.27 * 3)
 
 
 @pytest.mark.parametrize("last", [(13.0, 13.0), (10.0, 90.0)])
-def test_what_an_axis_can_turn_by_meanwhile_and_what_comes_once_are_no_jump(last):
+def test_a_possible_turn_and_a_single_outlier_in_gathered_screens_are_not_a_jump(last):
     table = FieldTable()
     take_together(table, (10.0, 10.0), (10.0, 10.0), last, (last[0], last[0]))
     assert (table.get(Field.A_ANGLE).number, table.jumped_s) == (last[0], None)
 
 
 @pytest.mark.parametrize("following", [b"%c0" % Field.STATUS, b"%c10.2" % Field.A_ANGLE, b"%c20.0" % Field.B_ANGLE])
-def test_a_screen_that_has_lost_its_end_is_ended_by_whatever_follows(following):
+def test_a_screen_that_has_lost_its_end_is_ended_by_any_following_field(following):
     table = FieldTable()
     table.take(axis_a(10.0), 0.0)
     table.take([*axis_a(10.1)[:2], following], 0.27)
@@ -40,7 +40,7 @@ def test_a_screen_that_has_lost_its_end_is_ended_by_whatever_follows(following):
 
 
 @pytest.mark.parametrize(("pause_s", "jumped_s", "unseen_s"), [(0.1, 0.3, None), (1.1, None, 1.2)])
-def test_what_comes_after_a_pause_that_nobody_made_may_be_a_backlog_and_is_no_jump(pause_s, jumped_s, unseen_s):
+def test_a_large_change_after_an_unplanned_pause_counts_as_unseen_motion_and_not_as_a_jump(pause_s, jumped_s, unseen_s):
     table = FieldTable()
     for now_s, angle_deg in ((0.0, 10.0), (pause_s, 10.0), (pause_s + 0.1, 20.0), (pause_s + 0.2, 20.0)):
         table.take(axis_a(angle_deg), now_s)
@@ -58,7 +58,7 @@ def garbled(screen, dice):
 
 
 @pytest.mark.parametrize("seed", range(16))
-def test_a_block_of_screens_leaves_what_its_fields_leave_one_by_one(seed):
+def test_taking_a_block_of_screens_gives_the_same_table_as_taking_its_fields_one_by_one(seed):
     dice = random.Random(seed)
     core, stream, at_once, singly = PositionerCore(), TokenStream(), FieldTable(), FieldTable()
     now_s = 0.0

@@ -35,7 +35,7 @@ def told(fields, a=A, b=B):
         ({79: "368"}, {79: "367"}),
     ],
 )
-def test_a_rounding_is_no_difference_and_twice_that_is_one(same, other):
+def test_a_unit_setting_off_by_its_rounding_is_no_conflict_and_off_by_twice_that_is_one(same, other):
     assert told(same) == ()
     (sentence,) = told(other)
     (code,) = other
@@ -43,7 +43,7 @@ def test_a_rounding_is_no_difference_and_twice_that_is_one(same, other):
     assert re.search(rf"field ({code}|{code - 1} \+ {code}|{code} \+ {code + 1})\b", sentence)
 
 
-def test_arms_may_be_printed_in_either_order():
+def test_the_unit_may_print_its_two_arms_in_either_order_without_a_conflict():
     unequal = replace(A, geometry=Triangle(300.0, 290.0, 90.0, -52.0))
     length = {70: f"{unequal.geometry.low_length_mm:.1f}"}
     assert told(length | {71: "290.0", 72: "300.0"}, unequal) == ()
@@ -69,7 +69,9 @@ def test_arms_may_be_printed_in_either_order():
         ("13", "1.0", "10.0", "lowers", 80.0),
     ],
 )
-def test_side_and_fixed_angle_tell_sense_and_apex_by_the_mode(mode, side, fixed, sense, apex_deg):
+def test_side_and_fixed_angle_are_compared_with_sense_and_apex_according_to_the_geometry_mode(
+    mode, side, fixed, sense, apex_deg
+):
     low_deg = {"raises": -52.0, "lowers": 52.0}[sense]
     setup = replace(A, geometry=Triangle(300.0, 300.0, apex_deg, low_deg, 0.0, sense))
     unit = {70: f"{setup.geometry.low_length_mm:.1f}", 83: mode, 75: side, 76: fixed, 79: "1000"}
@@ -85,7 +87,7 @@ def test_side_and_fixed_angle_tell_sense_and_apex_by_the_mode(mode, side, fixed,
     assert f"field 76 + 77 of the positioner says {apex_deg - 5:g}, but" in sentence
 
 
-def test_mode_2_has_arms_holder_and_length_in_another_order():
+def test_geometry_mode_2_is_read_with_arms_holder_and_length_in_its_own_order():
     unit = dict(zip(range(96, 104), ("300.0", "290.0", "0.0", "0.0", "0.0", "0.0", "52.5", "0.0"), strict=True))
     setup = replace(B, geometry=Triangle(300.0, 290.0, 37.5, 13.0))
     unit |= {99: f"{setup.geometry.low_length_mm:.1f}", 107: "2"}
@@ -96,7 +98,7 @@ def test_mode_2_has_arms_holder_and_length_in_another_order():
         assert f"b_axis.{key} is" in sentence
 
 
-def test_a_length_that_differs_is_told_with_what_it_makes_of_the_low_end():
+def test_a_differing_actuator_length_is_reported_with_the_low_angle_that_it_implies():
     (sentence,) = told({70: "197.3"})
     assert sentence == (
         "field 70 of the positioner says the actuator is 197.3 mm long at its low end, but"
@@ -105,7 +107,7 @@ def test_a_length_that_differs_is_told_with_what_it_makes_of_the_low_end():
 
 
 @pytest.mark.parametrize("axis", ["a", "b"])
-def test_a_range_that_is_too_small_is_told_at_both_ends(axis):
+def test_a_unit_range_that_is_too_small_for_the_limits_is_reported_at_both_ends(axis):
     low, high = {"a": (110, 79), "b": (111, 105)}[axis]
     name = axis.upper()
     begins, ends = told({low: "100", high: "200"})
@@ -136,11 +138,11 @@ DRIVES = {70: "120.0", 79: "200", 80: "3", 83: "1"}
         ({83: "2"}, 1),
     ],
 )
-def test_a_slew_drive_begins_where_its_coordinate_says(unit, count):
+def test_the_low_angle_of_a_slew_drive_is_compared_according_to_its_coordinate_field(unit, count):
     assert len(told(DRIVES | unit, DRIVE)) == count
 
 
-def test_a_unit_that_counts_otherwise_is_told_and_impulses_are_not_compared():
+def test_a_unit_with_another_position_unit_is_reported_and_impulse_counts_are_not_compared():
     (sentence,) = told(DRIVES | {83: "3"}, DRIVE)
     assert 'has no positions in deg, but instruments.positioner.position_unit is "deg": set it' in sentence
     for mode in ("1", "11", "4"):
@@ -150,24 +152,24 @@ def test_a_unit_that_counts_otherwise_is_told_and_impulses_are_not_compared():
     assert told({83: "none", 71: "10.0"}) == ()
 
 
-def test_what_did_not_come_contradicts_nothing():
+def test_a_setup_field_that_was_not_received_is_no_conflict():
     for code in (75, 76, 77, 70, 71, 72, 74, 79, 110, 192):
         assert conflicts({known: text for known, text in FIELDS.items() if known != code}, A, B) == ()
 
 
 @pytest.mark.parametrize(("text", "step"), [("1.0", 1.0), ("0.9", None), ("75.0", 1 / 75), ("-75", None), ("?", None)])
-def test_a_hall_count_is_told_by_the_gear(text, step):
+def test_the_size_of_a_hall_count_is_derived_from_the_gear_field(text, step):
     assert count_step({78: text}, "a") == step
     assert count_step({104: text}, "b") == step
     assert count_step({104: text}, "a") is None
 
 
 @pytest.mark.parametrize(("text", "missing"), [("999999", ()), ("-999999", ()), ("1000000", (79,)), ("nan", (79,))])
-def test_what_is_no_number_that_can_be_is_missing(text, missing):
+def test_a_setup_field_that_is_not_a_possible_number_counts_as_missing(text, missing):
     assert missing_fields(FIELDS | {79: text}) == missing
 
 
-def test_what_a_unit_does_not_tell_of_its_setup_is_not_waited_for_again_and_of_another_unit_it_is():
+def test_a_missing_setup_field_is_waited_for_only_once_per_unit_and_anew_for_another_unit():
     async def scenario(positioner, unit, now):
         took_s = []
         for serial in (b"1", b"1", b"2"):

@@ -10,7 +10,7 @@ from drivers.positioners.pozsol.wire import Field, TokenStream, encode_command, 
 ALLOWED = {44, 46, 48, 50, 56, 57, 136}
 
 
-def test_an_angle_command_is_one_dollar_one_code_a_number_and_a_byte_that_ends_it():
+def test_an_angle_command_is_a_dollar_a_code_a_number_and_a_carriage_return():
     assert encode_command(Field.A_ANGLE, -45.5) == b"$,-45.5000\r"
     assert encode_command(Field.B_ANGLE, 90) == b"$090.0000\r"
 
@@ -23,14 +23,14 @@ def test_a_destination_command_is_a_whole_number():
 
 
 @pytest.mark.parametrize("field", [Field.A_DESTINATION, Field.B_DESTINATION])
-def test_a_destination_with_a_minus_sign_leaves_neither_the_encoder_nor_the_last_gate(field):
+def test_a_negative_destination_is_refused_by_encode_command_and_by_require_allowed(field):
     with pytest.raises(ValueError, match="from 0 on"):
         encode_command(field, -1)
     with pytest.raises(ValueError, match="is not a command"):
         wire.require_allowed(b"$%c-1\r" % field)
 
 
-def test_the_commands_without_a_number():
+def test_stop_homing_clear_and_tracking_off_are_encoded_as_their_fixed_bytes():
     assert encode_command(Field.MODE, wire.TRACKING_OFF) == b"$8N\r"
     assert encode_command(Field.ACTION, wire.STOP) == b"$9s\r"
     assert encode_command(Field.ACTION, wire.HOME_A) == b"$95\r"
@@ -38,7 +38,7 @@ def test_the_commands_without_a_number():
     assert encode_command(Field.STATUS, wire.CLEAR) == b"$\x880\r"
 
 
-def test_no_other_command_can_be_encoded():
+def test_no_command_code_outside_the_allow_list_can_be_encoded():
     for code in set(range(-1, 300)) - ALLOWED:
         for value in (1.0, "N", "s", "0"):
             with pytest.raises(ValueError, match="not allowed"):
@@ -46,14 +46,14 @@ def test_no_other_command_can_be_encoded():
 
 
 @pytest.mark.parametrize(("code", "value"), [(56, "Y"), (56, "n"), (57, "1"), (57, "4"), (57, ""), (57, 5), (136, "1")])
-def test_a_mode_that_moves_by_itself_and_the_jog_cannot_be_encoded(code, value):
+def test_own_tracking_jogs_and_other_values_that_are_not_allowed_cannot_be_encoded(code, value):
     with pytest.raises(ValueError, match="may only carry"):
         encode_command(code, value)
 
 
 @pytest.mark.parametrize("code", [44, 46, 48, 50])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e6, "12"])
-def test_what_is_not_a_reasonable_number_is_refused(code, value):
+def test_encode_command_refuses_nan_infinity_too_large_numbers_and_text(code, value):
     with pytest.raises(ValueError, match=str(code)):
         encode_command(code, value)
 
@@ -66,17 +66,17 @@ def test_every_angle_command_fits_one_packet_and_reads_back_to_the_fourth_decima
     assert float(packet[2:-1]) == pytest.approx(angle_deg, abs=5.1e-5)
 
 
-def test_tokens_come_out_once_their_successor_has_begun():
+def test_the_token_stream_returns_a_token_once_the_next_one_has_begun():
     stream = TokenStream()
     assert stream.feed(b"$,12.3$-45.6000$\xb2") == [(44, b"12.3"), (45, b"45.6000")]
     assert stream.feed(b"22$%36A1$") == [(178, b"22"), (37, b"36A1")]
 
 
-def test_what_came_before_the_first_separator_is_not_believed():
+def test_the_token_stream_drops_bytes_before_the_first_separator():
     assert TokenStream().feed(b"5.6000$,12.3$") == [(44, b"12.3")]
 
 
-def test_merged_screens_empty_tokens_and_odd_bytes_do_no_harm():
+def test_the_token_stream_copes_with_merged_screens_empty_tokens_and_odd_bytes():
     stream = TokenStream()
     assert stream.feed(b"$$$,1.0$\xe2\xf8 C$$\x00$") == [(44, b"1.0"), (226, b"\xf8 C"), (0, b"")]
 
@@ -101,7 +101,7 @@ TOKENS = st.lists(
 
 
 @given(TOKENS, st.lists(st.integers(0, 400), max_size=20))
-def test_however_the_stream_is_cut_the_same_tokens_come_out(tokens, cuts):
+def test_the_token_stream_returns_the_same_tokens_however_its_bytes_are_cut(tokens, cuts):
     data = b"".join(b"$" + bytes([code]) + value for code, value in tokens) + b"$"
     stream, found, start = TokenStream(), [], 0
     for end in [*sorted(cuts), len(data)]:
@@ -111,7 +111,7 @@ def test_however_the_stream_is_cut_the_same_tokens_come_out(tokens, cuts):
 
 
 @given(st.binary(max_size=2000))
-def test_no_bytes_whatever_upset_the_decoder(data):
+def test_random_bytes_never_break_the_token_stream_or_overfill_its_buffer(data):
     stream = TokenStream()
     assert all(0 <= code <= 255 and b"$" not in value for code, value in stream.feed(data))
     assert len(stream._pending) <= 1 + wire.MAXIMUM_VALUE
@@ -125,7 +125,7 @@ def test_a_number_is_read_in_whatever_width_it_is_printed(value, number):
 
 
 @pytest.mark.parametrize("field", wire.DECIMALS)
-def test_what_is_no_number_or_beyond_what_the_field_can_say_is_refused(field):
+def test_a_field_value_that_is_not_a_number_or_beyond_its_range_is_refused(field):
     assert parse_number(field, b"12.3456") == 12.3456
     for value in (
         b"",
@@ -146,7 +146,7 @@ def test_what_is_no_number_or_beyond_what_the_field_can_say_is_refused(field):
 
 
 @pytest.mark.parametrize("field", wire.DECIMALS)
-def test_each_field_has_its_range(field):
+def test_each_numeric_field_accepts_the_ends_of_its_range_and_refuses_values_beyond_them(field):
     name = field.name.removeprefix("A_").removeprefix("B_")
     low, high = {"ANGLE": (-360, 360), "CURRENT": (-50, 50), "SUPPLY": (-1, 100)}.get(name, (-99_999, 99_999))
     assert [parse_number(field, f"{edge}".encode()) for edge in (low, high)] == [low, high]
@@ -155,7 +155,7 @@ def test_each_field_has_its_range(field):
             parse_number(field, beyond.encode())
 
 
-def test_a_quiet_status_says_nothing():
+def test_a_zero_status_shows_no_faults_no_end_switches_and_no_own_mode():
     status = parse_status("0000")
     assert status.faults == ()
     assert status.end_switches == ()
@@ -178,13 +178,13 @@ def test_every_fault_bit_has_its_name_and_no_other_bit_has_one():
     }
 
 
-def test_the_bits_of_b_are_those_of_the_two_generations():
+def test_the_status_bits_of_axis_b_and_of_memory_faults_match_both_board_generations():
     assert (wire.B_OUT_BIT_STM, wire.B_OUT_BIT_LPC, wire.B_HIGH_BIT_STM) == (15, 16, 22)
     for bit in (14, 30):
         assert parse_status(str(1 << bit)).memory_fault
 
 
-def test_marks_and_modes_are_read_from_their_bits():
+def test_status_marks_end_switches_and_modes_are_read_from_their_bits():
     assert parse_status(str(1 << 8)).was_reset
     assert parse_status(str(1 << 9)).button_pressed
     assert parse_status(str(1 << 13)).homing
@@ -206,7 +206,7 @@ def test_bits_on_which_the_generations_disagree_are_not_interpreted(bit):
 
 
 @pytest.mark.parametrize("start", [wire.B_OUT_BIT_STM, wire.B_OUT_BIT_LPC])
-def test_with_a_known_generation_the_reference_run_of_b_is_read_too(start):
+def test_homing_and_high_end_switch_of_axis_b_are_read_when_the_board_generation_is_known(start):
     assert not parse_status(str(0b11 << start), start).homing
     assert parse_status(str(1 << start + 2), start).homing
     assert parse_status(str(1 << 22), wire.B_OUT_BIT_STM).end_switches == ("b_high",)
@@ -237,5 +237,5 @@ def test_a_status_that_is_no_32_bit_number_is_refused(text):
         ({108: "1", 118: "1000"}, ("a night position (108=1)", "a reference run every few days (118=1000)")),
     ],
 )
-def test_a_move_of_the_unit_s_own_is_off_by_1000_for_a_place_and_by_0_for_days(fields, told):
+def test_own_moves_of_the_unit_are_switched_off_by_1000_for_a_position_and_by_0_for_days(fields, told):
     assert own_moves(fields) == told

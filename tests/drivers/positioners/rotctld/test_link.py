@@ -63,7 +63,7 @@ def with_peer(test):
     asyncio.run(both())
 
 
-def test_answers_go_to_those_who_asked_in_their_order_and_the_tap_hears_both_ways():
+def test_replies_go_to_their_callers_in_command_order_and_the_tap_records_both_directions():
     @with_peer
     async def _(line, peer):
         assert not line.simulated
@@ -79,7 +79,7 @@ def test_answers_go_to_those_who_asked_in_their_order_and_the_tap_hears_both_way
         assert b"".join(data for way, data in peer.tapped if way == "<") == POSITION + b"stop:\nRPRT -6\n"
 
 
-def test_silence_is_told_with_the_command_and_the_time_and_a_late_answer_goes_to_nobody():
+def test_a_missing_reply_is_reported_with_command_and_deadline_and_a_late_reply_is_dropped():
     @with_peer
     async def _(line, peer):
         with pytest.raises(DeadlineError, match=r"did not answer set_pos within 0\.05 s"):
@@ -90,7 +90,7 @@ def test_silence_is_told_with_the_command_and_the_time_and_a_late_answer_goes_to
         assert (await waiting).command == "stop"
 
 
-def test_who_says_what_nobody_asked_is_no_rotctld():
+def test_an_answer_that_nobody_asked_for_is_a_protocol_error():
     @with_peer
     async def _(line, peer):
         peer.writer.write(POSITION)
@@ -99,7 +99,7 @@ def test_who_says_what_nobody_asked_is_no_rotctld():
             await line.ask(b"+\\stop\n", PATIENCE_S)
 
 
-def test_who_sends_without_end_is_no_rotctld():
+def test_a_peer_that_sends_without_end_is_refused_as_not_a_rotctld():
     @with_peer
     async def _(line, peer):
         waiting = asyncio.ensure_future(line.ask(b"+\\stop\n", PATIENCE_S))
@@ -110,7 +110,7 @@ def test_who_sends_without_end_is_no_rotctld():
                 await asked
 
 
-def test_an_end_of_the_connection_is_told_to_who_waits_and_to_who_asks_later():
+def test_a_closed_connection_is_reported_to_waiting_and_to_later_callers():
     @with_peer
     async def _(line, peer):
         waiting = asyncio.ensure_future(line.ask(b"+\\get_pos\n", PATIENCE_S))
@@ -130,7 +130,7 @@ def test_an_end_of_the_connection_is_told_to_who_waits_and_to_who_asks_later():
         (TimeoutError(), "there:1 does not answer: is the machine on, and does its network work"),
     ],
 )
-def test_who_cannot_be_reached_is_said_with_the_reason(fault, sentence, monkeypatch):
+def test_a_rotctld_that_cannot_be_reached_is_reported_with_the_reason(fault, sentence, monkeypatch):
     async def opened():
         async def refuse(*_):
             raise fault

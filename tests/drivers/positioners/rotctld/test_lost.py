@@ -19,7 +19,7 @@ from tests.drivers.positioners.rotctld.told import (
 )
 
 
-def test_an_answer_to_something_else_ends_the_connection():
+def test_an_answer_to_another_command_ends_the_connection_to_rotctld():
     async def ask(driver, line):
         line.says["get_pos"] = line.says["stop"]
         with pytest.raises(ProtocolError, match="answers stop to get_pos: is it rotctld"):
@@ -29,7 +29,7 @@ def test_an_answer_to_something_else_ends_the_connection():
     told(ask)
 
 
-def test_who_is_silent_is_lost_at_the_deadline_and_has_to_be_opened_anew():
+def test_a_silent_rotctld_is_a_lost_link_at_the_deadline_and_has_to_be_opened_again():
     async def scenario(now):
         line = InMemoryRotctld(RotatorCore(now(), start=(180.0, 45.0)), now)
         driver = driver_on(line, now, telemetry_stale_s=1.5)
@@ -52,7 +52,7 @@ def test_who_is_silent_is_lost_at_the_deadline_and_has_to_be_opened_anew():
 
 
 @pytest.mark.parametrize("moves", [True, False])
-def test_a_rotctld_that_hears_and_does_not_answer_is_sent_a_stop_before_the_line_is_closed(moves):
+def test_a_rotctld_that_stops_answering_during_a_move_is_sent_a_stop_before_its_line_is_closed(moves):
     class Mute(Told):
         is_mute = False
 

@@ -17,7 +17,7 @@ def mount(azimuth, elevation=(0.0, 90.0), equator=180.0):
 
 
 @given(st.floats(-50, 50), st.floats(15, 90), st.sampled_from([48.7, -33.9]))
-def test_it_points_where_the_normal_of_the_tracker_s_frame_points_and_back(a_deg, b_deg, latitude_deg):
+def test_tracker_angles_are_converted_to_azimuth_and_elevation_of_their_normal_and_back(a_deg, b_deg, latitude_deg):
     equator_deg = equator_azimuth_deg(latitude_deg)
     found = pointing(a_deg, b_deg, equator_deg)
     azimuth_deg, elevation_deg = azimuth_from_direction(normal_from_angles(a_deg, b_deg), latitude_deg)
@@ -28,7 +28,7 @@ def test_it_points_where_the_normal_of_the_tracker_s_frame_points_and_back(a_deg
 
 
 @given(st.floats(-50, 50), st.floats(15, 90), st.sampled_from([0.1, 1.0, 3.0]), st.tuples(*2 * [st.floats(-0.5, 0.5)]))
-def test_no_angle_is_further_from_where_its_steps_let_it_rest(a_deg, b_deg, step_deg, shift):
+def test_no_angle_is_further_than_rests_within_from_where_the_rotator_steps_let_it_rest(a_deg, b_deg, step_deg, shift):
     # Nobody says where steps are counted from: so every shift within a step is tried.
     sent = FULL.place(a_deg, b_deg)
     rests = RotatorPosition(*(each + share * step_deg for each, share in zip(sent, shift, strict=True)))
@@ -41,7 +41,7 @@ def test_no_angle_is_further_from_where_its_steps_let_it_rest(a_deg, b_deg, step
     ("place", "expected"),
     [((180, 45), (0, 45)), ((270, 40), (50, 90)), ((129.03, 9.58), (-50, 15)), ((217.01, 33.83), (30, 40))],
 )
-def test_known_places(place, expected):
+def test_known_azimuths_and_elevations_give_the_expected_angles_in_both_hemispheres(place, expected):
     assert angles(*place, 180.0) == pytest.approx(expected, abs=0.02)
     # South of the equator the same angles are on the other side; east stays east.
     azimuth_deg, elevation_deg = place
@@ -64,7 +64,7 @@ def test_known_places(place, expected):
         ((-180, 450), 0.0, -30, 399.23),
     ],
 )
-def test_an_azimuth_is_given_in_a_turn_that_the_rotator_has(turns, equator, a_deg, azimuth_deg):
+def test_a_target_azimuth_is_given_in_a_turn_within_the_range_of_the_rotator(turns, equator, a_deg, azimuth_deg):
     found = mount(turns, equator=equator).place(a_deg, 45.0)
     assert found.azimuth_deg == pytest.approx(azimuth_deg, abs=0.01)
     assert turns[0] <= found.azimuth_deg <= turns[1]
@@ -74,14 +74,14 @@ def test_an_azimuth_is_given_in_a_turn_that_the_rotator_has(turns, equator, a_de
     st.lists(st.tuples(st.floats(-50, 50), st.floats(15, 89)), min_size=2),
     st.sampled_from([(-180.0, 450.0), (0.0, 720.0)]),
 )
-def test_however_the_sky_leads_it_about_cables_are_never_wound_further(places, turns):
+def test_all_target_azimuths_stay_within_half_a_turn_so_that_cables_are_never_wound_up(places, turns):
     # All azimuths of a day are within half a turn, and each place always has the same one.
     seen = [mount(turns).place(a_deg, b_deg).azimuth_deg for a_deg, b_deg in places]
     assert max(seen) - min(seen) <= 180.0 + 1e-6
     assert [mount(turns).place(a_deg, b_deg).azimuth_deg for a_deg, b_deg in places] == seen
 
 
-def test_at_the_zenith_it_stays_turned_as_it_is():
+def test_the_rotator_keeps_its_azimuth_at_the_zenith():
     assert FULL.place(0.0, 90.0, RotatorPosition(123.0, 20.0)) == (123.0, 90.0)
     assert FULL.place(0.3, 89.8, RotatorPosition(123.0, 20.0)) == (123.0, 90.0)
     # A rotator that stands beyond its range comes back into it.
@@ -89,19 +89,19 @@ def test_at_the_zenith_it_stays_turned_as_it_is():
 
 
 @pytest.mark.parametrize(("b_deg", "azimuth_deg"), [(89.6, 123.0), (89.4, 180.0), (90.4, 123.0), (90.6, 0.0)])
-def test_half_a_degree_from_the_zenith_the_azimuth_means_something(b_deg, azimuth_deg):
+def test_the_azimuth_is_kept_only_within_half_a_degree_of_the_zenith(b_deg, azimuth_deg):
     assert FULL.place(0.0, b_deg, RotatorPosition(123.0, 20.0)).azimuth_deg % 360.0 == pytest.approx(azimuth_deg)
 
 
 @pytest.mark.parametrize("place", [(0.0, 90.0), (0.2, 89.7), (20.0, 70.0)])
-def test_what_it_cannot_reach_is_said_with_its_range(place):
+def test_an_unreachable_target_is_refused_with_the_range_of_the_rotator(place):
     low = mount((0, 360), (0, 60))
     with pytest.raises(UnreachableError, match=r"elevation .*rotator turns azimuth 0 to 360 and elevation 0 to 60 deg"):
         low.place(*place)
     assert low.place(0.0, 50.0) == pytest.approx((180.0, 50.0))
 
 
-def test_the_edges_of_the_range_belong_to_it():
+def test_the_ends_of_the_azimuth_range_belong_to_the_range():
     east = mount((90, 270)).place(-50.0, 90.0)
     west = mount((90, 270)).place(50.0, 90.0)
     assert (east.azimuth_deg, west.azimuth_deg) == pytest.approx((90.0, 270.0))
@@ -126,11 +126,11 @@ def test_a_reported_azimuth_is_taken_in_the_turn_of_the_range(turns, said, count
         ((0, 90), 80.0, 200.0, 200.0),
     ],
 )
-def test_at_an_end_of_the_range_it_goes_on_from_the_look_before(turns, before, said, counted):
+def test_a_reported_azimuth_near_an_end_of_the_range_continues_from_the_previous_reading(turns, before, said, counted):
     assert mount(turns).counted(said, before) == pytest.approx(counted)
 
 
-def test_not_a_number_is_unreachable():
+def test_an_angle_that_is_not_a_number_is_unreachable():
     for a_deg, b_deg in ((np.nan, 45.0), (0.0, np.nan)):
         with pytest.raises((UnreachableError, ValueError)):
             FULL.place(a_deg, b_deg)

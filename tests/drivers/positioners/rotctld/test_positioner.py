@@ -25,7 +25,7 @@ from tests.drivers.positioners.rotctld.told import (
 )
 
 
-def test_it_is_known_by_what_its_server_says_of_it_and_nothing_is_sent_that_moves_it():
+def test_a_rotator_is_identified_by_its_rotctld_and_opening_sends_nothing_that_moves_it():
     identity, line = opened()
     assert (identity.board, identity.firmware, identity.serial) == ("SPID", "Hamlib model 603", "")
     assert (identity.simulated, identity.setup_conflicts) == (False, ())
@@ -42,14 +42,14 @@ def test_it_is_known_by_what_its_server_says_of_it_and_nothing_is_sent_that_move
     ({"get_info": at(0, 0)}, ConnectError, "answers get_pos to get_info: is it rotctld"),
     ({"get_info": b"RPRT 0\n"}, ConnectError, "answers without a name to get_info"),
 ])  # fmt: skip
-def test_who_cannot_be_read_is_not_opened_and_not_kept(says, error, sentence):
+def test_a_rotctld_whose_answers_cannot_be_read_is_not_opened_and_its_line_is_closed(says, error, sentence):
     line = Told(**says)
     with pytest.raises(error, match=sentence):
         run(lambda now: driver_on(line, now).open())
     assert not line.is_open
 
 
-def test_another_model_than_the_one_that_is_set_is_refused_and_that_one_is_not():
+def test_only_a_rotator_of_the_configured_hamlib_model_is_opened():
     line = Told()
     with pytest.raises(IdentityError, match=r"model 603, but instruments\.positioner\.model is 604"):
         run(lambda now: driver_on(line, now, model=604).open())
@@ -61,7 +61,7 @@ def test_another_model_than_the_one_that_is_set_is_refused_and_that_one_is_not()
     ((720, 45), True), ((-720, 45), True), ((720.1, 45), False), ((-720.1, 45), False),
     ((180, -90), True), ((180, 180), True), ((180, -90.1), False), ((180, 180.1), False),
 ])  # fmt: skip
-def test_a_place_where_no_rotator_points_is_no_position(place, believed):
+def test_a_reported_position_where_no_rotator_can_point_is_a_protocol_error(place, believed):
     async def look(driver, line):
         line.says["get_pos"] = at(*place)
         if believed:
@@ -78,7 +78,7 @@ def test_a_place_where_no_rotator_points_is_no_position(place, believed):
     (-50.1, 45.0, False), (50.1, 45.0, False), (0.0, 14.9, False), (0.0, 90.1, False),
     (float("nan"), 45.0, False), (0.0, float("nan"), False), (float("inf"), 45.0, False), (0.0, float("inf"), False),
 ])  # fmt: skip
-def test_nothing_is_sent_beyond_the_limits_and_all_within_is(a_deg, b_deg, goes):
+def test_a_target_within_the_limits_is_sent_and_one_beyond_them_is_refused_and_not_sent(a_deg, b_deg, goes):
     async def move(driver, _):
         if goes:
             await driver.move_to(a_deg, b_deg)
@@ -90,7 +90,7 @@ def test_nothing_is_sent_beyond_the_limits_and_all_within_is(a_deg, b_deg, goes)
     assert [sent.partition(" ")[0] for sent in line.sent] == (["get_pos", "set_pos"] if goes else [])
 
 
-def test_a_target_is_shown_until_a_stop_or_a_refusal_takes_it_away():
+def test_telemetry_shows_the_target_until_a_stop_or_a_refusal_removes_it():
     async def move(driver, line):
         async def aims_at():
             seen = await driver.read_telemetry()
@@ -110,7 +110,7 @@ def test_a_target_is_shown_until_a_stop_or_a_refusal_takes_it_away():
     told(move)
 
 
-def test_a_place_beyond_its_range_is_refused_with_the_range_and_nothing_is_sent():
+def test_a_target_beyond_the_range_of_the_rotator_is_refused_with_its_azimuth_and_not_sent():
     async def move(driver, line):
         with pytest.raises(
             RefusedError, match=r"the target A 0\.0, B 75\.0 deg: it lies at azimuth 180\.0, elevation 75"
@@ -121,7 +121,7 @@ def test_a_place_beyond_its_range_is_refused_with_the_range_and_nothing_is_sent(
     told(move, (0.0, 50.0), {"elevation_max_deg": 60.0})
 
 
-def test_a_stop_that_comes_while_a_target_is_made_ready_lets_it_not_go_out():
+def test_a_stop_that_comes_while_a_move_is_prepared_keeps_its_target_from_being_sent():
     class Slow(Told):
         async def ask(self, command, within_s):
             await asyncio.sleep(0.1)
@@ -142,31 +142,31 @@ def test_a_stop_that_comes_while_a_target_is_made_ready_lets_it_not_go_out():
     assert "set_pos 180.00 60.00" not in line.sent
 
 
-def test_a_stop_that_does_not_reach_the_rotator_is_said_with_the_remedy():
+def test_a_stop_that_does_not_reach_the_rotator_is_reported_with_the_remedy():
     sentence = r"rotctld answers stop with time-out of the rotator \(RPRT -5\): .* then restart rotctld"
     with pytest.raises(LinkLostError, match=sentence):
         told(lambda driver, _: driver.stop(), stop=ends_with("stop", -5))
 
 
 @pytest.mark.parametrize("error", [-5, -6, -8])
-def test_where_it_is_sent_in_place_of_a_stop_has_to_reach_it_too(error):
+def test_a_present_position_sent_in_place_of_a_stop_that_does_not_arrive_is_a_lost_link(error):
     with pytest.raises(LinkLostError, match=rf"rotctld answers set_pos with .* \(RPRT {error}\): look at the rotator"):
         told(lambda driver, _: driver.stop(), stop=ends_with("stop", -11), set_pos=ends_with("set_pos", error))
 
 
 @pytest.mark.parametrize("error", [-1, -9, -21])
-def test_one_that_does_not_take_where_it_is_in_place_of_a_stop_is_left_to_who_watches_it(error):
+def test_a_present_position_refused_in_place_of_a_stop_raises_nothing_and_leaves_the_line_open(error):
     _, line = told(lambda driver, _: driver.stop(), stop=ends_with("stop", -4), set_pos=ends_with("set_pos", error))
     assert line.is_open
 
 
-def test_a_target_that_does_not_reach_the_rotator_puts_no_blame_on_its_limits():
+def test_a_target_that_does_not_reach_the_rotator_is_refused_without_blaming_its_limits():
     with pytest.raises(RefusedError) as caught:
         told(lambda driver, _: driver.move_to(0.0, 60.0), set_pos=ends_with("set_pos", -6))
     assert caught.value.message.endswith("elevation 60.00 deg: no connection to the rotator (RPRT -6)")
 
 
-def test_before_the_first_opening_its_range_is_not_known():
+def test_the_range_of_the_rotator_is_unknown_before_the_driver_is_first_opened():
     async def scenario(now):
         driver = driver_on(Told(), now)
         assert driver.mount is None
@@ -179,7 +179,7 @@ def test_before_the_first_opening_its_range_is_not_known():
     run(scenario)
 
 
-def test_telemetry_is_of_when_it_was_asked_for():
+def test_telemetry_carries_the_time_at_which_it_was_asked_for():
     async def scenario(driver, rotator, now):
         await asyncio.sleep(3.0)
         seen = await driver.read_telemetry()
@@ -191,7 +191,7 @@ def test_telemetry_is_of_when_it_was_asked_for():
     on_rotator(scenario)
 
 
-def test_a_halt_of_one_that_stands_is_quick_and_of_one_that_turns_lasts_until_it_stands():
+def test_halt_returns_quickly_for_a_standing_rotator_and_waits_until_a_turning_one_stands():
     async def scenario(driver, rotator, now):
         begin_s = now()
         await driver.halt()
@@ -211,7 +211,7 @@ def test_a_halt_of_one_that_stands_is_quick_and_of_one_that_turns_lasts_until_it
 @pytest.mark.parametrize(("resolution_deg", "slowest_deg_per_s", "stands_for_s"), [
     (0.1, 1.0, 0.6), (0.5, 0.5, 1.8), (0.001, 0.02, 2.625),
 ])  # fmt: skip
-def test_who_turns_slowly_or_is_rounded_coarsely_is_watched_for_longer(resolution_deg, slowest_deg_per_s, stands_for_s):
+def test_halt_watches_a_slow_or_coarsely_rounded_rotator_for_longer(resolution_deg, slowest_deg_per_s, stands_for_s):
     async def scenario(driver, _, now):
         begin_s = now()
         await driver.halt()
@@ -223,7 +223,7 @@ def test_who_turns_slowly_or_is_rounded_coarsely_is_watched_for_longer(resolutio
 @pytest.mark.parametrize(
     ("way_deg", "stands"), [((0.11, 0), True), ((0, 0.11), True), ((0.13, 0), False), ((0, -0.13), False)]
 )
-def test_what_differs_by_more_than_its_resolution_moves(way_deg, stands):
+def test_a_rotator_counts_as_moving_if_its_position_changes_by_more_than_its_resolution(way_deg, stands):
     class Trembling(Told):
         async def ask(self, command, within_s):
             there = self.sent.count("get_pos") % 2
@@ -250,7 +250,7 @@ def test_what_differs_by_more_than_its_resolution_moves(way_deg, stands):
     run(scenario)
 
 
-def test_it_has_no_reference_run_no_own_tracking_and_no_faults_to_clear():
+def test_a_rotctld_rotator_has_no_reference_run_no_own_tracking_and_no_faults_to_clear():
     async def scenario(driver, rotator, now):
         with pytest.raises(RefusedError, match="has no reference run of axis B"):
             await driver.home("b")
@@ -273,7 +273,7 @@ def test_it_has_no_reference_run_no_own_tracking_and_no_faults_to_clear():
     (STATE.replace(b"90.0", b"60.0").replace(b"AzEl", b"Az"), (0.0, 90.0), ["the kind Az", "the stow position A 0"]),
     (STATE.replace(b"90.0", b"60.0"), (0.0, 50.0), []),
 ])  # fmt: skip
-def test_what_speaks_against_a_rotator_is_said_at_once(state, stow, sentences):
+def test_opening_reports_a_wrong_rotator_kind_an_empty_range_or_an_unreachable_stow_position(state, stow, sentences):
     line = Told(dump_state=state)
     found = run(lambda now: driver_on(line, now, stow).open()).setup_conflicts
     assert len(found) == len(sentences)

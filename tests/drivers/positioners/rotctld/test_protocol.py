@@ -19,12 +19,12 @@ def test_a_command_is_one_line_with_all_its_arguments():
 
 
 @pytest.mark.parametrize("argument", [math.nan, math.inf, -math.inf])
-def test_what_is_no_number_is_never_sent(argument):
+def test_a_command_with_an_argument_that_is_not_finite_is_refused(argument):
     with pytest.raises(ValueError, match="finite"):
         command("set_pos", 10.0, argument)
 
 
-def test_replies_are_cut_out_of_whatever_pieces_they_come_in():
+def test_replies_are_read_correctly_from_pieces_of_any_size():
     data = b"get_pos:\nAzimuth: 12.50\nElevation: 30.00\nRPRT 0\nset_pos: 500 20\nRPRT -1\nRPRT -8\n" + STATE
     for size in (1, 7, len(data)):
         stream = ReplyStream()
@@ -35,7 +35,7 @@ def test_replies_are_cut_out_of_whatever_pieces_they_come_in():
         assert state_of(state) == (1, (-180.0, 450.0), (0.0, 90.0), "AzEl")
 
 
-def test_blanks_at_the_ends_of_its_lines_are_no_part_of_an_answer():
+def test_blanks_at_the_ends_of_the_lines_of_a_reply_are_ignored():
     (reply,) = ReplyStream().feed(b" get_pos: \r\n Azimuth :  12.50 \r\nElevation:30 \r\nRPRT 0 \r\n")
     assert (reply.command, reply.number("Azimuth"), reply.number("Elevation")) == ("get_pos", 12.5, 30.0)
 
@@ -47,7 +47,7 @@ def test_a_value_that_is_no_finite_number_is_an_error(text):
         reply.number("Azimuth")
 
 
-def test_an_older_server_without_a_kind_is_understood_and_one_without_limits_is_not():
+def test_a_dump_state_without_a_rotator_kind_is_understood_and_one_without_limits_is_refused():
     (older,) = ReplyStream().feed(STATE.replace(b"South Zero: 0\nrot_type=AzEl\ndone\n", b""))
     assert state_of(older).kind == ""
     (lacking,) = ReplyStream().feed(STATE.replace(b"Maximum Elevation: 90.000000\n", b""))

@@ -66,7 +66,7 @@ async def arrive(driver, a_deg, b_deg):
             await asyncio.sleep(0.05)
 
 
-def test_it_says_who_it_is_and_that_the_dummy_is_none_that_moves_steel(start_rotctld, run):
+def test_the_dummy_rotator_of_hamlib_is_identified_and_marked_as_simulated(start_rotctld, run):
     async def act(driver):
         return await driver.open()
 
@@ -98,7 +98,7 @@ def test_a_target_is_reached_and_shown_in_the_tracker_s_angles(start_rotctld, ru
     run(driver_of(server.place, equator_deg=equator_deg, **turns), act)
 
 
-def test_a_stop_is_sent_behind_a_move_that_is_not_answered_yet_and_both_are_understood(start_rotctld, run):
+def test_a_stop_is_sent_after_a_move_that_is_not_answered_yet_and_both_are_understood(start_rotctld, run):
     pieces, stops = [], []
 
     def tap(way, data):
@@ -144,7 +144,7 @@ def test_a_halt_ends_a_move_and_nothing_moves_afterwards(start_rotctld, run):
 NARROW = ("-C", "min_az=100,max_az=260,min_el=10,max_el=60")
 
 
-def test_a_rotator_that_cannot_be_stowed_is_said_in_a_sentence_and_one_stowed_elsewhere_is_fine(start_rotctld, run):
+def test_a_stow_position_beyond_the_range_is_reported_and_one_within_it_is_accepted(start_rotctld, run):
     server = start_rotctld(*NARROW)
 
     async def act(driver):
@@ -156,7 +156,7 @@ def test_a_rotator_that_cannot_be_stowed_is_said_in_a_sentence_and_one_stowed_el
     assert run(driver_of(server.place, stow=(0.0, 50.0)), act) == ()
 
 
-def test_each_target_is_checked_against_the_range_by_us_and_by_rotctld(start_rotctld, run):
+def test_each_target_is_checked_against_the_range_by_the_driver_and_by_rotctld(start_rotctld, run):
     server = start_rotctld(*NARROW)
 
     async def act(driver):
@@ -178,7 +178,7 @@ def test_each_target_is_checked_against_the_range_by_us_and_by_rotctld(start_rot
     )
 
 
-def test_where_offsets_make_rotctld_s_own_limits_wrong_the_range_that_is_set_counts(start_rotctld, run):
+def test_the_configured_range_counts_when_offsets_make_the_limits_of_rotctld_wrong(start_rotctld, run):
     # With an offset of 100 rotctld says 100 to 460, and takes -100 to 260.
     server = start_rotctld("-o", "100", "-C", "min_az=0,max_az=360")
     server.ask("P 100 45\n", b"RPRT")
@@ -200,7 +200,7 @@ async def refuse_in_the_west(driver):
     await driver.move_to(70.0, 100.0)
 
 
-def test_a_killed_rotctld_is_a_lost_link_at_once_and_a_new_one_is_taken_up(start_rotctld, run):
+def test_a_killed_rotctld_is_a_lost_link_at_once_and_a_restarted_one_can_be_opened_again(start_rotctld, run):
     server = start_rotctld()
 
     async def act(driver):
@@ -237,7 +237,7 @@ def test_a_rotctld_that_hangs_is_given_up_at_the_deadline(start_rotctld, run):
     run(driver_of(server.place, telemetry_stale_s=0.5), act)
 
 
-def test_another_rotator_than_the_one_that_is_pinned_is_refused(start_rotctld, run):
+def test_a_rotator_of_another_model_than_the_configured_one_is_refused(start_rotctld, run):
     async def act(driver):
         await driver.open()
 
@@ -245,7 +245,7 @@ def test_another_rotator_than_the_one_that_is_pinned_is_refused(start_rotctld, r
         run(driver_of(start_rotctld().place, model=603), act)
 
 
-def test_a_rotator_that_its_rotctld_does_not_reach_is_said_with_the_remedy(start_rotctld, run):
+def test_a_rotator_that_its_rotctld_cannot_reach_is_reported_with_the_remedy(start_rotctld, run):
     # Model 2 asks another rotctld. If that one is gone, every question about the rotator ends in an error.
     far = start_rotctld()
     near = start_rotctld("-m", "2", "-r", far.place)
@@ -267,7 +267,7 @@ def test_a_rotator_that_its_rotctld_does_not_reach_is_said_with_the_remedy(start
         (b"RPRT 0\n", "answers without a name to get_info|sent an answer that nobody asked for"),
     ],
 )
-def test_what_is_no_rotctld_is_never_believed(run, greeting, sentence):
+def test_a_server_that_is_not_rotctld_is_refused_at_opening(run, greeting, sentence):
     async def serve():
         async def peer(reader, writer):
             writer.write(greeting)

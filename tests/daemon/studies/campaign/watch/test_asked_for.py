@@ -20,7 +20,7 @@ from tests.daemon.studies.campaign.watch.scripted import promises
     (Mode.HOLD, None, (10.0, 60.0), ["superseded"]),
     (Mode.TRACKING, None, (10.0, 60.0), []),
 ])  # fmt: skip
-def test_a_target_that_a_parking_mode_does_not_ask_for_is_seen(plant, mode, goto_deg, target, broken):
+def test_the_watch_notices_a_target_that_a_parking_mode_does_not_ask_for(plant, mode, goto_deg, target, broken):
     plant.control.mode = mode
     plant.control.wishes = Wishes(hold=Wish(why="a look", goto_deg=goto_deg))
     plant.order(*target)
@@ -32,7 +32,7 @@ def in_a_storm(plant):
     return plant
 
 
-def test_a_stow_that_waits_for_nothing_is_seen_after_two_decisions(plant):
+def test_the_watch_notices_a_stow_delayed_without_reason_after_two_decisions(plant):
     in_a_storm(plant).wait(11)
     assert promises(plant) == []
     plant.wait(3)
@@ -40,7 +40,7 @@ def test_a_stow_that_waits_for_nothing_is_seen_after_two_decisions(plant):
 
 
 @pytest.mark.parametrize("why", ["it is under way", "it has failed", "it stands there", "another fault is on"])
-def test_a_stow_that_is_done_or_tried_or_cannot_be_is_no_such_thing(plant, why):
+def test_the_watch_accepts_a_stow_that_is_done_under_way_failed_or_prevented_by_another_fault(plant, why):
     if why == "it is under way":
         plant.motion.target = (0.0, 90.0)
     elif why == "it has failed":
@@ -53,7 +53,7 @@ def test_a_stow_that_is_done_or_tried_or_cannot_be_is_no_such_thing(plant, why):
     assert promises(plant) == []
 
 
-def test_a_stow_has_its_time_again_whenever_it_was_under_way_or_a_person_came_in_between(plant):
+def test_the_watch_gives_a_stow_its_time_again_after_it_was_under_way_or_a_person_intervened(plant):
     plant.motion.last_move = SimpleNamespace(outcome=MoveOutcome.INTERRUPTED)
     in_a_storm(plant).wait(10)
     plant.motion.target = (0.0, 90.0)

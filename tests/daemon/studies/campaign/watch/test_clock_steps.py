@@ -7,7 +7,7 @@ from tests.daemon.studies.campaign.watch.scripted import promises
 
 
 @pytest.mark.parametrize("later_s", [60, 3000])
-def test_a_move_by_a_clock_that_was_set_wrong_is_seen_however_late(plant, later_s):
+def test_the_watch_notices_a_move_by_a_clock_that_was_set_wrong_however_late(plant, later_s):
     plant.clock.step_s = 43200.0
     plant.watch.decided.steps.note(43200.0, plant.now_s)
     plant.wait(later_s)
@@ -21,7 +21,7 @@ def test_a_move_by_a_clock_that_was_set_wrong_is_seen_however_late(plant, later_
     assert promises(plant) == [], "it is night in truth"
 
 
-def test_a_night_by_the_clock_of_its_start_may_go_on_after_another_step(plant):
+def test_the_watch_accepts_a_night_by_the_clock_of_the_start_after_another_step_of_the_clock(plant):
     plant.service.sun_elevation_deg = lambda utc_s: -20.0 if utc_s < plant.now_s - 40_000.0 else 30.0
     plant.clock.step_s = -43200.0
     plant.watch.decided.steps.note(-43200.0, plant.now_s)
@@ -35,7 +35,7 @@ def test_a_night_by_the_clock_of_its_start_may_go_on_after_another_step(plant):
     assert promises(plant) == []
 
 
-def test_a_service_that_has_never_known_another_time_is_not_blamed_for_it(plant):
+def test_the_watch_does_not_blame_a_service_for_a_clock_that_was_wrong_from_its_start(plant):
     plant.clock.step_s = 40.0
     plant.watch.decided.steps.note(40.0, plant.now_s)
     plant.watch.service_begins()

@@ -74,7 +74,7 @@ def sent(
         ({"seen_s": 1040.0, "decided_s": 990.0, "mode": Mode.HOLD, "goto_deg": (0.0, 40.0), "slept_s": 3.0}, ""),
     ],
 )
-def test_a_target_after_a_sleep_goes_by_nothing_of_before(what, said):
+def test_the_watch_notices_a_target_after_a_sleep_that_goes_by_anything_from_before_it(what, said):
     found = sent(1040.0, **what)
     assert said in found
     assert bool(found) is bool(said)

@@ -12,7 +12,7 @@ def reports(plant):
     return [found.promise for found in plant.watch.violations if found.promise in ("unreported", "false-alarm")]
 
 
-def test_a_move_that_was_ordered_and_taken_is_explained(plant):
+def test_the_watch_accepts_a_move_that_was_ordered_and_taken(plant):
     plant.order(10, 60)
     plant.wait(12, a=10)
     plant.motion.target = None
@@ -41,7 +41,7 @@ def test_an_axis_that_drives_on_when_the_service_has_given_up_is_unexplained(pla
     assert promises(plant) == ["unexplained-motion"]
 
 
-def test_a_destination_that_the_unit_has_made_itself_is_not_ours(plant):
+def test_motion_to_a_destination_that_the_positioner_has_set_itself_is_unexplained(plant):
     plant.order(40, 60)
     plant.wait(2, a=2)
     plant.destination["a"] = 300.0
@@ -49,7 +49,7 @@ def test_a_destination_that_the_unit_has_made_itself_is_not_ours(plant):
     assert promises(plant) == ["unexplained-motion"]
 
 
-def test_a_target_that_was_never_confirmed_explains_nothing(plant):
+def test_motion_to_a_target_that_was_never_confirmed_is_unexplained(plant):
     plant.order(10, 60, taken=False)
     plant.wait(4, a=4)
     assert promises(plant) == ["unexplained-motion"]
@@ -76,7 +76,7 @@ def test_a_reference_run_is_explained_as_long_as_the_service_says_that_it_is_on(
     assert promises(plant) == ["unexplained-motion"]
 
 
-def test_a_person_at_the_buttons_explains_motion_and_no_one_else_does(plant):
+def test_motion_is_explained_while_a_person_holds_the_buttons_and_not_afterwards(plant):
     plant.watch.explained.held(is_held=True, now_s=plant.now_s)
     plant.watch.stop_is_asked()
     plant.wait(20, a=20)
@@ -87,7 +87,7 @@ def test_a_person_at_the_buttons_explains_motion_and_no_one_else_does(plant):
 
 
 @pytest.mark.parametrize("lost", ["unplugged", "deaf", "no service"])
-def test_what_nobody_can_stop_breaks_no_promise_until_it_can_be_stopped(plant, lost):
+def test_motion_that_cannot_be_stopped_breaks_no_promise_until_it_can_be_stopped(plant, lost):
     if lost == "unplugged":
         plant.plugged = False
     elif lost == "deaf":
@@ -104,7 +104,7 @@ def test_what_nobody_can_stop_breaks_no_promise_until_it_can_be_stopped(plant, l
 
 @pytest.mark.parametrize("latch", ["stop", "maintenance"])
 @pytest.mark.parametrize("lasts_s", [0.6, 1.2])
-def test_nothing_moves_later_than_700_ms_after_a_stop(plant, latch, lasts_s):
+def test_the_watch_notices_motion_later_than_700_ms_after_a_stop_or_maintenance(plant, latch, lasts_s):
     plant.order(40, 60)
     plant.wait(2, a=2)
     plant.watch.stop_is_asked() if latch == "stop" else plant.watch.maintenance_begins()
@@ -116,7 +116,7 @@ def test_nothing_moves_later_than_700_ms_after_a_stop(plant, latch, lasts_s):
         assert plant.watch.stop_latencies_s == [pytest.approx(lasts_s + 0.1, abs=0.02)]
 
 
-def test_what_the_unit_begins_by_itself_under_a_stop_has_2_s(plant):
+def test_a_move_that_the_positioner_begins_by_itself_under_a_stop_may_last_2_s(plant):
     plant.watch.stop_is_asked()
     plant.wait(5)
     plant.watch.moves_itself()
@@ -128,7 +128,7 @@ def test_what_the_unit_begins_by_itself_under_a_stop_has_2_s(plant):
     assert "moves-under-stop" in promises(plant)
 
 
-def test_a_target_under_a_stop_is_seen_before_anything_moves(plant):
+def test_the_watch_notices_a_target_under_a_stop_before_anything_moves(plant):
     plant.watch.stop_is_asked()
     plant.wait(5)
     plant.order(10, 60)
@@ -137,7 +137,9 @@ def test_a_target_under_a_stop_is_seen_before_anything_moves(plant):
 
 
 @pytest.mark.parametrize(("to_deg", "count_off"), [(50.01, 0.0), (50.1, 0.0), (50.2, 5.0)])
-def test_an_order_never_drives_beyond_a_limit_in_truth(plant, to_deg, count_off):
+def test_the_watch_notices_an_order_that_truly_drives_beyond_a_limit_unless_the_count_is_wrong(
+    plant, to_deg, count_off
+):
     plant.at["a"] = 45.0
     plant.wait(10)
     plant.watch.violations.clear()
@@ -147,13 +149,13 @@ def test_an_order_never_drives_beyond_a_limit_in_truth(plant, to_deg, count_off)
     assert promises(plant) == (["limits"] if to_deg > 50.02 and not count_off else [])
 
 
-def test_a_second_target_while_one_is_being_sent_is_seen(plant):
+def test_the_watch_notices_a_second_target_while_one_is_being_sent(plant):
     with plant.watch.sending((1, 60)), plant.watch.sending((2, 60)):
         pass
     assert promises(plant) == ["two-targets"]
 
 
-def test_a_target_while_an_axis_still_moves_is_seen(plant):
+def test_the_watch_notices_a_target_while_an_axis_still_moves(plant):
     plant.order(40, 60)
     plant.wait(2, a=2)
     plant.order(-40, 60)
@@ -161,7 +163,7 @@ def test_a_target_while_an_axis_still_moves_is_seen(plant):
 
 
 @pytest.mark.parametrize("excused", [False, True])
-def test_a_count_that_is_wrong_has_to_be_doubted(plant, excused):
+def test_the_watch_notices_a_wrong_count_that_the_service_does_not_doubt(plant, excused):
     plant.count_off = 5.0
     plant.watch.reference.excused = excused
     plant.wait(60)
@@ -172,7 +174,7 @@ def test_a_count_that_is_wrong_has_to_be_doubted(plant, excused):
     assert promises(plant) == []
 
 
-def test_a_tracker_that_tracks_in_a_storm_is_seen(plant):
+def test_the_watch_notices_a_tracker_that_tracks_in_a_storm(plant):
     plant.wind_m_s = 25.0
     plant.wait(10)
     assert promises(plant) == []
@@ -181,14 +183,14 @@ def test_a_tracker_that_tracks_in_a_storm_is_seen(plant):
 
 
 @pytest.mark.parametrize("mode", [Mode.TRACKING, Mode.STOW, Mode.HOLD])
-def test_a_tracker_that_does_not_stay_stowed_after_a_gust_is_seen(plant, mode):
+def test_the_watch_notices_a_tracker_that_goes_on_tracking_after_a_gust(plant, mode):
     plant.control.mode = mode
     plant.watch.gust()
     plant.wait(70)
     assert set(promises(plant)) == ({"storm"} if mode is Mode.TRACKING else set())
 
 
-def test_a_move_on_old_readings_is_seen(plant):
+def test_the_watch_notices_a_move_on_old_readings(plant):
     plant.control.state.scan_age_s = 20.0
     plant.order(1, 60)
     assert promises(plant) == ["stale"]
@@ -196,7 +198,7 @@ def test_a_move_on_old_readings_is_seen(plant):
 
 @pytest.mark.parametrize("told", ["nothing", "an alarm", "a fault", "another mode"])
 @pytest.mark.parametrize("turned_deg", [0.2, 1.5])
-def test_what_turns_without_an_order_has_to_be_reported(plant, turned_deg, told):
+def test_the_watch_notices_a_turn_without_an_order_that_the_service_does_not_report(plant, turned_deg, told):
     plant.wait(1.5, a=turned_deg)
     if told == "an alarm":
         plant.records.append(Event(0.0, plant.now_s, "alarm", "A moved"))
@@ -207,7 +209,7 @@ def test_what_turns_without_an_order_has_to_be_reported(plant, turned_deg, told)
     assert reports(plant) == (["unreported"] if turned_deg > 0.5 and told in ("nothing", "another mode") else [])
 
 
-def test_two_hairs_a_minute_apart_are_not_one_turn(plant):
+def test_small_turns_a_minute_apart_are_not_added_up_to_a_turn_that_must_be_reported(plant):
     for _ in range(4):
         plant.wait(0.4, a=0.3)
         plant.wait(60)
@@ -215,7 +217,7 @@ def test_two_hairs_a_minute_apart_are_not_one_turn(plant):
 
 
 @pytest.mark.parametrize("cause", [False, True])
-def test_an_alarm_of_what_never_happened_is_seen(plant, cause):
+def test_the_watch_notices_an_alarm_of_motion_that_never_happened(plant, cause):
     if cause:
         plant.watch.disturbs()
     plant.motion.unexplained = "A moved from 3 to 4 degrees without an order"
@@ -223,7 +225,7 @@ def test_an_alarm_of_what_never_happened_is_seen(plant, cause):
     assert reports(plant) == ([] if cause else ["false-alarm"])
 
 
-def test_what_moved_while_no_service_could_tell_is_cause_enough_for_an_alarm_later(plant):
+def test_motion_while_no_service_ran_justifies_an_alarm_later(plant):
     plant.is_served = False
     plant.wait(3, a=3.0)
     plant.is_served = True
@@ -233,7 +235,7 @@ def test_what_moved_while_no_service_could_tell_is_cause_enough_for_an_alarm_lat
 
 
 @pytest.mark.parametrize("excused", [False, True])
-def test_a_storm_that_does_not_end_in_the_stow_position_is_seen(plant, excused):
+def test_the_watch_notices_a_storm_that_does_not_end_in_the_stow_position(plant, excused):
     plant.control.mode, plant.wind_m_s = Mode.STOW, 25.0
     plant.watch.lasting = 2 if excused else 1
     plant.wait(500)
@@ -256,7 +258,7 @@ def test_a_storm_that_does_not_end_in_the_stow_position_is_seen(plant, excused):
         (9000.0, Quality.OVER_RANGE, []),
     ],
 )
-def test_a_scan_that_must_not_be_believed_is_seen(plant, value, quality, broken):
+def test_the_watch_notices_a_scan_with_forged_or_implausible_readings_marked_as_good(plant, value, quality, broken):
     face = FaceReading(irradiance_w_m2=value, quality=quality, time_utc_s=0.0, time_monotonic_s=0.0)
     scan = Scan(
         source="cube",
@@ -274,7 +276,7 @@ def test_a_scan_that_must_not_be_believed_is_seen(plant, value, quality, broken)
 
 
 @pytest.mark.parametrize(("lowered", "broken"), [("a", []), ("", ["unexplained-motion"])])
-def test_an_axis_turns_the_way_that_its_count_goes(plant, lowered, broken):
+def test_motion_of_an_axis_is_explained_only_in_the_direction_in_which_its_count_has_to_go(plant, lowered, broken):
     plant.lowered = lowered
     plant.order(30.0, 60.0)
     plant.destination["a"] = -150.0
@@ -285,7 +287,7 @@ def test_an_axis_turns_the_way_that_its_count_goes(plant, lowered, broken):
 
 @pytest.mark.parametrize("per_deg", [5.0, 60.0, 300.0])
 @pytest.mark.parametrize(("left_deg", "broken"), [(0.7, []), (1.9, ["unexplained-motion"])])
-def test_what_is_left_of_a_move_is_measured_by_what_the_unit_counts_of_a_degree(plant, per_deg, left_deg, broken):
+def test_the_rest_of_a_move_is_measured_with_the_count_of_the_positioner_for_a_degree(plant, per_deg, left_deg, broken):
     plant.per_deg = per_deg
     plant.order(10, 60)
     plant.wait(9.0, a=10.0 - left_deg)
@@ -295,14 +297,14 @@ def test_what_is_left_of_a_move_is_measured_by_what_the_unit_counts_of_a_degree(
     assert promises(plant) == broken
 
 
-def test_a_unit_that_is_not_heard_binds_nobody(plant):
+def test_motion_of_a_positioner_that_is_not_heard_breaks_no_promise(plant):
     plant.is_silent = True
     plant.watch.link_changes()
     plant.wait(60, a=30)
     assert promises(plant) == []
 
 
-def test_an_alarm_of_what_moves_with_a_wrong_count_is_no_false_one(plant):
+def test_an_alarm_of_motion_with_a_wrong_count_is_not_a_false_alarm(plant):
     plant.count_off = 5.0
     plant.watch.reference.excused = True
     plant.wait(60)
@@ -312,7 +314,7 @@ def test_an_alarm_of_what_moves_with_a_wrong_count_is_no_false_one(plant):
     assert reports(plant) == []
 
 
-def test_a_move_that_goes_on_is_looked_at_closely_a_few_times_and_not_ten_times_a_second(plant):
+def test_the_watch_checks_a_move_under_way_closely_a_few_times_and_not_ten_times_a_second(plant):
     plant.order(40, 60)
     plant.wait(1, a=1)
     before = plant.close_looks
@@ -322,7 +324,7 @@ def test_a_move_that_goes_on_is_looked_at_closely_a_few_times_and_not_ten_times_
     assert promises(plant) == ["unexplained-motion"]
 
 
-def test_a_reference_run_that_goes_on_when_the_service_has_ended_it_is_seen_at_once(plant):
+def test_the_watch_notices_a_reference_run_that_goes_on_over_2_s_after_the_service_has_ended_it(plant):
     plant.watch.packet(b"$95\r", plant.now_s)
     plant.motion.homing = True
     plant.wait(20, a=-20)
@@ -333,7 +335,7 @@ def test_a_reference_run_that_goes_on_when_the_service_has_ended_it_is_seen_at_o
     assert promises(plant) == ["unexplained-motion"]
 
 
-def test_an_alarm_in_the_middle_of_an_ordered_move_is_a_false_one(plant):
+def test_an_alarm_of_motion_in_the_middle_of_an_ordered_move_is_a_false_alarm(plant):
     plant.order(40, 60)
     plant.wait(32, a=16)
     plant.motion.unexplained = "A has moved"
@@ -341,7 +343,7 @@ def test_an_alarm_in_the_middle_of_an_ordered_move_is_a_false_one(plant):
     assert reports(plant) == ["false-alarm"]
 
 
-def test_a_storm_that_begins_in_the_middle_of_a_move_counts_from_then(plant):
+def test_the_time_to_stow_in_a_storm_that_begins_in_mid_move_counts_from_its_beginning(plant):
     plant.order(40, 60)
     plant.wait(12, a=6)
     plant.wind_m_s = 20.0
@@ -351,7 +353,7 @@ def test_a_storm_that_begins_in_the_middle_of_a_move_counts_from_then(plant):
     assert promises(plant) == ["storm"]
 
 
-def test_a_limit_that_is_reached_between_two_close_looks_is_seen(plant):
+def test_the_watch_notices_a_limit_that_is_passed_between_two_close_checks_of_a_move(plant):
     plant.order(60, 60)
     plant.wait(49, a=49)
     before = plant.close_looks
