@@ -10,7 +10,7 @@ from pathlib import Path
 from daemon.base.errors import ExitCode, UserError
 
 _URGENT = ("stop", "stow")
-_NOTHING_YET = "interrupted before its end; no result was written"
+_NOTHING_YET = "interrupted before its end; no whole result was written"
 _MAYBE_TAKEN = "interrupted: the command may have been taken; see 'heliocube status'"
 _OPTIONS = {
     "--config": "config",

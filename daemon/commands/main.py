@@ -74,7 +74,7 @@ class _Commands(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            raise InterruptedEarlyError("interrupted before its end; no result was written") from None
+            raise InterruptedEarlyError("interrupted before its end; no whole result was written") from None
         except typer.BadParameter as error:
             from pydantic import ValidationError
 

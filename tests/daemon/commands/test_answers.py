@@ -239,8 +239,8 @@ finally:
 @pytest.mark.parametrize(
     ("library", "words", "sentence"),
     [
-        ("typer", ["gain"], "interrupted before its end; no result was written"),
-        ("daemon.base.installation", ["gain"], "interrupted before its end; no result was written"),
+        ("typer", ["gain"], "interrupted before its end; no whole result was written"),
+        ("daemon.base.installation", ["gain"], "interrupted before its end; no whole result was written"),
         ("daemon.api.client", ["stop"], "interrupted: the command may have been taken; see 'heliocube status'"),
     ],
 )

@@ -12,7 +12,7 @@ __all__ = ["inputs", "study"]
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no such signal")
 
-NOTHING = "interrupted before its end; no result was written"
+NOTHING = "interrupted before its end; no whole result was written"
 
 
 @pytest.fixture(autouse=True)
