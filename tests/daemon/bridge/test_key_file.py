@@ -93,13 +93,15 @@ def test_changing_the_key_by_the_documented_steps_loses_no_scan_and_ends_the_old
     run(scenario, tmp_path)
 
 
-def test_while_two_keys_are_in_force_the_second_is_accepted_and_a_third_is_not(tmp_path):
+def test_while_two_keys_are_in_force_both_are_accepted_and_a_third_is_not(tmp_path):
     async def scenario(sides):
         write(sides.tracker_file, NEW, OLD)
         await sides.send()
         assert sides.counts() == {"accepted": 4}
         sides.receiver.datagram_received(pack(scan(sides.sent, time_s=20.0), STRANGE), ("127.0.0.1", 1))
         assert sides.counts() == {"accepted": 4, "forged": 1}
+        sides.receiver.datagram_received(pack(scan(sides.sent, time_s=20.0), NEW), ("127.0.0.1", 1))
+        assert sides.counts() == {"accepted": 5, "forged": 1}
 
     run(scenario, tmp_path)
 
