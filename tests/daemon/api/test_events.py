@@ -5,6 +5,7 @@ import json
 import re
 
 from daemon.base.records import Event
+from tests.support.api import Caller, server_of
 from tests.support.phases import tracking
 
 
@@ -22,11 +23,27 @@ def test_event_stream_sends_the_state_scans_poses_and_events(serve):
             seen.update(re.findall(r"^event: (.+)$", line))
         assert {"state", "scan", "pose", "event"} <= seen
         assert json.loads((await reader.readline()).decode().removeprefix("data: "))["text"] == "hello"
-        call.server.close()
         writer.close()
         await writer.wait_closed()
 
     serve(scenario)
+
+
+def test_the_event_stream_ends_whole_and_at_once_when_the_service_ends(run_rig):
+    async def scenario(rig):
+        server = server_of(rig, rig.service.settings.api.model_copy(update={"listen": "127.0.0.1:0"}))
+        serving = asyncio.create_task(server.run())
+        reader, writer = await Caller(server).open("GET", "/api/events")
+        await reader.readuntil(b"event: state")
+        begun_s = rig.clock.monotonic()
+        serving.cancel()
+        rest = await reader.read()
+        assert rest.endswith(b"\n\n\r\n0\r\n\r\n"), "an event, and the last part of a chunked answer"
+        assert rig.clock.monotonic() - begun_s < 0.5
+        writer.close()
+        await asyncio.wait((serving,))
+
+    run_rig(scenario)
 
 
 def test_the_seventeenth_event_listener_is_refused_with_503(serve):

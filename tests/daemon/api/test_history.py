@@ -9,11 +9,12 @@ import pytest
 
 from daemon.api.models import DaysPage, LinesPage
 from daemon.base.clock import SystemClock
-from daemon.base.records import Event
+from daemon.base.records import Event, Pose, Scan
 from daemon.store.store import Store
 from tests.daemon.store.test_history import ORIGIN
 from tests.daemon.store.test_tables import ALL, T0
 from tests.support.api import BEARER, Caller, server_of
+from tests.support.phases import under_way
 
 SPAN = "from=2022-10-14T05:00Z&to=2022-10-15T05:00Z"
 
@@ -91,13 +92,21 @@ def test_the_suns_path_over_http_covers_the_solar_day_and_matches_pvlib(serve):
     serve(scenario)
 
 
-def test_a_token_can_be_tried_without_any_effect(serve):
+def test_a_right_and_a_wrong_token_can_be_tried_without_any_effect_on_a_move_under_way(serve):
     async def scenario(rig, call):
+        def seen():
+            told = [record for record in rig.records if not isinstance(record, Pose | Scan)]
+            return rig.mode, rig.control.why, rig.motion.target, told
+
+        await under_way(rig)
+        before = seen()
         assert (await call.post("authorised")).json == {"ok": True}
         wrong = await call.post("authorised", headers=BEARER | {"Authorization": "Bearer " + "x" * 43})
         assert (wrong.status, wrong.json["error"]) == (
             401,
             "the token is not the service's: restart the service after a change of api.token_file",
         )
+        await asyncio.sleep(0.5)
+        assert seen() == before
 
     serve(scenario)

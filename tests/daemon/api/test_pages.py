@@ -123,14 +123,16 @@ def test_an_event_is_serialised_once_for_all_listeners_and_not_at_all_without_li
     asyncio.run(scenario())
 
 
-def test_a_listener_that_does_not_read_has_a_queue_of_at_most_500_events():
+def test_a_listener_that_does_not_read_keeps_the_latest_500_events_and_one_that_reads_gets_all():
     async def scenario():
-        feed = Feed()
-        with feed.listening() as queue:
+        feed, read = Feed(), []
+        with feed.listening() as deaf, feed.listening() as reading:
             for n in range(5000):
                 feed.note(Event(float(n), float(n), "test", str(n)))
-            assert queue.qsize() == 500
-            assert b'"text":"4500"' in queue.get_nowait()
+                read.append(reading.get_nowait())
+            assert deaf.qsize() == 500
+            assert b'"text":"4500"' in deaf.get_nowait()
+        assert [json.loads(event.partition(b"data: ")[2])["text"] for event in read] == [str(n) for n in range(5000)]
         assert len(feed._listeners) == 0
 
     asyncio.run(scenario())
