@@ -22,7 +22,8 @@ NARROW = Limits(-5.0, 5.0, 80.0, 90.0)
 def moved(
     press_at=None,
     limits=NARROW,
-    gone_beyond_deg=math.inf,
+    ends_beyond_deg=math.inf,
+    end=None,
     press_beyond_deg=-math.inf,
     fault=None,
     fault_beyond_deg=-1.0,
@@ -45,8 +46,8 @@ def moved(
             poses.append(truth(clock.monotonic()))
             if fault is not None and poses[-1].a_deg > fault_beyond_deg:
                 truth.__self__.inject(fault, clock.monotonic())
-            if poses[-1].a_deg > gone_beyond_deg:
-                raise LinkLostError("positioner", "is gone")
+            if poses[-1].a_deg > ends_beyond_deg:
+                end()
             said = press_at is not None and any(press_at in line for line in ("", *lines))
             # A key that was pressed stays pressed.
             keys.append(said and (poses[-1].a_deg > press_beyond_deg or any(keys)))
@@ -59,8 +60,10 @@ def moved(
                 found = await first_move(positioner, Bounds(limits, 0.8, 0.3), clock, lines.append, pressed, look)
             except DeviceError as error:
                 found = error.message
+            except (asyncio.CancelledError, OSError) as error:
+                found = type(error).__name__
             before = truth(clock.monotonic())
-            assert before.a_deg < 1.5 or gone_beyond_deg == math.inf
+            assert before.a_deg < 1.5 or ends_beyond_deg == math.inf
             await asyncio.sleep(60.0)
             assert truth(clock.monotonic()) == pytest.approx(before, abs=1e-6), "it moves on"
             return found
@@ -77,11 +80,20 @@ def test_the_first_move_goes_two_degrees_and_back_and_is_stopped_by_a_key():
     assert "stopped by the key" in lines[-1]
 
 
-def test_a_key_in_a_leg_stops_that_leg_and_ends_the_first_move():
-    found, lines, poses = moved(press_at="steeper")
+@pytest.mark.parametrize(
+    ("leg", "axis", "from_deg"),
+    [
+        ("to the west", "a_deg", 0.0),
+        ("to the east", "a_deg", 2.0),
+        ("steeper", "b_deg", 90.0),
+        ("flatter", "b_deg", 88.0),
+    ],
+)
+def test_a_key_in_any_leg_of_the_first_move_stops_that_leg_and_begins_no_other(leg, axis, from_deg):
+    found, lines, poses = moved(press_at=leg)
     assert "stopped by a key" in found
-    assert min(pose.b_deg for pose in poses) > 88.5
-    assert "PRESS" not in " ".join(lines)
+    assert leg in lines[-1]
+    assert getattr(poses[-1], axis) == pytest.approx(from_deg, abs=1.0), "half of the way"
 
 
 def test_a_key_at_the_end_of_a_leg_of_the_first_move_sends_a_stop_as_well():
@@ -111,9 +123,27 @@ def test_a_first_move_without_a_pressed_key_reports_the_stop_as_not_proven():
     assert max(pose.a_deg for pose in poses) <= 5.8
 
 
-def test_a_loss_of_the_link_during_the_first_move_halts_the_axes():
-    found, _, poses = moved(gone_beyond_deg=0.5)
-    assert found == "is gone"
+def lose_the_link():
+    raise LinkLostError("positioner", "is gone")
+
+
+def lose_the_keyboard():
+    raise OSError
+
+
+@pytest.mark.parametrize(
+    ("end", "found"),
+    [
+        (lose_the_link, "is gone"),
+        (lose_the_keyboard, "OSError"),
+        # As Ctrl-C does.
+        (lambda: asyncio.current_task().cancel(), "CancelledError"),
+    ],
+    ids=["link", "keyboard", "Ctrl-C"],
+)
+def test_a_lost_link_or_keyboard_and_ctrl_c_in_a_leg_of_the_first_move_halt_the_axes(end, found):
+    told, _, poses = moved(ends_beyond_deg=0.5, end=end)
+    assert told == found
     assert 0.5 < max(pose.a_deg for pose in poses) < 1.5
 
 
