@@ -4,13 +4,13 @@ import asyncio
 
 import pytest
 
-from daemon.base.records import MoveOutcome, Target
+from daemon.base.records import Event, MoveOutcome, Target
 from drivers.errors import RefusedError
 from tests.support.hand_positioner import RepeatingPositioner, asleep, run_motion
 
 
 @pytest.mark.parametrize(("a_deg", "b_deg"), [(30.0, 60.0), (0.0, 20.0)])
-def test_an_axis_that_moves_without_an_order_is_stopped_once_and_blocks_all_moves_with_an_alarm(a_deg, b_deg, caplog):
+def test_motion_without_an_order_is_stopped_and_reported_once_and_blocks_even_a_stow(a_deg, b_deg, caplog):
     async def scenario(rig):
         await asleep(rig)
         rig.unit.drive(a_deg, b_deg)
@@ -24,6 +24,11 @@ def test_an_axis_that_moves_without_an_order_is_stopped_once_and_blocks_all_move
         assert rig.raised["unexplained-motion"] == rig.motion.unexplained
         assert rig.motion.stands_since_s is not None
         assert rig.unit.sent.count("halt") == 2, "one at the connection, one for this"
+        for stow in (False, True):
+            with pytest.raises(RefusedError, match="without an order"):
+                rig.motion.order(Target(0.0, 60.0, "go"), stow=stow)
+        assert [event.text for event in rig.of(Event)] == [f"raised unexplained-motion: {rig.motion.unexplained}"]
+        assert caplog.messages == [rig.motion.unexplained]
 
     run_motion(scenario)
 

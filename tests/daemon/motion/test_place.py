@@ -5,6 +5,8 @@ import json
 
 import pytest
 
+from daemon.base.state import StateFolder
+from daemon.motion.place import KeptPlace
 from tests.daemon.motion.test_home_again import stuck_on_its_way
 from tests.support.phases import quiet
 from tests.support.rig import ServiceRig
@@ -151,7 +153,7 @@ def test_a_step_too_small_to_matter_leaves_both_places_kept(run_rig, kept, step_
     run_rig(scenario, store={"directory": kept})
 
 
-def test_after_a_person_has_cleared_a_doubt_the_kept_places_are_those_of_the_telemetry(run_rig, kept):
+def test_after_a_person_has_cleared_a_doubt_the_kept_places_raise_none_at_a_restart(run_rig, kept):
     async def cleared(rig):
         await quiet(rig)
         await stuck_on_its_way(rig)
@@ -162,5 +164,12 @@ def test_after_a_person_has_cleared_a_doubt_the_kept_places_are_those_of_the_tel
         places, seen = json.loads((kept / FILE_NAME).read_text()), rig.motion.telemetry
         assert rig.motion.doubt is None
         assert places == pytest.approx({"a": seen.position_a, "b": seen.position_b}, abs=0.1)
+        # What a new process knows: the kept places, and the unit as it stands.
+        rig.cables.positioner.link_up = False
+        restarted = rig.drive(rig.unit, rig.service.settings)
+        KeptPlace(StateFolder(kept), restarted, None, begins_anew=False)
+        await restarted.open()
+        assert (await restarted.read_telemetry()).reference_doubt == ""
+        await restarted.close()
 
     run_rig(cleared, store={"directory": kept}, motion={"rehome": "operator"})

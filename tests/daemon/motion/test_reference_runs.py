@@ -188,7 +188,7 @@ def test_a_clear_forgives_a_failed_move_only_if_it_was_shown(shown):
     run_motion(scenario, attempts=1)
 
 
-def test_a_reference_run_of_both_axes_that_does_not_end_the_doubt_is_reported_as_failed():
+def test_after_reference_runs_of_both_axes_in_vain_the_failure_is_reported_and_the_doubt_stays():
     async def scenario(rig):
         rig.unit.says["reference_doubt"] = "the count jumped"
         await asyncio.sleep(2.0)
@@ -197,6 +197,9 @@ def test_a_reference_run_of_both_axes_that_does_not_end_the_doubt_is_reported_as
         assert ("home", "b") in rig.unit.sent
         assert rig.told[-1] == "homing failed: the count jumped"
         assert "homing finished" not in rig.told
+        rig.unit.says.pop("reference_doubt")
+        await asyncio.sleep(60.0)
+        assert rig.motion.doubt == "homing failed (the count jumped), the reference is in doubt: home it"
 
     run_motion(scenario)
 

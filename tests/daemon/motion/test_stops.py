@@ -62,6 +62,21 @@ def test_overcurrent_on_one_axis_stops_the_other(run_rig):
     run_rig(scenario, setup=Setup(synchronous=True))
 
 
+def test_the_axis_that_waits_for_its_turn_does_not_start_when_the_other_one_fails(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        began = rig.truth()
+        rig.motion.order(Target(40, 15, "far"))
+        await rig.until(lambda: rig.truth().a_deg > began.a_deg + 2, 20, "A on its way")
+        rig.unit.inject("a_overcurrent", rig.clock.monotonic())
+        await asyncio.sleep(60)
+        assert began.a_deg + 2 < rig.truth().a_deg < began.a_deg + 5
+        assert rig.truth().b_deg == began.b_deg
+        assert rig.motion.unexplained is None
+
+    run_rig(scenario)
+
+
 def test_a_fault_of_one_axis_at_rest_sends_a_stop_once(run_rig, monkeypatch):
     async def scenario(rig):
         await quiet(rig)
