@@ -263,12 +263,23 @@ def test_a_sensor_of_exactly_0_v_at_night_is_not_frozen(run):
     run(scenario, sun_deg=NIGHT)
 
 
-def test_the_outage_names_the_voltmeter_when_neither_it_nor_the_multiplexer_can_be_opened(run, caplog):
+@pytest.mark.parametrize("unplugged", [False, True], ids=["plugged", "unplugged"])
+def test_the_multiplexer_is_not_touched_while_the_voltmeter_cannot_be_opened(run, unplugged):
     async def scenario(rig):
+        await scans(rig, 1)
         rig.cables.voltmeter.link_up = False
-        rig.cables.multiplexer.link_up = False
-        await asyncio.sleep(5)
+        rig.cables.multiplexer.link_up = not unplugged
+        # The scan that is on may still select an input before its reading shows the loss.
+        await asyncio.sleep(30)
+        open_port, write, touched = rig.cables.multiplexer.open, rig.switch.write, []
+        rig.cables.multiplexer.open = lambda *lines: touched.append("open") or open_port(*lines)
+        rig.switch.write = lambda *value: touched.append("write") or write(*value)
+        await asyncio.sleep(600)
         assert "voltmeter" in rig.acquisition.outage.reason
+        assert touched == []
+        rig.cables.voltmeter.link_up = rig.cables.multiplexer.link_up = True
+        rig.scanned.clear()
+        await scans(rig, 1)
+        assert touched[:2] == ["open", "write"]
 
-    caplog.set_level(logging.WARNING)
     run(scenario)
