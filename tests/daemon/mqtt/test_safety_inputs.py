@@ -262,10 +262,15 @@ def test_a_safe_input_with_only_retained_or_overdue_messages_stows_after_the_tim
     assert source.reason(101.0) is not None
 
 
-def test_a_json_truth_value_can_be_the_word_for_unsafe():
-    source, _, _ = safe(json_path="ok", safe="true", unsafe="false")
-    source.take(said('{"ok": false}'))
-    assert source.reason(0.0) == "lab/safe says false"
+@pytest.mark.parametrize(("good", "bad"), [("true", "false"), ("0", "1"), ("1.5", "-2")])
+def test_json_truth_values_and_numbers_can_be_the_words_for_safe_and_unsafe(good, bad):
+    source, told, _ = safe(json_path="ok", safe=good, unsafe=bad, stale_s=100.0)
+    assert source.reason(0.0) is None
+    source.take(said(f'{{"ok": {good}}}'))
+    assert source.reason(400.0) is None, "without a safe message it would have been silent for too long"
+    source.take(said(f'{{"ok": {bad}}}'))
+    assert source.reason(405.0) == f"lab/safe says {bad}"
+    assert not told.now
 
 
 def test_a_storm_reported_over_mqtt_stows_the_tracker_and_an_unusable_wind_message_is_shown(broker, scaled):

@@ -17,7 +17,7 @@ def broker_rig(port, **sections):
     return BrokerRig(asyncio.get_running_loop(), settings_for(port, **sections), SPEED)
 
 
-def test_state_scans_decisions_poses_and_modes_are_published_marked_as_simulated(broker, scaled):
+def test_state_scans_decisions_poses_modes_moves_and_events_are_published_as_simulated(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             rig = broker_rig(broker.port)
@@ -28,9 +28,13 @@ def test_state_scans_decisions_poses_and_modes_are_published_marked_as_simulated
                 assert told[1]["east_quality"] == "ok"
                 assert told[2]["law"] == "mu-prime"
                 moved = await lab.until(f"{BASE}/move")
-                assert moved["outcome"] == "arrived"
+                assert (moved["outcome"], moved["simulated"]) == ("arrived", True)
                 state = await lab.until(f"{BASE}/state", lambda found: found["mode"]["name"] == "tracking")
                 assert state["mqtt"]["connected"] is True
+                await Operator(rig.tracker, SPEED).hold("a look", "ana")
+                event = await lab.until(f"{BASE}/event", lambda found: found["subject"] == "operator")
+                assert "a look" in event["text"]
+                assert event["simulated"] is True
             assert await lab.until(f"{BASE}/status", lambda word: word == "offline") == "offline"
 
     scaled(scenario)
