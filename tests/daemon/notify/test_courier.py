@@ -161,9 +161,9 @@ def lab():
 def told(lab, tmp_path):
     """Run a scenario with a courier of some settings and a clock that a test sets."""
 
-    def run(scenario, **settings):
+    def run(scenario, *others, **settings):
         people = tmp_path / "people"
-        people.write_text(f"# the lab\n\njson://{lab.address}/json\n")
+        people.write_text("\n".join(["# the lab", "", *(f"json://{lab.address}{path}" for path in ("/json", *others))]))
         people.chmod(0o600)
         chosen = NotifySettings(**settings)
 
@@ -293,13 +293,13 @@ def test_notices_too_long_for_a_recipient_are_sent_in_parts_with_critical_alarms
     told(scenario)
 
 
-def test_an_unexpected_failure_of_a_recipients_plugin_is_logged_and_the_notice_is_sent_again(
+def test_a_failing_recipient_plugin_is_logged_retried_and_does_not_keep_notices_from_the_others(
     lab, told, monkeypatch, caplog
 ):
     send = NotifyJSON.send
 
     def fails_at_first(way, *arguments, **named):
-        if not caplog.messages:
+        if way.fullpath == "/json" and not caplog.messages:
             raise RuntimeError("of its own")
         return send(way, *arguments, **named)
 
@@ -309,13 +309,14 @@ def test_an_unexpected_failure_of_a_recipients_plugin_is_logged_and_the_notice_i
         lab.alarms = [lab.alarm()]
         await step()
         assert [line for line in caplog.messages if line.startswith("the way to json://")] != []
+        assert [path for path, _, _ in lab.told] == ["/other"]
         await step(30.0)
-        assert len(lab.titles) == 1
+        assert [path for path, _, _ in lab.told] == ["/other", "/json"]
 
-    told(scenario)
+    told(scenario, "/other")
 
 
-def test_a_recipient_whose_own_code_raises_is_logged_once_as_down_and_then_as_back(lab, caplog):
+def test_a_recipient_whose_own_code_raises_is_logged_once_as_down_then_back_and_costs_no_other(lab, caplog):
     caplog.set_level("INFO")
 
     class Raising(Way):
@@ -324,13 +325,14 @@ def test_a_recipient_whose_own_code_raises_is_logged_once_as_down_and_then_as_ba
             return await super().tell(notice)
 
     async def scenario():
-        way, clock = Raising("roof"), HandClock()
+        way, other, clock = Raising("roof"), Way("other"), HandClock()
         way.free.clear()
         lab.alarms = [lab.alarm()]
         async with httpx.AsyncClient(trust_env=False) as client:
-            courier = Courier(NotifySettings(), [parse_address(lab.address)], [way], clock, client)
+            courier = Courier(NotifySettings(), [parse_address(lab.address)], [way, other], clock, client)
             for _ in range(4):
                 await asyncio.wait(await courier.step())
+            assert other.told == ["stow-wanted"]
             way.free.set()
             await asyncio.gather(*await courier.step())
         down, back = (line for line in caplog.messages if line.startswith("the way to roof"))
