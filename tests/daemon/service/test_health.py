@@ -11,6 +11,7 @@ from daemon.base.records import Mode, Move, MoveOutcome
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.service.health import LoopWatch, Watchdog
 from sim_drivers.pozsol.setup import AxisDrive, Setup
+from tests.support.motion import STOP_PACKET, commands_sent
 
 
 @pytest.fixture
@@ -74,10 +75,17 @@ def test_watchdog_pings_go_on_while_the_voltmeter_and_the_positioner_are_down(ru
     run_rig(scenario)
 
 
-def test_an_axis_that_runs_past_its_target_ends_the_move_in_fault_with_the_reason(run_rig):
+def test_an_axis_that_runs_past_its_target_is_stopped_and_ends_the_move_in_fault(run_rig, monkeypatch):
     async def scenario(rig):
+        sent = commands_sent(rig, monkeypatch)
         await rig.until_mode(Mode.FAULT, 300)
         assert "beyond its target" in rig.control.why
+        assert sent[-1][1].startswith(STOP_PACKET)
+        stands = rig.truth()
+        # Not stopped, it would run on for 25 mm, which is far more.
+        assert abs(stands.a_deg - rig.of(Move)[-1].target_a_deg) < 3.0
+        await asyncio.sleep(20)
+        assert rig.truth() == stands
 
     rig = run_rig(scenario, setup=Setup(drive=AxisDrive(overshoot_mm=25.0)))
     assert MoveOutcome.OVERSHOT in [move.outcome for move in rig.of(Move)]
