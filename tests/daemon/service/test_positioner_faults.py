@@ -8,7 +8,7 @@ import pytest
 
 from daemon.base.records import Decision, Event, Mode, Move, MoveOutcome, Pose
 from daemon.service.operator import CommandError, Operator
-from tests.support.motion import commands_sent, show
+from tests.support.motion import TRACKING_OFF_PACKET, commands_sent, show, targets
 from tests.support.phases import at_rest, quiet, tracking, under_way
 
 
@@ -129,7 +129,7 @@ def test_a_move_that_the_positioner_silently_refuses_is_noticed_explained_and_tr
     assert rig.of(Move)[0].outcome is MoveOutcome.REFUSED
 
 
-def test_an_axis_that_does_not_move_ends_in_fault_with_a_stalled_or_refused_move(run_rig):
+def test_an_axis_whose_hall_sensor_fails_ends_in_fault_with_a_stalled_move_that_names_it(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
@@ -139,15 +139,21 @@ def test_an_axis_that_does_not_move_ends_in_fault_with_a_stalled_or_refused_move
         await at_rest(rig)
 
     rig = run_rig(scenario)
-    assert rig.of(Move)[-1].outcome in (MoveOutcome.STALLED, MoveOutcome.REFUSED)
+    move = rig.of(Move)[-1]
+    assert (move.outcome, move.why) == (MoveOutcome.STALLED, "the positioner reports a_hall_fault")
 
 
-def test_the_positioners_own_tracking_is_switched_off_and_the_service_tracks_again(run_rig):
+def test_the_positioners_own_tracking_is_switched_off_first_and_a_goto_given_then_is_not_sent(run_rig, monkeypatch):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
+        sent = commands_sent(rig, monkeypatch)
         rig.unit.inject("own_tracking", rig.clock.monotonic())
-        await rig.until(lambda: not rig.motion.telemetry.autonomous, 30, "own tracking off")
+        rig.control.goto(20, 60, "test")
+        await rig.until(lambda: sent and not rig.motion.telemetry.autonomous, 30, "own tracking off")
+        assert sent[0][1] == TRACKING_OFF_PACKET
+        assert not targets(sent)
+        rig.control.auto()
         await rig.until_mode(Mode.TRACKING, 60)
 
     run_rig(scenario)
