@@ -105,12 +105,18 @@ def test_a_store_file_removed_or_moved_while_in_use_loses_none_of_the_later_reco
         assert count(other, "scans") == 1
 
 
-def test_a_store_folder_that_cannot_even_be_looked_up_raises_an_alarm_and_records_wait(tmp_path):
+def test_a_store_folder_that_cannot_even_be_looked_up_raises_an_alarm_until_a_retry_succeeds(tmp_path):
     # As with a folder that the service may not enter, or a disk that fails: nobody can say what is there.
-    told, folder = queue.Queue(), tmp_path / ("x" * 300)
+    told, folder = queue.Queue(), tmp_path / "store"
+    folder.symlink_to("x" * 300)
     store = Store(folder, 0.01, 3, ORIGIN, SystemClock(), print, lambda *alarm: told.put(alarm))
     store.keep(scan(0))
     name, text = told.get(timeout=PATIENCE_S)
     assert (name, "File name too long; records wait in memory" in text) == ("store-down", True)
     assert store.status.down_why.endswith("File name too long")
+    folder.unlink()
+    while (name, text) != ("store-down", None):
+        name, text = told.get(timeout=PATIENCE_S)
     store.close()
+    assert store.status.down_why is None
+    assert count(folder, "scans") == 1

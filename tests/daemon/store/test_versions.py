@@ -9,12 +9,12 @@ from hashlib import sha256
 import pytest
 
 from daemon.base.errors import UserError
-from daemon.base.records import Estimate, Pose
+from daemon.base.records import Estimate
 from daemon.store.export import export
 from daemon.store.schema import FILE_NAME, VERSION, schema
 from tests.daemon.store.test_export import rows
 from tests.daemon.store.test_store import ORIGIN, keep
-from tests.daemon.store.test_tables import CURVE, T0, decision, scan
+from tests.daemon.store.test_tables import CHANGE, CURVE, EVENT, KINDS, MOVE, POSE, T0, decision, scan
 
 __all__ = ["keep"]
 
@@ -31,72 +31,85 @@ def test_the_schema_of_the_present_store_version_is_unchanged():
     assert sha256(text.encode()).hexdigest()[:12] == "8d471587843a"
 
 
-def test_a_store_of_version_6_is_read_without_wind_and_keeps_the_wind_from_now_on(keep, tmp_path):
-    pose = Pose(T0, 1.0, 10.0, 60.0, moving=False, tracker="roof")
-    folder = keep(pose)
-    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
-        connection.execute("ALTER TABLE poses DROP COLUMN wind_m_s")
-        connection.execute("PRAGMA user_version = 6")
-    export(folder, tmp_path / "old", "csv", None, None, ["poses"])
-    assert [row["wind_m_s"] for row in rows(tmp_path / "old" / "poses.csv")] == [""]
-    keep(replace(pose, time_utc_s=T0 + 5, wind_m_s=12.5))
-    export(folder, tmp_path / "new", "csv", None, None, ["poses"])
-    assert [row["wind_m_s"] for row in rows(tmp_path / "new" / "poses.csv")] == ["", "12.5"]
+# What each version has that the one before it had not: a table without columns here is new as a whole.
+NEW = {
+    2: {"decisions": ("dni_est", "dhi_est", "albedo_est")},
+    3: {"scans": ("calibration",)},
+    4: {"curves": ()},
+    5: {"runs": ("tracker",)},
+    6: dict.fromkeys(("decisions", "moves", "poses", "modes", "events", "curves"), ("tracker",)),
+    7: {"poses": ("wind_m_s",)},
+    8: {"runs": ("id",)},
+}
 
 
-def test_a_store_of_version_5_is_read_without_tracker_names_and_keeps_them_from_now_on(keep, tmp_path):
-    folder = keep(decision())
-    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
-        for name in ("decisions", "moves", "poses", "modes", "events", "curves"):
-            connection.execute(f"ALTER TABLE {name} DROP COLUMN tracker")
-        connection.execute("PRAGMA user_version = 5")
-    export(folder, tmp_path / "old", "csv", None, None, ())
-    assert [row["tracker"] for row in rows(tmp_path / "old" / "decisions.csv")] == [""]
-    keep(replace(decision(), time_utc_s=T0 + 60, tracker="west"))
-    export(folder, tmp_path / "new", "csv", None, None, ())
-    assert [row["tracker"] for row in rows(tmp_path / "new" / "decisions.csv")] == ["", "west"]
-
-
-def test_a_store_whose_runs_do_not_name_their_tracker_is_read_as_it_is_and_can_name_it_from_then_on(keep, tmp_path):
-    folder = keep(decision())
-    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
-        connection.execute("ALTER TABLE runs DROP COLUMN tracker")
-        connection.execute("PRAGMA user_version = 4")
-    export(folder, tmp_path / "old", "csv", None, None, ())
-    assert [row["tracker"] for row in rows(tmp_path / "old" / "decisions.csv")] == [""]
-    keep(replace(decision(), time_utc_s=T0 + 60), origin=replace(ORIGIN, tracker="roof"))
-    export(folder, tmp_path / "new", "csv", None, None, ())
-    assert [row["tracker"] for row in rows(tmp_path / "new" / "decisions.csv")] == ["", "roof"]
-
-
-def test_a_store_that_has_no_curves_yet_is_read_as_it_is_and_given_their_table_by_the_service(keep, tmp_path):
-    folder = keep(decision())
-    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
-        connection.execute("DROP TABLE curves")
-        connection.execute("PRAGMA user_version = 3")
-    assert export(folder, tmp_path / "old", "csv", None, None, ()).rows["curves"] == 0
-    assert rows(tmp_path / "old" / "curves.csv") == []
-    keep(CURVE)
-    assert export(folder, tmp_path / "new", "csv", None, None, ["curves"]).rows == {"curves": 1}
-    assert rows(tmp_path / "new" / "curves.csv")[0]["pmpp_w"] == "274.25"
-    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
-        assert "curves_time" in {row[1] for row in connection.execute("PRAGMA index_list(curves)")}
-
-
-def test_a_store_of_version_1_is_read_as_it_is_and_brought_up_to_date_by_the_service(keep, tmp_path):
-    folder = keep(decision())
-    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
-        for name in ("dni_est", "dhi_est", "albedo_est"):
-            connection.execute(f"ALTER TABLE decisions DROP COLUMN {name}")
-        connection.execute("PRAGMA user_version = 1")
-    export(folder, tmp_path / "old", "csv", None, None, ())
-    assert [row["dni_est"] for row in rows(tmp_path / "old" / "decisions.csv")] == [""]
-    keep(replace(decision(), time_utc_s=T0 + 60, estimate=Estimate(800.0, 90.0, 0.25)))
-    export(folder, tmp_path / "new", "csv", None, None, ())
-    assert [(row["dni_est"], row["albedo_est"]) for row in rows(tmp_path / "new" / "decisions.csv")] == [
-        ("", ""),
-        ("800.0", "0.25"),
+def records(sequence, tracker):
+    """Return a record of each kind, with a value in every column that came with a later version."""
+    later = {"time_utc_s": T0 + 60.0 * sequence, "tracker": tracker}
+    return [
+        replace(scan(sequence), calibration="20220320-abcdef01"),
+        replace(decision(), estimate=Estimate(800.0, 90.0, 0.25), **later),
+        replace(POSE, wind_m_s=12.5, **later),
+        *(replace(record, **later) for record in (MOVE, CHANGE, EVENT, CURVE)),
     ]
+
+
+def taken_back_to(version, folder):
+    """Make a store what the program of an earlier version would have left."""
+    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
+        for later in range(VERSION, version, -1):
+            for table, columns in NEW[later].items():
+                for column in columns:
+                    connection.execute(f"ALTER TABLE {table} DROP COLUMN {column}")
+                if not columns:
+                    connection.execute(f"DROP TABLE {table}")
+        connection.execute(f"PRAGMA user_version = {version}")
+
+
+def contents(folder):
+    """Return the rows of every table by the names of its columns."""
+    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
+        connection.row_factory = sqlite3.Row
+        names = [row["name"] for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
+        return {name: [dict(row) for row in connection.execute(f"SELECT * FROM {name}")] for name in names}
+
+
+def exported(folder, out):
+    export(folder, out, "csv", None, None, ())
+    return {kind: rows(out / f"{kind}.csv") for kind in KINDS}
+
+
+@pytest.mark.parametrize("version", range(1, VERSION))
+def test_a_store_of_an_earlier_version_is_read_with_the_new_columns_blank(keep, tmp_path, version):
+    folder = keep(*records(0, "west"))
+    whole = exported(folder, tmp_path / "whole")
+    taken_back_to(version, folder)
+    old = exported(folder, tmp_path / "old")
+    for kind in KINDS:
+        columns = [column for later in range(version + 1, VERSION + 1) for column in NEW[later].get(kind, ())]
+        blank = dict.fromkeys(columns, "")
+        assert old[kind] == ([] if kind == "curves" and version < 4 else [row | blank for row in whole[kind]])
+
+
+@pytest.mark.parametrize("version", range(1, VERSION))
+def test_a_store_of_an_earlier_version_is_brought_up_to_date_and_keeps_its_records(keep, tmp_path, version):
+    folder = keep(*records(0, "west"))
+    taken_back_to(version, folder)
+    old = contents(folder)
+    later, origin = records(1, "east"), replace(ORIGIN, tracker="roof", id="0123")
+    keep(*later, origin=origin)
+    fresh = contents(keep(*later, folder=tmp_path / "fresh", origin=origin))
+    upgraded = contents(folder)
+    assert upgraded.keys() == fresh.keys()
+    for table, new in fresh.items():
+        # Columns that are new in the old rows are empty, whatever the new rows have.
+        expected = [dict.fromkeys(new[0], "" if table == "runs" else None) | row for row in old.get(table, [])]
+        if table != "days":
+            expected += [row | {"run": 2} for row in new]
+        assert upgraded[table] == expected
+    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
+        assert connection.execute("PRAGMA user_version").fetchone() == (VERSION,)
+        assert {row[1] for row in connection.execute("PRAGMA index_list(curves)")} >= {"curves_time"}
 
 
 def test_a_store_of_a_newer_version_is_refused_by_an_export(keep, tmp_path):
