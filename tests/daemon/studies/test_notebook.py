@@ -6,13 +6,16 @@ import os
 import re
 import signal
 import threading
-from datetime import date
+from datetime import UTC, date, datetime
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import heliocube
+from daemon.base.clock import SystemClock
+from daemon.base.records import Event, Pose
+from daemon.store.store import Origin, Store
 from solar.laws.flat import FlatLaw
 
 pytestmark = pytest.mark.slow
@@ -137,16 +140,42 @@ def test_an_argument_that_is_no_path_is_refused_with_the_name_of_its_parameter()
             call()
 
 
-def test_reading_a_store_accepts_none_for_the_kinds(tmp_path):
-    with pytest.raises(heliocube.UserError, match="there is no store"):
-        heliocube.read_store(tmp_path, kinds=None)
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """The folder of a store with events around both ends of 2022-10-14 UTC, and a pose."""
+    folder, midnight = tmp_path_factory.mktemp("store"), datetime(2022, 10, 14, tzinfo=UTC).timestamp()
+    origin = Origin(midnight, "both", "0", True, "SIRTA", 48.7, 2.2, 156.0)
+    kept = Store(folder, 60.0, None, origin, SystemClock(), print)
+    for text, at_s in {"before": -0.001, "first": 0.0, "last": 86399.999, "after": 86400.0}.items():
+        kept.keep(Event(midnight + at_s, 0.0, "test", text))
+    kept.keep(Pose(midnight, 0.0, 10.0, 60.0, moving=False))
+    kept.close()
+    return folder
 
 
-def test_a_date_is_accepted_as_a_start_and_a_year_beyond_the_calendar_is_refused(tmp_path):
+@pytest.mark.parametrize("kinds", [None, []])
+def test_no_kinds_stand_for_all_kinds_of_a_store(store, kinds):
+    tables = heliocube.read_store(store, kinds=kinds)
+    assert sorted(tables) == ["curves", "decisions", "events", "modes", "moves", "poses", "scans"]
+    assert {kind: len(table) for kind, table in tables.items() if len(table)} == {"events": 4, "poses": 1}
+    assert list(heliocube.read_store(store, kinds=["poses"])) == ["poses"]
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "found"),
+    [
+        (date(2022, 10, 14), None, ["first", "last", "after"]),
+        (None, date(2022, 10, 15), ["before", "first", "last"]),
+        (date(2022, 10, 14), date(2022, 10, 15), ["first", "last"]),
+    ],
+)
+def test_a_date_stands_for_its_first_instant_in_utc(store, start, end, found):
+    assert list(heliocube.read_store(store, start=start, end=end, kinds="events")["events"]["text"]) == found
+
+
+def test_a_start_in_a_year_beyond_the_calendar_is_refused():
     with pytest.raises(heliocube.UserError, match="start: '0001-01-01' is not a date or time"):
         heliocube.simulate("0001-01-01", days=0.01)
-    with pytest.raises(heliocube.UserError, match="there is no store"):
-        heliocube.read_store(tmp_path, start=date(2022, 10, 14))
 
 
 def test_numbers_and_dates_of_numpy_give_the_same_scans_as_those_of_python():

@@ -139,16 +139,22 @@ def test_a_replay_warns_of_readings_in_kilowatts_by_day_and_not_by_night(heliocu
     assert [bool(re.search(warning, said)) for _, said in told] == [True, False]
 
 
-def test_a_replay_follows_the_sun_through_a_gap_by_day_and_after_a_gap_over_night(replayed):
+def test_after_a_gap_a_replayed_tracker_faces_the_sun_by_day_and_is_at_the_night_position_at_night(replayed):
     before = NOON + np.arange(0, 1800, 5.0)
     after = NOON + 3 * 3600 + np.arange(0, 600, 5.0)
+    at_night = NOON + 11 * 3600 + np.arange(0, 600, 5.0)
     tomorrow = NOON + 86400.0 + np.arange(0, 600, 5.0)
-    found = replayed(readings(np.concatenate([before, after, tomorrow])), "optimal")
+    times = np.concatenate([before, after, at_night, tomorrow])
+    day = (times < at_night[0]) | (times >= tomorrow[0])
+    found = replayed(readings(times, dni=700.0 * day, dhi=90.0 * day), "optimal")
     modes = [row["mode"] for row in found]
     at = len(before)
     assert off_sun_deg(found[at]) < 3.0, "it followed the sun through the gap"
     assert modes[at] == "fallback"
-    first = at + len(after)
+    night = at + len(after)
+    assert modes[night] == "night"
+    assert (float(found[night]["a"]), float(found[night]["b"])) == (pytest.approx(0, abs=1), pytest.approx(90, abs=1))
+    first = night + len(at_night)
     assert modes[first] in ("fallback", "tracking")
     assert off_sun_deg(found[first]) < 3.0, "after the night the gap went on by day"
     assert modes[first + 100] == "tracking"
