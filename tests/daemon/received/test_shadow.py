@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import math
 from dataclasses import replace
 
 import pytest
@@ -184,17 +183,31 @@ def test_a_shadow_law_that_raises_while_learning_or_being_saved_does_not_stop_tr
     assert len(told(rig)) == 1
 
 
-def test_what_the_shadow_law_has_learned_moved_and_received_is_saved_in_the_store_folder(run_rig, tmp_path):
-    law = {"driver": "chronometric", "shadow": "optimal", "albedo": 0.35}
+def test_what_the_shadow_law_has_learned_moved_and_received_outlives_a_restart(run_rig, tmp_path):
+    def kept(name):
+        return json.loads((tmp_path / f"shadow-optimal-{name}.json").read_text())
 
-    async def scenario(rig):
+    async def before(rig):
+        await most_of_an_hour(rig)
+        # The law learns from a day when it is over.
+        asyncio.get_running_loop().skip(23 * 3600)
+        await rig.until(lambda: told(rig), 300, "what the day was worth")
         await most_of_an_hour(rig)
 
-    run_rig(scenario, store={"directory": tmp_path}, law=law, **SELDOM)
-    assert json.loads((tmp_path / "shadow-optimal-learned.json").read_text())["albedo"] == pytest.approx(0.35, abs=0.1)
-    kept = json.loads((tmp_path / "shadow-optimal-day.json").read_text())
-    assert kept["active_moves"] >= 5
-    assert 0 < json.loads((tmp_path / "shadow-optimal-received.json").read_text())["known_s"] < math.inf
+    async def again(rig):
+        await asyncio.sleep(5)
+        assert rig.tracker.shadow.albedo == learned["albedo"]
+        assert (seen(rig)["moves"], seen(rig)["active_moves"]) == (day["moves"], day["active_moves"])
+        assert seen(rig)["received"]["known_s"] == pytest.approx(received["known_s"], abs=60.0)
+
+    law = {"driver": "chronometric", "shadow": "optimal", "albedo": 0.35}
+    given = {"store": {"directory": tmp_path}, "law": law, **SELDOM}
+    run_rig(before, start="2022-10-12T10:00", **given)
+    learned, day, received = kept("learned"), kept("day"), kept("received")
+    assert abs(learned["albedo"] - 0.35) > 0.01, "it has learned something"
+    assert min(day["moves"], day["active_moves"]) >= 5
+    assert received["known_s"] > 1800.0
+    run_rig(again, start="2022-10-13T11:00", **given)
 
 
 def test_a_start_with_a_clock_years_behind_forgets_nothing_of_the_day_it_is_later_set_to(run_rig, tmp_path):
