@@ -11,6 +11,7 @@ from daemon.config.settings import Settings
 from daemon.rigs.probe_modbus import ModbusProbe, unit_range
 from drivers.cube.pyranometers.settings import RegisterMapSettings
 from drivers.errors import DeadlineError
+from drivers.modbus.pdu import READ_HOLDING, READ_INPUT
 from sim_drivers.modbus.line import DeviceLineCore
 from sim_drivers.modbus.pyranometers import SimulatedApogee, SimulatedHukseflux, SimulatedMapped, SimulatedSmp
 from sim_drivers.transports import InMemoryModbus
@@ -221,10 +222,16 @@ def test_with_two_sensors_of_one_address_on_the_line_at_once_no_new_address_is_o
     ("sensor", "make", "why"),
     [(SimulatedSmp(9, 101, bright), "smp", "Smart Explorer"), (SimulatedApogee(9, 0, bright), "apogee", "calibration")],
 )
-def test_for_a_make_without_an_address_register_the_probe_says_why_it_sets_no_address(sensor, make, why):
+def test_for_a_make_without_an_address_register_the_probe_writes_nothing_and_says_why(sensor, make, why):
     bus = Bus(make=make)
-    said = bus.run(lambda probe: probe.set_addresses(Person(bus, [[sensor], [], [], []]), range(1, 11)))
+    feed, functions = bus.core.feed, []
+    bus.core.feed = lambda data, now: (functions.append(data[1]), feed(data, now))[1]
+    person = Person(bus, [[sensor], [], [], []])
+    said = bus.run(lambda probe: probe.set_addresses(person, range(1, 11)))
     assert why in said
+    assert not [question for question in person.asked if not question.startswith("Connect")]
+    assert functions
+    assert set(functions) <= {READ_HOLDING, READ_INPUT}
 
 
 def test_a_wrong_address_range_or_another_cube_driver_is_refused_in_one_sentence():
