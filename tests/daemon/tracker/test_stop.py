@@ -1,7 +1,6 @@
 """A person's stop, maintenance and the unit's buttons: nothing moves until `auto`, whatever is asked for."""
 
 import asyncio
-import json
 import re
 from dataclasses import replace
 
@@ -14,11 +13,8 @@ from daemon.tracker.wishes import Wishes, WishFile
 from drivers.errors import DeviceError, RefusedError
 from tests.daemon.tracker.days import pass_quietly
 from tests.support import DOCS
-from tests.support.api import serve
 from tests.support.motion import commands_sent
 from tests.support.phases import at_rest, tracking, under_way
-
-__all__ = ["serve"]
 
 OTHERS = ("stow", "snow", "hold", "goto", "home", "clear", "relearn", "maintenance")
 
@@ -183,7 +179,7 @@ def test_strong_wind_under_a_stop_raises_an_alarm_that_ends_with_the_stop(run_ri
     run_rig(scenario)
 
 
-def test_a_stop_survives_a_restart_with_the_person_and_the_time(run_rig, tmp_path):
+def test_a_stop_survives_a_restart_with_the_person_the_time_and_the_reason(run_rig, tmp_path):
     async def first(rig):
         await tracking(rig)
         await operator(rig).stop("repair", "ana@lab")
@@ -191,12 +187,12 @@ def test_a_stop_survives_a_restart_with_the_person_and_the_time(run_rig, tmp_pat
     async def second(rig):
         await asyncio.sleep(60)
         assert rig.mode is Mode.HOLD
-        assert rig.control.why.startswith("stopped by ana@lab since 2022-10-12 10:0")
-        with pytest.raises(CommandError, match="no goto: the tracker is stopped by ana@lab since"):
+        assert re.fullmatch(r"stopped by ana@lab since 2022-10-12 10:0\d:\d\d UTC: repair", rig.control.why)
+        with pytest.raises(CommandError, match=f"no goto: the tracker is {rig.control.why}; only"):
             await call(rig, "goto")
 
-    for scenario in (first, second):
-        run_rig(scenario, store={"directory": tmp_path})
+    for scenario, start in ((first, "10:00"), (second, "13:00")):
+        run_rig(scenario, start=f"2022-10-12T{start}", store={"directory": tmp_path})
 
 
 def test_a_stop_and_a_hold_in_a_file_of_an_earlier_version_are_in_force(run_rig, tmp_path):
@@ -211,15 +207,21 @@ def test_a_stop_and_a_hold_in_a_file_of_an_earlier_version_are_in_force(run_rig,
     run_rig(scenario, store={"directory": tmp_path})
 
 
-def test_a_stop_that_cannot_be_sent_is_kept_in_the_file_for_a_restart(run_rig, tmp_path):
+def test_a_stop_that_cannot_be_sent_is_kept_and_in_force_after_a_restart(run_rig, tmp_path):
     async def first(rig):
         await under_way(rig)
         rig.cables.positioner.link_up = False
         with pytest.raises(DeviceError):
             await rig.control.stop("a hand", "ana")
 
-    run_rig(first, store={"directory": tmp_path})
-    assert Wishes.model_validate_json((tmp_path / "operator.json").read_text()).stop.by == "ana"
+    async def second(rig):
+        await asyncio.sleep(900)
+        assert rig.mode is Mode.HOLD
+        assert re.fullmatch(r"stopped by ana since \S+ 10:0\d:\d\d UTC: a hand", rig.control.why)
+        assert not rig.of(Move)
+
+    for scenario, start in ((first, "10:00"), (second, "13:00")):
+        run_rig(scenario, start=f"2022-10-12T{start}", store={"directory": tmp_path})
 
 
 def test_a_stop_of_an_unplugged_positioner_is_named_beside_the_fault_and_in_force_when_it_returns(run_rig):
@@ -380,21 +382,3 @@ def test_maintenance_of_an_unplugged_positioner_is_in_force_and_its_reason_names
         assert "cable; positioner: is unplugged" in rig.control.why
 
     run_rig(scenario)
-
-
-# One parser, one answer
-
-
-@pytest.mark.parametrize("name", OTHERS)
-def test_over_http_a_command_refused_under_a_stop_gets_409_and_the_same_sentence_as_elsewhere(serve, name):
-    async def scenario(rig, call_http):
-        await tracking(rig)
-        await call_http.post("stop", b'{"why": "repair", "by": "ana"}')
-        body = {"a_deg": 10, "b_deg": 60} if name == "goto" else {}
-        reply = await call_http.post(name, json.dumps(body).encode())
-        assert reply.status == 409
-        with pytest.raises(CommandError) as refused:
-            await call(rig, name)
-        assert reply.json == {"error": str(refused.value)}
-
-    serve(scenario)

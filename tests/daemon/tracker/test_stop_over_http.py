@@ -1,11 +1,16 @@
 """The interface's answers and state while a person keeps the tracker still, or before it has begun."""
 
 import asyncio
+import json
+
+import pytest
 
 from daemon.base.records import Mode
+from daemon.service.operator import CommandError
 from daemon.tracker.wishes import Wishes
+from tests.daemon.tracker.test_stop import OTHERS, call
 from tests.support.api import serve
-from tests.support.phases import under_way
+from tests.support.phases import tracking, under_way
 
 __all__ = ["serve"]
 
@@ -54,5 +59,20 @@ def test_the_state_shows_stop_and_hold_apart_with_who_gave_them_and_since_when(s
         lines = (await call_http.get("/metrics")).body.decode().splitlines()
         assert 'heliocube_alarms{tracker="tracker"} 1.0' in lines
         assert 'heliocube_alarm{name="stow-wanted",severity="critical",tracker="tracker"} 1.0' in lines
+
+    serve(scenario)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_over_http_a_command_refused_under_a_stop_gets_409_and_the_same_sentence_as_elsewhere(serve, name):
+    async def scenario(rig, call_http):
+        await tracking(rig)
+        await call_http.post("stop", b'{"why": "repair", "by": "ana"}')
+        body = {"a_deg": 10, "b_deg": 60} if name == "goto" else {}
+        reply = await call_http.post(name, json.dumps(body).encode())
+        assert reply.status == 409
+        with pytest.raises(CommandError) as refused:
+            await call(rig, name)
+        assert reply.json == {"error": str(refused.value)}
 
     serve(scenario)
