@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from daemon.base.records import Decision, Mode, Quality
+from daemon.base.records import Decision, Mode
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
 from tests.support.rig import SITE, HandWeather
@@ -82,17 +82,23 @@ def test_after_a_step_the_chronometric_law_follows_the_new_time_once_the_clock_i
     run_rig(scenario, law={"name": "chronometric"}, rest_look_s=5.0)
 
 
-def test_mu_prime_goes_on_deciding_by_good_faces_after_a_clock_step(run_rig):
+def test_mu_prime_goes_on_turning_the_tracker_by_good_faces_while_the_clock_is_in_doubt(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 60)
         await asyncio.sleep(400)
+        assert rig.truth().b_deg == pytest.approx(90.0, abs=1.0), "the sky is even"
         decided = len(rig.of(Decision))
         rig.clock.step_s = 12 * 3600.0 - 1800.0
-        await asyncio.sleep(800)
+        # The scene computes an hour ahead, so this is the light from eleven o'clock on.
+        rig.weather.dni, rig.weather.dhi = 700.0, 90.0
+        await asyncio.sleep(1200)
+        assert "clock" in [alarm.name for alarm in rig.tracker.alarms.active]
         assert rig.mode is Mode.TRACKING
-        assert len(rig.of(Decision)) > decided
+        assert {decision.law for decision in rig.of(Decision)[decided:]} == {"mu-prime"}
+        sun = sun_direction(rig.clock.true_utc(), *SITE)
+        assert separation_deg(normal_from_angles(*rig.truth()), sun) < 10.0
 
-    run_rig(scenario, weather=HandWeather(dni=0, dhi=150))
+    run_rig(scenario, start="2022-10-12T10:50", weather=HandWeather(dni=0, dhi=150))
 
 
 def test_dark_faces_are_not_night_while_the_clock_is_in_doubt_and_the_tracker_stays_where_it_is(run_rig):
@@ -104,8 +110,9 @@ def test_dark_faces_are_not_night_while_the_clock_is_in_doubt_and_the_tracker_st
         for face in range(4):
             rig.scene.break_sensor(face, 1e-6)
         await asyncio.sleep(600)
-        assert rig.mode is not Mode.NIGHT
-        assert rig.control.state.scan.zenith.quality in Quality
+        assert "clock" in [alarm.name for alarm in rig.tracker.alarms.active]
+        assert rig.mode is Mode.FALLBACK
+        assert rig.control.why == "the zenith face reads 0.0 W/m2 while the clock is in doubt"
         assert stays(rig, before)
 
     run_rig(scenario, law={"name": "chronometric"})
