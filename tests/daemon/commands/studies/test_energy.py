@@ -251,9 +251,9 @@ def test_a_mistaken_option_is_refused_with_the_reason_and_exit_code_2(
     assert "Traceback" not in error
 
 
-def test_a_missing_weather_file_is_refused(monkeypatch, tmp_path, capsys):
+def test_a_missing_weather_file_is_refused_by_its_name(monkeypatch, tmp_path, capsys):
     assert energy(monkeypatch, tmp_path / "none.csv", "--site", SITE, "--out", tmp_path) == 2
-    assert "no weather file" in capsys.readouterr().err
+    assert f"no weather file at {tmp_path / 'none.csv'}" in " ".join(capsys.readouterr().err.split())
 
 
 def test_weather_that_does_not_fit_the_site_gives_a_warning(monkeypatch, weather, tmp_path, capsys):
