@@ -56,6 +56,26 @@ async def mbpoll(*arguments):
 
 @needs_mbpoll
 @pytest.mark.live
+def test_mbpoll_writes_an_address_and_a_coil_of_the_simulated_sensors_over_tcp_and_a_serial_line(tmp_path):
+    async def work():
+        async with served(tmp_path) as host:
+            ways = [("-m", "tcp", "-p", host.tcp_port), ("-m", "rtu", "-b", 19200, "-P", "none")]
+            found = []
+            for way, end, address in zip(ways, ("127.0.0.1", tmp_path / "cube"), (7, 8), strict=True):
+                host.sensors[0].status = 8
+                await mbpoll(*way, "-a", 1, "-t", "0", "-r", 10, end, 1)
+                await mbpoll(*way, "-a", host.sensors[2].address, "-t", "4", "-r", 0, end, address)
+                # A Hukseflux takes its new address when it is switched on.
+                host.power_cycle()
+                serial = await mbpoll(*way, "-a", address, "-t", "4", "-r", 40, "-c", 1, end)
+                found.append((host.sensors[0].status, serial))
+            return found
+
+    assert asyncio.run(work()) == [(0, ["103"]), (0, ["103"])]
+
+
+@needs_mbpoll
+@pytest.mark.live
 def test_mbpoll_reads_the_simulated_sensors_over_tcp_and_a_serial_line(tmp_path):
     async def work():
         async with served(tmp_path) as host:

@@ -155,16 +155,18 @@ def test_single_input_load_modules_take_every_other_channel_and_the_others_are_r
         LoadCore(Module(), np.random.default_rng(1), channel=2)
 
 
-@pytest.mark.parametrize(
-    "line", ["VOLTT 3", "VOLT:STAT:L1", "VOLT:STAT:L1 x", "VOLT:STAT:L1 999", "INP ON", "?", ";;:"]
-)
-def test_an_invalid_command_is_not_answered_and_changes_neither_level_nor_input(line):
+@pytest.mark.parametrize(("line", "event"), [
+    ("VOLTT 3", 32), ("VOLT:STAT:L1", 32), ("VOLT:STAT:L1 x", 32), ("INP ON", 32), ("?", 32), (";;:", 32),
+    ("VOLT:STAT:L1 999", 16),
+])  # fmt: skip
+def test_an_invalid_command_gets_no_answer_changes_no_level_or_input_and_sets_its_event_bit(line, event):
     talk = chroma()
     talk.say("*CLS")
     level = talk.core.level_v
     assert talk.say(line) == []
     assert talk.core.level_v == level
     assert not talk.core.on
+    assert int(talk.ask("*ESR?")) == event
 
 
 def test_the_error_queue_names_the_error_of_an_unknown_command():

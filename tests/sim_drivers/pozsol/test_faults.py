@@ -2,7 +2,8 @@
 
 import pytest
 
-from drivers.positioners.pozsol.wire import Field, encode_command
+from drivers.positioners.pozsol.wire import Field, TokenStream, encode_command
+from sim_drivers.pozsol import screens
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import A_ACTUATOR, Setup
 from sim_drivers.pozsol.unit import SELF_CLEAR_S
@@ -192,14 +193,19 @@ def test_a_fresh_unit_has_no_reset_mark():
     assert not status(PositionerCore(), 0.0).was_reset
 
 
-def test_a_deaf_unit_takes_no_command_until_it_is_repaired():
+def test_a_deaf_unit_shows_telemetry_and_takes_no_command_until_it_is_repaired():
     core = PositionerCore()
-    core.inject("deaf", 0.0)
-    point(core, 1.0, a_deg=40.0)
-    assert core.truth(60.0).a_deg == pytest.approx(0.0)
-    core.repair("deaf", 60.0)
+    point(core, 0.0, a_deg=20.0)
+    core.inject("deaf", 5.0)
+    core.feed(STOP, 5.0)
+    stream = b"".join(core.next_screen(60.0) for _ in range(screens.SLOTS))
+    shown = dict(TokenStream().feed(stream + b"$"))
+    assert float(shown[Field.A_ANGLE]) == pytest.approx(20.0, abs=0.4)
     point(core, 60.0, a_deg=40.0)
-    assert core.truth(120.0).a_deg > 39.0
+    assert core.truth(120.0).a_deg == pytest.approx(20.0, abs=0.4)
+    core.repair("deaf", 120.0)
+    point(core, 120.0, a_deg=40.0)
+    assert core.truth(180.0).a_deg > 39.0
 
 
 def test_injected_faults_make_an_axis_ignore_its_targets_or_its_count_slip():

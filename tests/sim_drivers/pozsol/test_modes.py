@@ -81,3 +81,16 @@ def test_snow_stow_begins_only_while_own_tracking_is_on():
     core.inject("own_tracking", 100.0)
     assert status(core, 101.0).snow
     assert core.truth(300.0).b_deg == pytest.approx(20.0, abs=0.5)
+
+
+def test_snow_stow_begins_after_ten_seconds_of_snow_and_ends_after_its_hold_time():
+    core = PositionerCore(setup=own(snow_stow=Angles(0.0, 20.0), snow_hold_s=60.0))
+    core.inject("own_tracking", 0.0)
+    core.inject("snow", 200.0)
+    assert not status(core, 209.9).snow
+    assert status(core, 210.1).snow
+    assert fields(core, 211.0)[Field.MODE] == b"snow mode"
+    core.repair("snow", 300.0)
+    assert status(core, 359.0).snow
+    assert not status(core, 361.0).snow
+    assert core.truth(599.0).b_deg == pytest.approx(60.0, abs=0.5)

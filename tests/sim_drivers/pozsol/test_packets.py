@@ -73,15 +73,17 @@ def test_only_a_dollar_at_the_very_beginning_makes_a_command():
     assert number(core, Field.A_DESTINATION, 63.0) == 100.0
 
 
-def test_a_lone_dollar_after_foreign_bytes_leaves_the_destination_unchanged():
+@pytest.mark.parametrize(("foreign", "is_repeated"), [(b"", True), (b"xxxxxxxxx", False)])
+def test_a_lone_dollar_repeats_the_last_command_unless_foreign_bytes_have_overwritten_it(foreign, is_repeated):
     core = PositionerCore()
     core.feed(b"$.100\r", 1.0)
-    core.feed(STOP, 2.0)
-    core.feed(b"$.200\r", 3.0)
-    core.feed(b"xxxxxxxxx", 4.0)
-    assert number(core, Field.A_DESTINATION, 5.0) == 200.0
-    core.feed(b"$", 6.0)
-    assert number(core, Field.A_DESTINATION, 7.0) == 200.0
+    # The button gives the axis another destination, and sends nothing that overwrites the command.
+    core.inject("button", 2.0)
+    core.repair("button", 10.0)
+    core.feed(foreign, 32.0)
+    assert number(core, Field.A_DESTINATION, 33.0) > 200.0
+    core.feed(b"$", 34.0)
+    assert (number(core, Field.A_DESTINATION, 35.0) == 100.0) is is_repeated
 
 
 def test_the_first_packet_after_each_connection_of_the_cable_is_lost():
