@@ -275,6 +275,44 @@ def test_another_board_and_a_silent_unit_are_refused_at_opening_and_nothing_is_s
     asyncio.run(scene())
 
 
+@pytest.mark.live
+@pytest.mark.parametrize(("says", "error", "sentence"), [
+    (b"$GPGGA,101530,4843.05,N,00212.54,E,1,08,0.9,156.0,M,,M,,*47\r\n", IdentityError, "sends something, but not"),
+    (b"+0412.6 W/m2\r\n", ConnectError, "sends no telemetry: it hangs, is in its bootloader, or is another device"),
+])  # fmt: skip
+def test_a_device_that_streams_something_else_is_refused_at_opening_and_nothing_is_sent_to_it(says, error, sentence):
+    device, port = os.openpty()
+    tty.setraw(port)
+    os.set_blocking(device, False)
+    heard = []
+    # The driver listens for up to 8 s of its time, which passes by what it hears: a busy machine may hold it up.
+    now = lambda: float(len(heard))  # noqa: E731
+    line = SerialLine(lambda: open_port(os.ttyname(port), lambda *piece: heard.append(piece)), now)
+
+    async def stream():
+        while True:
+            with contextlib.suppress(BlockingIOError):
+                os.write(device, 5 * says)
+            await asyncio.sleep(0.05)
+
+    async def scene():
+        positioner = PozsolPositioner(line, now, A, B)
+        task = asyncio.create_task(stream())
+        with pytest.raises(error, match=sentence):
+            await positioner.open()
+        with pytest.raises(LinkLostError, match="opened first"):
+            await positioner.stop()
+        task.cancel()
+        with pytest.raises(BlockingIOError):
+            os.read(device, 64)
+
+    try:
+        asyncio.run(scene())
+    finally:
+        os.close(device)
+        os.close(port)
+
+
 def test_own_tracking_is_switched_off_and_a_refusal_names_its_likely_cause(positioner_host):
     async def scene():
         async with positioner_host(Setup(own_target=lambda _now: Angles(0.0, 90.0))) as host:
