@@ -181,7 +181,7 @@ def test_a_resource_that_cannot_be_opened_is_refused_with_the_cause_or_a_remedy(
         VisaLine(settings)
 
 
-def test_the_first_two_instruments_opened_at_once_get_no_half_made_visa_manager(ends, monkeypatch):
+def test_the_first_two_instruments_opened_at_once_both_get_a_whole_visa_manager(ends, monkeypatch):
     def slow_set(*members):
         time.sleep(0.2)
         return weakref.WeakSet(*members)
@@ -189,16 +189,22 @@ def test_the_first_two_instruments_opened_at_once_get_no_half_made_visa_manager(
     monkeypatch.setattr(pyvisa.highlevel.VisaLibraryBase, "_registry", weakref.WeakValueDictionary())
     monkeypatch.setattr(pyvisa.highlevel, "WeakSet", slow_set)
     monkeypatch.setattr(visa, "_managers", {})
-    _, path = ends
+    instrument, path = ends
     begin = threading.Barrier(2)
 
-    def open_line(resource):
+    def ask(port):
         begin.wait()
-        with contextlib.suppress(ConnectError):
-            VisaLine(VisaSettings(resource)).close()
+        with opened(port) as line:
+            line.send("*IDN?")
 
-    with ThreadPoolExecutor(2) as threads:
-        list(threads.map(open_line, [f"ASRL{path}::INSTR", "ASRL/dev/no-such-port::INSTR"]))
+    other, other_port = os.openpty()
+    try:
+        with ThreadPoolExecutor(2) as threads:
+            list(threads.map(ask, [path, os.ttyname(other_port)]))
+        assert [os.read(descriptor, 100) for descriptor in (instrument, other)] == [b"*IDN?\n"] * 2
+    finally:
+        os.close(other)
+        os.close(other_port)
 
 
 class Named:

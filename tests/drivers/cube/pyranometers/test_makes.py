@@ -53,8 +53,11 @@ def test_smp_power_tilt_and_humidity_flags_do_not_affect_the_irradiance():
     assert {smp(status=bits) for bits in (1 << 8, 1 << 9, 1 << 12)} == {(997.0, None, "")}
 
 
-def test_an_smp_scale_that_the_manual_does_not_list_is_reported():
-    assert "scale 7" in smp(scale=7).note
+@pytest.mark.parametrize("scale", [3, 7, -2])
+def test_an_smp_value_with_a_scale_that_the_manual_does_not_list_is_missing_with_a_note(scale):
+    told = smp(scale=scale)
+    assert math.isnan(told.w_m2)
+    assert (told.flaw, told.note) == ("missing", f"has the scale {scale}, which is not in its manual")
 
 
 def test_a_device_that_is_not_an_smp_pyranometer_is_refused_with_its_type():
