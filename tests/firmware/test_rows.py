@@ -112,7 +112,7 @@ def test_a_command_is_recognised_only_if_its_packet_begins_with_a_dollar(both):
     assert after(both, b"$.300\r", 100).destination_mm[0] == 300.0
 
 
-def test_after_a_stop_the_destination_is_the_position_and_no_bit_is_set_while_the_axis_still_runs_out(both):
+def test_after_a_stop_the_destination_is_the_position_and_no_bit_is_set_while_the_axis_runs_out(both):
     assert after(both, b"$.300\r", 2000).status == A_OUT
     look = after(both, STOP, 80)
     assert look.motion[0] == 1
