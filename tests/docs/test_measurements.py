@@ -3,6 +3,7 @@
 The pages quote their figures, and nobody runs them for months. The usage of each names its options.
 """
 
+import ast
 import importlib
 import logging
 import re
@@ -20,6 +21,8 @@ pytestmark = pytest.mark.slow
 FOLDER = ROOT / "tests" / "measurements"
 SCRIPTS = {path.stem: path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("*.py"))}
 GUARD = '\nif __name__ == "__main__":\n'
+WITH_OPTIONS = [name for name, text in SCRIPTS.items() if "\nimport argparse\n" in text]
+OPTION = re.compile(r"--[a-z-]+")
 SIRTA = "48.7176,2.2090,156"
 
 
@@ -123,14 +126,18 @@ def test_every_measurement_script_is_run_here_or_listed_with_the_reason_why_not(
     assert not SLICES.keys() & NOT_RUN
 
 
-@pytest.mark.parametrize("name", SCRIPTS)
+@pytest.mark.parametrize("name", WITH_OPTIONS)
 def test_a_measurement_script_has_exactly_the_options_that_its_docstring_names(name, monkeypatch, capsys):
     module = importlib.import_module(f"tests.measurements.{name}")
-    if not hasattr(module, "argparse"):
-        return
     with pytest.raises(SystemExit) as ended:
         begin(name, ["--help"], monkeypatch)
     assert ended.value.code == 0
-    named = set(re.findall(r"--[a-z-]+", module.__doc__))
+    named = set(OPTION.findall(module.__doc__))
     # A description may repeat the usage.
     assert set(re.findall(r"^  (--[a-z-]+)", capsys.readouterr().out, re.MULTILINE)) == named
+
+
+def test_a_measurement_script_that_takes_no_options_names_none_in_its_docstring():
+    without = SCRIPTS.keys() - set(WITH_OPTIONS)
+    named = {name: OPTION.findall(ast.get_docstring(ast.parse(SCRIPTS[name]))) for name in without}
+    assert {name: options for name, options in named.items() if options} == {}

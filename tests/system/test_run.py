@@ -11,10 +11,12 @@ import subprocess
 import sys
 import termios
 from datetime import UTC, datetime
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
 
+import daemon
 from tests.support import PATIENCE_S, ROOT, forks
 
 pytestmark = pytest.mark.system
@@ -235,5 +237,7 @@ def test_the_help_and_the_check_of_a_configuration_do_not_import_pvlib_or_pandas
     assert imported.stdout.split() == ["False", "False"]
 
 
-def test_the_name_daemon_is_ours():
-    assert (ROOT / "pyproject.toml").is_file(), "another distribution installs a package called daemon"
+def test_the_package_daemon_is_ours_and_no_other_installed_distribution_has_one_of_that_name():
+    assert Path(daemon.__file__) == ROOT / "daemon" / "__init__.py"
+    # Here the folder of the tests comes first; where the program is installed, the one installed last wins.
+    assert set(packages_distributions().get("daemon", ())) <= {"heliocube"}
