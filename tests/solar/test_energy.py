@@ -37,13 +37,14 @@ def january_and_june(measured):
     return lay_out(utc_s, dni, dhi, LYNGBY)
 
 
-def test_the_chronometric_tracker_harvests_the_dni_times_the_cosine_of_incidence():
-    weather = weather_of(800.0, 0.0)
+def test_the_chronometric_tracker_harvests_dni_by_incidence_and_its_share_of_an_even_sky():
+    weather = weather_of(800.0, 100.0)
     light = build_sky(weather, "isotropic")
     result = harvest(weather, light, 0.0, IDEAL, steered(chronometric, weather))
     normals = normal_from_angles(*angles_within(weather.sun, LIMITS))
-    expected = 800.0 * np.maximum(np.sum(normals * weather.sun, axis=1), 0.0).sum() / 60e3
-    assert result.energy_kwh_m2[0] == pytest.approx(expected)
+    beam = 800.0 * np.maximum(np.sum(normals * weather.sun, axis=1), 0.0)
+    sky = 100.0 * (1.0 + normals[:, 2]) / 2.0
+    assert result.energy_kwh_m2[0] == pytest.approx((beam + sky).sum() / 60e3)
 
 
 def test_a_flat_plane_receives_the_global_irradiance_and_travels_nowhere():

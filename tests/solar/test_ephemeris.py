@@ -17,7 +17,7 @@ from solar.ephemeris import (
     sun_direction,
     sun_position,
 )
-from solar.frames import azimuth_from_direction, separation_deg
+from solar.frames import azimuth_from_direction, direction_from_azimuth, separation_deg
 
 SIRTA = (48.717607, 2.209002, 156.0)
 CAPE_TOWN = (-33.92, 18.42, 25.0)
@@ -72,7 +72,18 @@ def test_one_instant_gives_floats_equal_to_those_of_an_array(instant):
     assert one.azimuth_deg == pytest.approx(many.azimuth_deg[0, 0], abs=1e-7)
 
 
-def test_the_sun_direction_moves_evenly_through_whole_hours_of_daylight_on_the_day_of_the_equinox():
+@pytest.mark.parametrize("site", SITES)
+def test_the_sun_moves_evenly_through_whole_hours_midnight_and_the_wrap_of_right_ascension(site):
+    # Right ascension wraps at the equinox, on 20 March at 3:06.
+    instants = utc("2024-03-19T12:00:00") + np.arange(0.0, 1.5 * 86400.0, 10.0)
+    sun = sun_position(instants, *site)
+    # Without refraction, which near the horizon and below it changes by more than the sun moves.
+    directions = direction_from_azimuth(sun.azimuth_deg, sun.geometric_elevation_deg, site[0])
+    steps = separation_deg(directions[:-1], directions[1:])
+    assert steps == pytest.approx(10.0 * 360.0 / 86400.0, abs=2e-5)
+
+
+def test_by_day_the_apparent_sun_moves_evenly_through_whole_hours():
     equinox = utc("2024-03-20T00:00:00") + np.arange(0.0, 86400.0, 10.0)
     steps = separation_deg(sun_direction(equinox[:-1], *SIRTA), sun_direction(equinox[1:], *SIRTA))
     daylight = sun_position(equinox[:-1], *SIRTA).elevation_deg > 0.0

@@ -48,8 +48,8 @@ def in_means(readings, per_mean, elapsed_s):
     return middles, np.full(len(groups), elapsed_s), faces
 
 
-def expected_aim(means, utc_s, heading, used=(0.0, 0), settings=SETTINGS):
-    law = OptimalLaw(settings, LIMITS)
+def expected_aim(means, utc_s, heading, used=(0.0, 0), settings=SETTINGS, learned=None):
+    law = OptimalLaw(settings, LIMITS, learned=learned)
     law.resume(*used)
     middles, elapsed_s, faces = means
     law.observe(faces, sun_direction(middles, *SITE), elapsed_s)
@@ -169,20 +169,23 @@ def test_a_move_beyond_the_days_budget_is_reported_with_its_gain_and_the_budget_
     )
 
 
-def test_the_travel_and_albedo_settings_take_effect_in_the_optimal_law():
-    law = live(thrift=3.0, travel_per_day_deg=50.0, moves_per_day=2, albedo=0.4)
-    readings = list(scans(3))
+def test_the_settings_thrift_travel_moves_and_albedo_take_effect_in_the_optimal_law():
+    law = live(thrift=3.0, travel_per_day_deg=200.0, moves_per_day=2, albedo=0.4)
+    readings = list(scans(3, start_s=NOON - 14_400.0))
     for reading in readings:
         law.observe(reading)
     assert law.learned.albedo == 0.4
-    assert (law.affords(50.0), law.affords(50.1)) == (True, False)
-    plan = OptimalSettings(thrift=3.0, travel_per_day_deg=50.0, moves_per_day=2)
-    with_albedo = OptimalLaw(plan, LIMITS, learned=Learned(0.4))
-    middles, elapsed_s, faces = in_means(readings, 3, 15.0)
-    with_albedo.observe(faces, sun_direction(middles, *SITE), elapsed_s)
-    aim = law.aim(Moment(readings[-1].utc_s, None, Angles(0.0, 90.0)))
-    assert aim.beam_w_m2 == pytest.approx(float(with_albedo.light.beam))
+    assert (law.affords(200.0), law.affords(200.1)) == (True, False)
+    law.book(10.0)
+    plan = OptimalSettings(thrift=3.0, travel_per_day_deg=200.0, moves_per_day=2)
+    now = Moment(readings[-1].utc_s, None, Angles(0.0, 90.0))
+    expected = expected_aim(in_means(readings, 3, 15.0), now.utc_s, now.heading, (10.0, 1), plan, Learned(0.4))
+    aim = law.aim(now)
+    # The reason has the price in it, which thrift multiplies and the used half of the moves raises.
+    assert_alike(aim, expected)
     assert aim.albedo == 0.4
+    law.book(0.0)
+    assert not law.affords(0.0)
 
 
 def test_while_the_trackers_pose_is_unknown_the_law_gives_no_target():
