@@ -24,7 +24,7 @@ _OPTIONS = {
 
 def main() -> None:
     """Carry out `heliocube stop` and `heliocube stow` before any large library is loaded, other commands as usual."""
-    _open_what_is_closed()
+    _open_closed_streams()
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A reason or a name may have letters that the terminal's encoding lacks.
         sys.stdout.reconfigure(errors="replace")
@@ -35,9 +35,9 @@ def main() -> None:
             sys.stdin.reconfigure(errors="surrogateescape")
     command, *rest = sys.argv[1:] or [""]
     _refuse_two_trackers(rest)
-    given = _plainly_given(rest) if command in _URGENT else None
+    given = _parse_plain_options(rest) if command in _URGENT else None
     interrupted = _NOTHING_YET if given is None else _MAYBE_TAKEN
-    with _until_the_answer_is_written(), _told_when_interrupted(interrupted):
+    with _reporting_unwritten_answer(), _reporting_interruption(interrupted):
         if command not in _URGENT:
             _refuse_a_damaged_installation()
         if given is None:
@@ -45,10 +45,10 @@ def main() -> None:
 
             command_line()
         else:
-            _at_once(command, given)
+            _send_command(command, given)
 
 
-def _open_what_is_closed() -> None:
+def _open_closed_streams() -> None:
     """Open the null device in place of standard streams that were closed before the program started.
 
     Otherwise the next file that is opened, such as that of the records, would get the number of a closed stream, and
@@ -74,7 +74,7 @@ def _refuse_two_trackers(words: Sequence[str]) -> None:
 
 
 @contextmanager
-def _told_when_interrupted(sentence: str) -> Iterator[None]:
+def _reporting_interruption(sentence: str) -> Iterator[None]:
     """Leave with a sentence if Ctrl-C comes before a command can handle it, while libraries are loaded."""
     try:
         yield
@@ -87,7 +87,7 @@ def _told_when_interrupted(sentence: str) -> Iterator[None]:
 
 
 @contextmanager
-def _until_the_answer_is_written() -> Iterator[None]:
+def _reporting_unwritten_answer() -> Iterator[None]:
     """Leave with a sentence and its own exit code if standard output takes no more, as on a full disk."""
     try:
         try:
@@ -101,7 +101,7 @@ def _until_the_answer_is_written() -> Iterator[None]:
             sys.stdout.flush()
     except OSError as error:
         # A long answer fails before its end. If standard output takes more now, the error came from something else.
-        if error.filename is not None or _takes_more():
+        if error.filename is not None or _stdout_takes_more():
             raise
         # At its end Python would try again to write what is left.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -109,7 +109,7 @@ def _until_the_answer_is_written() -> Iterator[None]:
         sys.exit(ExitCode.UNWRITTEN)
 
 
-def _takes_more() -> bool:
+def _stdout_takes_more() -> bool:
     """Test whether standard output takes the end of a line."""
     try:
         os.write(sys.stdout.fileno(), b"\n")
@@ -128,7 +128,7 @@ def _refuse_a_damaged_installation() -> None:
         sys.exit(2)
 
 
-def _plainly_given(words: Sequence[str]) -> dict[str, str] | None:
+def _parse_plain_options(words: Sequence[str]) -> dict[str, str] | None:
     """Return the values of options, or None for words that the command line must handle: help, and mistakes."""
     given: dict[str, str] = {}
     left = iter(words)
@@ -145,7 +145,7 @@ def _plainly_given(words: Sequence[str]) -> dict[str, str] | None:
     return given
 
 
-def _at_once(command: str, given: dict[str, str]) -> None:
+def _send_command(command: str, given: dict[str, str]) -> None:
     from daemon.api.client import find  # noqa: PLC0415 - not needed by the other commands
     from daemon.commands.status.times import in_local  # noqa: PLC0415 - as above
     from daemon.commands.wrapping import wrapped  # noqa: PLC0415 - as above

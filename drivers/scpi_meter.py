@@ -50,7 +50,7 @@ class MeterSession(ScpiSession):
             self.require(self._identity)
             await self.synchronise()
             await self.configure()
-            changed = await self._changed()
+            changed = await self._first_changed_setting()
         if changed:
             raise ProtocolError(self._device, f"did not keep its configuration: {changed}")
         return self._identity
@@ -74,14 +74,14 @@ class MeterSession(ScpiSession):
             await self.quieten()
             await self.synchronise()
             restarted = bool(await self.events() & POWER_ON) or await self.ask("*IDN?") != self._identity
-            why = "it has restarted and lost its configuration" if restarted else await self._changed()
+            why = "it has restarted and lost its configuration" if restarted else await self._first_changed_setting()
         except (DeadlineError, ProtocolError) as error:
             raise LinkLostError(self._device, f"has gone silent: {error.message}") from error
         if why:
             raise LinkLostError(self._device, why)
         await self.write("*CLS")
 
-    async def _changed(self) -> str:
+    async def _first_changed_setting(self) -> str:
         """Return the first setting that is not as it was set, or an empty text."""
         for proof in self._proofs:
             if why := await self._differs(*proof):
@@ -90,7 +90,7 @@ class MeterSession(ScpiSession):
 
     async def _differs(self, query: str, expected: str | float) -> str:
         answer = await self.ask(query)
-        return "" if _same(answer, expected) else f"{query} is answered by {answer[:80]}, not {expected}"
+        return "" if _is_expected(answer, expected) else f"{query} is answered by {answer[:80]}, not {expected}"
 
 
 Session = TypeVar("Session", bound=MeterSession)
@@ -109,13 +109,13 @@ class ScpiMeter(Generic[Session]):
 
     def __init__(self, line: ScpiLine, begin: Callable[[], Session]) -> None:
         self._line = line
-        self._begin = begin
+        self._new_session = begin
         self._session: Session | None = None
 
     async def open(self) -> str:
         """Connect, identify, configure and read the configuration back; return what the meter says it is."""
         await self.close()
-        session = self._begin()
+        session = self._new_session()
         try:
             await self._line.open()
             identity = await session.start()
@@ -131,8 +131,8 @@ class ScpiMeter(Generic[Session]):
         await self._line.close()
 
 
-def _same(answer: str, expected: str | float) -> bool:
-    text = _unblocked(answer.strip()).strip("\"'")
+def _is_expected(answer: str, expected: str | float) -> bool:
+    text = _without_block_head(answer.strip()).strip("\"'")
     if isinstance(expected, str):
         if expected.startswith("(@"):
             return _listed(text) == _listed(expected)
@@ -144,7 +144,7 @@ def _same(answer: str, expected: str | float) -> bool:
     return all(abs(number - expected) <= 1e-6 * expected for number in numbers)
 
 
-def _unblocked(text: str) -> str:
+def _without_block_head(text: str) -> str:
     """Return what stands in a block of definite length, ``#214(@101,102,103)``, or the text as it is."""
     head = _BLOCK.match(text)
     return text if head is None else text[2 + int(head[1]) :]

@@ -92,7 +92,7 @@ def check_host(name: str) -> None:
         raise ValueError("a part of the host's name is empty or longer than 63 letters") from None
 
 
-def _server(text: str) -> str:
+def _checked_server(text: str) -> str:
     host, _, port = text.rpartition(":")
     if not (_SERVER.fullmatch(text) and 0 < int(port) <= 65535):
         raise ValueError("not a host and port")
@@ -111,7 +111,7 @@ METER_RANGES_V = (0.1, 1.0, 10.0)
 """The ranges of every meter here for the DC voltages of sensors."""
 MeterRange = Annotated[float, AfterValidator(_range), WithJsonSchema({"type": "number", "enum": list(METER_RANGES_V)})]
 PortPath = Annotated[str, AfterValidator(stable_port), text_of("port")]
-HostAndPort = Annotated[str, AfterValidator(_server), text_of("server")]
+HostAndPort = Annotated[str, AfterValidator(_checked_server), text_of("server")]
 VisaResource = Annotated[str, AfterValidator(stable_visa), text_of("visa")]
 
 

@@ -55,14 +55,14 @@ class MultiplexerCore:
         self._inputs = inputs
         self._enable = enable
         self._address_lines = address_lines
-        self._stuck: dict[int, bool] = {}
+        self._stuck_bits: dict[int, bool] = {}
         self._errors: deque[int] = deque()
         self._pending: deque[tuple[float, int]] = deque()
         self._port = ALL_HIGH
         self._input_of = [self._decode(port) for port in range(ALL_HIGH + 1)]
         self._selected = self._input_of[ALL_HIGH]
         self._held_v = 0.0
-        self._left: dict[int, float] = {}
+        self._inputs_left_s: dict[int, float] = {}
 
     def write(self, port_value: int, now: float) -> None:
         """Put a value on the port.
@@ -86,9 +86,9 @@ class MultiplexerCore:
         self._catch_up(now)
         voltage_v = None if self._selected is None else self._inputs(self._selected, now)
         if voltage_v is None:
-            return self._floating()
+            return self._floating_voltage_v()
         self._held_v = voltage_v
-        self._left.clear()
+        self._inputs_left_s.clear()
         return voltage_v
 
     def power_cycle(self, now: float) -> None:
@@ -108,16 +108,16 @@ class MultiplexerCore:
         if address_bit not in (0, 1, 2):
             raise ValueError(f"the switch has address bits 0, 1 and 2, not {address_bit}")
         self._catch_up(now)
-        self._stuck[address_bit] = high
-        self._wired_anew(now)
+        self._stuck_bits[address_bit] = high
+        self._rewire(now)
 
     def unstick(self, now: float) -> None:
         """Free all address bits."""
         self._catch_up(now)
-        self._stuck.clear()
-        self._wired_anew(now)
+        self._stuck_bits.clear()
+        self._rewire(now)
 
-    def _wired_anew(self, now: float) -> None:
+    def _rewire(self, now: float) -> None:
         self._input_of = [self._decode(port) for port in range(ALL_HIGH + 1)]
         self._set_port(self._port, now)
 
@@ -131,8 +131,8 @@ class MultiplexerCore:
         selected = self._input_of[port]
         if selected != self._selected:
             if self._selected is not None:
-                self._left.pop(self._selected, None)
-                self._left[self._selected] = at
+                self._inputs_left_s.pop(self._selected, None)
+                self._inputs_left_s[self._selected] = at
             self._selected = selected
 
     def _decode(self, port: int) -> int | None:
@@ -140,14 +140,14 @@ class MultiplexerCore:
             return None
         address = 0
         for bit, line in enumerate(self._address_lines):
-            address |= self._stuck.get(bit, port >> line & 1) << bit
+            address |= self._stuck_bits.get(bit, port >> line & 1) << bit
         return address
 
-    def _floating(self) -> float:
+    def _floating_voltage_v(self) -> float:
         # Inputs are asked only now for the voltage that they had when they were left, the newest first.
-        while self._left:
-            voltage_v = self._inputs(*self._left.popitem())
+        while self._inputs_left_s:
+            voltage_v = self._inputs(*self._inputs_left_s.popitem())
             if voltage_v is not None:
                 self._held_v = voltage_v
-                self._left.clear()
+                self._inputs_left_s.clear()
         return self._held_v

@@ -52,8 +52,8 @@ class PvSource:
         self._module = module
         self._light, self._lit_s = SourceLight(0.0, _MILD_C), math.nan
         self._diode: tuple[SourceLight, SingleDiode] | None = None
-        self._open_v = self._given_a = 0.0
-        self._asked_v = math.nan
+        self._open_v = self._last_current_a = 0.0
+        self._last_voltage_v = math.nan
 
     def light(self, now: float) -> SourceLight:
         """Return the light at a time [s]."""
@@ -63,20 +63,20 @@ class PvSource:
 
     def current(self, light: SourceLight, voltage_v: float) -> float:
         """Return the current [A] at a voltage."""
-        diode = self._in(light)
+        diode = self._diode_in(light)
         # While a load holds a voltage, each question to it asks for the current at that voltage again.
-        if voltage_v != self._asked_v:
-            self._asked_v, self._given_a = voltage_v, diode.current(voltage_v)
-        return self._given_a
+        if voltage_v != self._last_voltage_v:
+            self._last_voltage_v, self._last_current_a = voltage_v, diode.current(voltage_v)
+        return self._last_current_a
 
     def voltage(self, light: SourceLight, current_a: float) -> float:
         """Return the voltage [V] at a current; at 0 A that of the open circuit."""
-        diode = self._in(light)
+        diode = self._diode_in(light)
         return self._open_v if current_a == 0.0 else diode.voltage(current_a)
 
     def maximum(self, light: SourceLight) -> MaximumPower:
         """Return the true maximum power point."""
-        return self._in(light).maximum()
+        return self._diode_in(light).maximum()
 
     def light_now(self, now: float) -> SourceLight:
         """Work out the light at a time [s] anew."""
@@ -86,8 +86,8 @@ class PvSource:
         warm = cell_temperature(irradiance, _MILD_C if air is None else air, _CALM_M_S if wind is None else wind)
         return SourceLight(irradiance, float(warm))
 
-    def _in(self, light: SourceLight) -> SingleDiode:
+    def _diode_in(self, light: SourceLight) -> SingleDiode:
         if self._diode is None or self._diode[0] is not light:
             self._diode = light, single_diode(self._module, *light)
-            self._open_v, self._asked_v = self._diode[1].voltage(0.0), math.nan
+            self._open_v, self._last_voltage_v = self._diode[1].voltage(0.0), math.nan
         return self._diode[1]

@@ -166,7 +166,7 @@ class Scene:
         values = chunk.sensed_w_m2[face]
         sensed = values[index] + (values[index + 1] - values[index]) * share
         if isnan(sensed):
-            sensed = self._at(utc_s).sensed_w_m2[face][0]
+            sensed = self._compute_instant(utc_s).sensed_w_m2[face][0]
         if not self._noise_v:
             self._noise_v = (self._random.standard_normal(NOISE_BLOCK) * (1e-3 * self._sensors.noise_mv)).tolist()
         return sensed * self._shade[face] * self._volt_per_w_m2[face] + self._noise_v.pop()
@@ -176,7 +176,7 @@ class Scene:
         chunk, index, share = self._locate(utc_s)
         falling = [face[index] + (face[index + 1] - face[index]) * share for face in chunk.faces_w_m2]
         if any(map(isnan, falling)):
-            falling = [face[0] for face in self._at(utc_s).faces_w_m2]
+            falling = [face[0] for face in self._compute_instant(utc_s).faces_w_m2]
         return FaceIrradiances(*(value * shade for value, shade in zip(falling, self._shade, strict=True)))
 
     def sun_angles(self, utc_s: float) -> SunAngles:
@@ -245,11 +245,11 @@ class Scene:
         hour = {name: getattr(chunk.sky, name) for name in _SKY_PARTS}
         now = {name: part[index] + (part[index + 1] - part[index]) * share for name, part in hour.items()}
         if isnan(now["dhi_w_m2"]):
-            beside = self._at(utc_s).sky
+            beside = self._compute_instant(utc_s).sky
             now = {name: getattr(beside, name)[0] for name in _SKY_PARTS}
         return Sky(**now)
 
-    def _at(self, utc_s: float) -> _Chunk:
+    def _compute_instant(self, utc_s: float) -> _Chunk:
         """Compute one instant that a hole in the weather keeps from being interpolated."""
         instant = np.array([utc_s])
         found = self._compute(instant)

@@ -122,7 +122,7 @@ class GeneratedWeather:
         elif self._kind == "overcast":
             dni, dhi = np.zeros(utc_s.shape), thick_dhi
         elif self._kind == "broken":
-            blocked, cloud, flanks = self._broken(utc_s)
+            blocked, cloud, flanks = self._broken_clouds(utc_s)
             dni = clear_dni * (1.0 - blocked)
             dhi = (1.0 - blocked) * (clear_dhi + flanks * clear_ghi) + blocked * cloud * clear_ghi
         else:
@@ -148,7 +148,7 @@ class GeneratedWeather:
         edge = np.exp(-((inside / 0.06) ** 2))
         return blocked, brokenness, edge
 
-    def _broken(self, utc_s: Array) -> tuple[Array, Array, Array]:
+    def _broken_clouds(self, utc_s: Array) -> tuple[Array, Array, Array]:
         """How far the beam is blocked, and the light of the cloud and of its flanks as shares of the clear GHI."""
         inside = BROKEN_COVER - self._noise.fractal("broken", utc_s, BROKEN_PERIODS_S, BROKEN_WEIGHTS)
         blocked = smoothstep(inside / BROKEN_EDGE + 0.5)
@@ -159,13 +159,13 @@ class GeneratedWeather:
     def _spell(self, utc_s: Array) -> tuple[Array, Array]:
         """Cloud cover (below 0 clear, above 1 closed) and brokenness; spells blend into one another."""
         slot = np.floor(utc_s / SPELL_S).astype(np.int64)
-        spell = slot - (utc_s < self._begin(slot)) + (utc_s >= self._begin(slot + 1))
-        share = smoothstep((utc_s - self._begin(spell)) / BLEND_S)
+        spell = slot - (utc_s < self._spell_begin_utc_s(slot)) + (utc_s >= self._spell_begin_utc_s(slot + 1))
+        share = smoothstep((utc_s - self._spell_begin_utc_s(spell)) / BLEND_S)
         before, now = self._spell_state(spell - 1), self._spell_state(spell)
         cover, brokenness = before + (now - before) * share
         return cover, brokenness
 
-    def _begin(self, spell: NDArray[np.int64]) -> Array:
+    def _spell_begin_utc_s(self, spell: NDArray[np.int64]) -> Array:
         """When spells begin [s UTC]: every 25 min, give or take 10 min."""
         return (spell + 0.8 * (self._noise.uniform("begin", spell) - 0.5)) * SPELL_S
 

@@ -93,7 +93,7 @@ class MeasuredWeather:
         self._left_out = tuple(left_out)
         self.utc_s = utc_s[complete]
         self.irradiance_w_m2 = {key: np.maximum(values[key][complete], 0.0) for key in IRRADIANCES}
-        self._others = {key: _present(utc_s, values[key]) for key in OPTIONAL}
+        self._optional_values = {key: _present_values(utc_s, values[key]) for key in OPTIONAL}
 
     def note(self) -> str | None:
         """Return a sentence that tells people which parts of the file do not count, or None."""
@@ -123,7 +123,7 @@ class MeasuredWeather:
         if not covered.all():
             self._refuse(float(instants[~covered][0]))
         ghi, dni, dhi = (_interpolate(instants, self.utc_s, self.irradiance_w_m2[key]) for key in IRRADIANCES)
-        wind, temperature = (_interpolate(instants, *self._others[key]) for key in OPTIONAL)
+        wind, temperature = (_interpolate(instants, *self._optional_values[key]) for key in OPTIONAL)
         return Conditions(ghi_w_m2=ghi, dni_w_m2=dni, dhi_w_m2=dhi, wind_speed_m_s=wind, temp_air_degc=temperature)
 
     def _refuse(self, utc_s: float) -> NoReturn:
@@ -222,7 +222,7 @@ def _read(path: Path, typical_year: int | None) -> MeasuredWeather:
         )
     network = network_of(first, second, third, typical_year)
     if network is not None:
-        return _of_network(path, network)
+        return _read_network(path, network)
     separator = separator_of(first)
     try:
         return _csv(path, separator)
@@ -264,7 +264,7 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
         raise WeatherFileError(f"weather file {path} has a header and no data: name one with records below it")
     line = cells.index.to_numpy() + 2
     times = utc_times(cells["time"])
-    bad = _first(times.isna())
+    bad = _first_true(times.isna())
     if bad is not None:
         raise WeatherFileError(
             f"weather file {path}, line {line[bad]}: {cells['time'].iloc[bad]!r} is not a time such as "
@@ -277,7 +277,7 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
     for column in [name for name in values if name in found]:
         text = cells[column].mask(cells[column].str.lower().isin(NO_READING), "")
         numbers = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
-        bad = _first((text != "") & np.isnan(numbers))
+        bad = _first_true((text != "") & np.isnan(numbers))
         if bad is not None:
             raise WeatherFileError(
                 f"weather file {path}, line {line[bad]}: {column} is {text.iloc[bad]!r}, not a number; "
@@ -296,7 +296,7 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
     return MeasuredWeather(f"weather file {path}", utc_s, values, left_out=left_out, simulated=simulated)
 
 
-def _of_network(path: Path, network: Network) -> MeasuredWeather:
+def _read_network(path: Path, network: Network) -> MeasuredWeather:
     with whole_lines(path, network.separator, network.lines) as (whole, broken):
         frame, site = network.read(whole)
     for column in IRRADIANCES:
@@ -332,7 +332,7 @@ def _plausible(quantity: str) -> tuple[float, float]:
 
 
 def _check_order(utc_s: Array, place: Callable[[int], str], texts: "pd.Series[str] | None" = None) -> None:
-    bad = _first(np.diff(utc_s) <= 0.0)
+    bad = _first_true(np.diff(utc_s) <= 0.0)
     if bad is not None:
         before, after = _iso(utc_s[bad]), _iso(utc_s[bad + 1])
         hint = "" if texts is None else summer_time_hint(texts.iloc[bad + 1], utc_s[: bad + 2].tolist())
@@ -350,7 +350,7 @@ def _interpolate(utc_s: Array, times: Array, values: Array) -> Array:
     return np.where(bridged & inside, np.interp(utc_s, times, values), np.nan)
 
 
-def _present(utc_s: Array, values: Array) -> tuple[Array, Array]:
+def _present_values(utc_s: Array, values: Array) -> tuple[Array, Array]:
     present = np.isfinite(values)
     return utc_s[present], values[present]
 
@@ -360,7 +360,7 @@ def _seconds(index: pd.DatetimeIndex) -> Array:
     return np.asarray(seconds, dtype=np.float64)
 
 
-def _first(mask: ArrayLike) -> int | None:
+def _first_true(mask: ArrayLike) -> int | None:
     """Position of the first True."""
     flags = np.asarray(mask, dtype=np.bool_)
     return int(flags.argmax()) if flags.any() else None

@@ -59,7 +59,7 @@ def fit_chain_bias(power_w: ArrayLike, reference_w: ArrayLike) -> ChainBias:
     ValueError
         Fewer than three different powers.
     """
-    power, reference = _alike(power_w, reference_w)
+    power, reference = _same_length_arrays(power_w, reference_w)
     if np.unique(power).size <= DEGREE:
         raise ValueError(f"a polynomial of order {DEGREE} needs {DEGREE + 1} different powers")
     # `fit` scales the powers for accuracy, `convert` undoes that.
@@ -94,7 +94,7 @@ def energy_wh(utc_s: ArrayLike, power_w: ArrayLike, longest_gap_s: float = _GAP_
     longest_gap_s
         A longer step does not count.
     """
-    time, power = _alike(utc_s, power_w)
+    time, power = _same_length_arrays(utc_s, power_w)
     step_s = np.diff(time)
     between_w = (power[1:] + power[:-1]) / 2.0
     return float(np.sum(np.where(step_s <= longest_gap_s, step_s * between_w, 0.0))) / 3600.0
@@ -112,7 +112,7 @@ def lies_flat(a_deg: ArrayLike, b_deg: ArrayLike, within_deg: float = 2.0) -> ND
     return flat
 
 
-def _alike(first: ArrayLike, second: ArrayLike) -> tuple[Array, Array]:
+def _same_length_arrays(first: ArrayLike, second: ArrayLike) -> tuple[Array, Array]:
     one, other = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     if one.shape != other.shape or one.ndim != 1:
         raise ValueError(f"two rows of numbers of one length are needed, not of shapes {one.shape} and {other.shape}")

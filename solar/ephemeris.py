@@ -34,9 +34,9 @@ REMEMBERED_HOURS = 128
 REMEMBERED_DAYS = 16
 REMEMBERED_WHOLE_DAYS = 1000
 
-_WORTH_A_DAY = 4
+_LEAST_HOURS_PER_DAY = 4
 # From so many instants an hour on, all hours from the first to the last are looked up.
-_CLOSE = 4
+_DENSE_PER_HOUR = 4
 _STEPS = 2
 _PATH_EVERY_S = 60.0
 _YEAR_10000_S = 253402300800.0
@@ -121,7 +121,7 @@ def sun_position(
     after the year 9999 or in 32 bits, and for a place that is not on Earth.
     """
     _check_place(latitude_deg, longitude_deg, altitude_m)
-    instants = _finite(utc_s)
+    instants = _as_seconds(utc_s)
     azimuth, apparent, geometric = _topocentric(instants.ravel(), latitude_deg, longitude_deg, altitude_m)
     if instants.ndim == 0:
         return SunPosition(float(azimuth[0]), float(apparent[0]), float(geometric[0]))
@@ -136,14 +136,14 @@ def sun_direction(
 
     Raises `ValueError` as `sun_position` does.
     """
-    instants = _finite(utc_s)
+    instants = _as_seconds(utc_s)
     sun = sun_position(instants, latitude_deg, longitude_deg, altitude_m)
     return direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, latitude_deg)
 
 
 def extraterrestrial_dni(utc_s: "Instant | Instants") -> Array:
     """Return the normal irradiance outside the atmosphere [W/m2], of the shape of `utc_s` [s UTC]."""
-    instants = _finite(utc_s)
+    instants = _as_seconds(utc_s)
     *_, distance_au = _geocentric(instants.ravel())
     normal: Array = SOLAR_CONSTANT_W_M2 / distance_au**2
     return normal.reshape(instants.shape)
@@ -163,7 +163,7 @@ def sun_day(utc_s: Instant, latitude_deg: float, longitude_deg: float, altitude_
     Raises `ValueError` as `sun_position` does, and for more than one instant.
     """
     _check_place(latitude_deg, longitude_deg, altitude_m)
-    instant = _finite(utc_s)
+    instant = _as_seconds(utc_s)
     if instant.ndim:
         raise ValueError(f"sun_day takes one instant, not an array of {instant.shape}")
     return _sun_day(solar_days(float(instant), longitude_deg), latitude_deg, longitude_deg, altitude_m)
@@ -242,7 +242,7 @@ def _geocentric(utc_s: Array) -> Array:
     """Sidereal time, right ascension, declination [deg] and distance [au] of instants (n,): shape (4, n)."""
     hours = np.floor(utc_s / HOUR_S).astype(np.int64)
     first, last = (int(hours.min()), int(hours.max())) if hours.size else (0, 0)
-    if (last - first) * _CLOSE <= hours.size:
+    if (last - first) * _DENSE_PER_HOUR <= hours.size:
         # A running law asks often, for a few instants: to sort them would take longer.
         position = hours - first
         known = _at_hours(np.arange(first, last + 2))
@@ -263,7 +263,7 @@ def _at_hours(hours: NDArray[np.int64]) -> Array:
     if hours.size > REMEMBERED_HOURS // 8:
         days, position = np.unique(hours // 24, return_inverse=True)
         # To compute all hours of a day for one or two of them would take longer.
-        if hours.size < days.size * _WORTH_A_DAY:
+        if hours.size < days.size * _LEAST_HOURS_PER_DAY:
             return _geocentric_exact(hours.astype(np.float64) * HOUR_S)
         return _at_days(days)[:, position, hours % 24]
     return np.array([_at_hour(hour) for hour in hours.tolist()]).T
@@ -319,7 +319,7 @@ def _check_place(latitude_deg: float, longitude_deg: float, altitude_m: float) -
         )
 
 
-def _finite(utc_s: "Instant | Instants") -> Array:
+def _as_seconds(utc_s: "Instant | Instants") -> Array:
     kept_as = getattr(utc_s, "dtype", None)
     kind = getattr(kept_as, "kind", "")
     if kind == "M":
@@ -346,7 +346,7 @@ def _finite(utc_s: "Instant | Instants") -> Array:
 
 
 _SUN_EVERY_S = 60.0
-_SUN_AT_ONCE = 60
+_MINUTES_AT_ONCE = 60
 
 
 class SunElevation:
@@ -367,7 +367,7 @@ class SunElevation:
         """Return the elevation at the beginning of the minute that this UTC [s] lies in (the sun moves 0.25 deg)."""
         minute = int(utc_s // _SUN_EVERY_S)
         if minute not in self._minutes:
-            self._minutes = range(minute, minute + _SUN_AT_ONCE)
+            self._minutes = range(minute, minute + _MINUTES_AT_ONCE)
             instants = _SUN_EVERY_S * np.array(self._minutes, dtype=np.float64)
             self._elevation_deg = sun_position(instants, *self._site).elevation_deg.tolist()
         return self._elevation_deg[minute - self._minutes.start]
@@ -391,8 +391,8 @@ class SunDirection:
         """Return the direction at an instant [s UTC], shape (3,), to a hundred thousandth of its length."""
         minute = int(utc_s // _SUN_EVERY_S)
         if minute not in self._minutes:
-            self._minutes = range(minute, minute + _SUN_AT_ONCE)
-            instants = _SUN_EVERY_S * np.arange(minute, minute + _SUN_AT_ONCE + 1, dtype=np.float64)
+            self._minutes = range(minute, minute + _MINUTES_AT_ONCE)
+            instants = _SUN_EVERY_S * np.arange(minute, minute + _MINUTES_AT_ONCE + 1, dtype=np.float64)
             self._suns = sun_direction(instants, *self._site)
         share = utc_s / _SUN_EVERY_S - minute
         before, after = self._suns[minute - self._minutes.start :][:2]

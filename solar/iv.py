@@ -13,8 +13,8 @@ from solar.frames import Array
 
 LEAST_POINTS = 5
 LEAST_SWEEP_POINTS = 8
-_NEAR = 0.92
-_NEAR_ENOUGH = 0.7
+_NEAR_TOP_SHARE = 0.92
+_SPARSE_NEAR_TOP_SHARE = 0.7
 _ENOUGH_POINTS = 7
 _DEGREE = 4
 # Between these shares of Voc the knee of crystalline silicon lies in any light and warmth.
@@ -24,7 +24,7 @@ _WILD = 0.02
 _MAD_TO_SIGMA = 1.4826
 # Rounding alone must not make a point an outlier, and noise in the dark must not make a maximum.
 _EXACT = 1e-6
-_ABSURD = 1e6
+_LARGEST_POSSIBLE = 1e6
 _LEAST_SIGNIFICANCE = 3.0
 
 
@@ -87,29 +87,29 @@ def measured_maximum(voltage_v: ArrayLike, current_a: ArrayLike) -> MeasuredMaxi
     """
     voltage, current = np.asarray(voltage_v, dtype=np.float64), np.asarray(current_a, dtype=np.float64)
     # Written so that NaN fails; the bound keeps powers finite.
-    usable = (np.abs(voltage) < _ABSURD) & (np.abs(current) < _ABSURD)
+    usable = (np.abs(voltage) < _LARGEST_POSSIBLE) & (np.abs(current) < _LARGEST_POSSIBLE)
     voltage, current = voltage[usable], current[usable]
     order = np.argsort(voltage)
     voltage, current = _without_wild_points(voltage[order], current[order])
     if voltage.size < LEAST_POINTS:
-        return _none(f"{voltage.size} usable points, {LEAST_POINTS} are needed")
+        return _no_maximum(f"{voltage.size} usable points, {LEAST_POINTS} are needed")
     power = voltage * current
     top = int(np.argmax(power))
     if not power[top] > 0.0:
-        return _none("no power")
+        return _no_maximum("no power")
     first, last = _window(power, top)
     voc_v = _voc(voltage, current)
     if voltage[top] in (voltage[first], voltage[last]):
-        return _none("the highest power is at an end of the curve: the knee is not in it", voc_v)
+        return _no_maximum("the highest power is at an end of the curve: the knee is not in it", voc_v)
     fit = _fit(voltage[first : last + 1], power[first : last + 1], float(voltage[top]))
     if fit is None:
-        return _none("the points around the highest power have no maximum", voc_v)
+        return _no_maximum("the points around the highest power have no maximum", voc_v)
     vmpp_v, pmpp_w, sigma_w, points = fit
     # The current falls as the voltage rises, so the curve cannot give more than this; a polynomial of odd points may.
     if pmpp_w > voltage[last] * current[first : last + 1].max():
-        return _none("the points around the highest power are not of one curve", voc_v)
+        return _no_maximum("the points around the highest power are not of one curve", voc_v)
     if not pmpp_w > 0.0 or pmpp_w < _LEAST_SIGNIFICANCE * sigma_w:
-        return _none("the highest power is no more than noise", voc_v)
+        return _no_maximum("the highest power is no more than noise", voc_v)
     return MeasuredMaximum(
         pmpp_w=pmpp_w,
         vmpp_v=vmpp_v,
@@ -121,7 +121,7 @@ def measured_maximum(voltage_v: ArrayLike, current_a: ArrayLike) -> MeasuredMaxi
     )
 
 
-def _none(why: str, voc_v: float = np.nan) -> MeasuredMaximum:
+def _no_maximum(why: str, voc_v: float = np.nan) -> MeasuredMaximum:
     return MeasuredMaximum(
         pmpp_w=np.nan,
         vmpp_v=np.nan,
@@ -154,7 +154,7 @@ def _window(power: Array, top: int) -> tuple[int, int]:
     first = last = top
     while True:
         enough = last - first + 1 >= _ENOUGH_POINTS
-        least = power[top] * (_NEAR if enough else _NEAR_ENOUGH)
+        least = power[top] * (_NEAR_TOP_SHARE if enough else _SPARSE_NEAR_TOP_SHARE)
         grown_first = first - (first > 0 and (power[first - 1] >= least or top - first < 2))
         grown_last = last + (last < power.size - 1 and (power[last + 1] >= least or last - top < 2))
         if (grown_first, grown_last) == (first, last):

@@ -111,12 +111,12 @@ class SingleDiode(NamedTuple):
         highest_v = self.ideality_v * math.log1p(most_a / self.saturation_a)
         diode_v = min(voltage_v + self.series_ohm * self.photocurrent_a, highest_v)
         for _ in range(_MOST_STEPS):
-            current_a, slope = self._through(diode_v)
+            current_a, slope = self._current_and_slope(diode_v)
             step_v = (diode_v - self.series_ohm * current_a - voltage_v) / (1.0 + self.series_ohm * slope)
             diode_v -= step_v
             if not abs(step_v) > _SOLVED_V:
                 break
-        return self._through(diode_v)[0]
+        return self._current_and_slope(diode_v)[0]
 
     def voltage(self, current_a: float) -> float:
         """Return the voltage [V] at a current, the inverse of `current`; at 0 A that of the open circuit."""
@@ -124,7 +124,7 @@ class SingleDiode(NamedTuple):
             return 0.0
         diode_v = self.ideality_v * math.log1p(max(self.photocurrent_a - current_a, 0.0) / self.saturation_a)
         for _ in range(_MOST_STEPS):
-            through_a, slope = self._through(diode_v)
+            through_a, slope = self._current_and_slope(diode_v)
             step_v = (current_a - through_a) / slope
             diode_v -= step_v
             if not abs(step_v) > _SOLVED_V:
@@ -138,17 +138,17 @@ class SingleDiode(NamedTuple):
             power_w = at_v = at_a = open_v
         else:
             diode_v = brentq(self._power_slope, 0.0, open_v, xtol=_SOLVED_V)
-            at_a, _ = self._through(diode_v)
+            at_a, _ = self._current_and_slope(diode_v)
             at_v = diode_v - at_a * self.series_ohm
             power_w = at_v * at_a
         return MaximumPower(*map(np.asarray, (power_w, at_v, at_a, open_v, short_a)))
 
     def _power_slope(self, diode_v: float) -> float:
         """Return by how much the module's power [W] grows with the voltage across the diode [V]."""
-        current_a, falls = self._through(diode_v)
+        current_a, falls = self._current_and_slope(diode_v)
         return current_a * (1.0 + falls * self.series_ohm) - (diode_v - current_a * self.series_ohm) * falls
 
-    def _through(self, diode_v: float) -> tuple[float, float]:
+    def _current_and_slope(self, diode_v: float) -> tuple[float, float]:
         """Return the current [A] at a voltage across the diode, and by how much it falls there [A/V]."""
         grown = self.saturation_a * math.exp(diode_v / self.ideality_v)
         current_a = self.photocurrent_a - (grown - self.saturation_a) - diode_v / self.shunt_ohm

@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 NO_READING = frozenset({"", "nan", "na", "n/a", "null"})
 """How tables write a value that is missing, in small letters."""
 # No text file contains this: a cell that ends with it was not closed before the end of the file.
-_END = "\0end\0"
+_END_MARK = "\0end\0"
 _OFFSET = re.compile(r":\d\d.*(Z|[+-]\d\d:?\d*)\s*$", re.IGNORECASE)
 # Clocks go back in April in the south, in October or November in the north.
-_AUTUMN = (4, 10, 11)
+_CLOCK_BACK_MONTHS = (4, 10, 11)
 _LATEST_HOUR = 3
-_EVIDENT = 3
+_LEAST_TIMES = 3
 _LAST_BYTES = 65536
 _DECIMALS = re.compile(r"(?=\S)[+-]?\d*(?:[.,](\d*))?", re.ASCII)
 # Without trailing zeros every tenth number has a decimal fewer. If none of so many does, their decimals are fixed.
-_RULE = 30
+_LEAST_NUMBERS = 30
 
 
 class CellError(ValueError):
@@ -55,7 +55,7 @@ def numbered_rows(lines: Iterable[str], separator: str) -> Iterator[tuple[int, l
 
     Raises `CellError`, for example for a quoted cell that is never closed.
     """
-    reader = csv.reader(chain(lines, (_END,)), delimiter=separator, skipinitialspace=True)
+    reader = csv.reader(chain(lines, (_END_MARK,)), delimiter=separator, skipinitialspace=True)
     line = 1
     while True:
         try:
@@ -63,11 +63,11 @@ def numbered_rows(lines: Iterable[str], separator: str) -> Iterator[tuple[int, l
         except csv.Error as error:
             # A cell that is never closed takes in line after line until it is longer than csv allows.
             unclosed = reader.line_num > line
-            raise _never_closed(line) if unclosed else CellError(f"line {line}: not CSV ({error})") from None
-        if cells == [_END]:
+            raise _unclosed_cell_error(line) if unclosed else CellError(f"line {line}: not CSV ({error})") from None
+        if cells == [_END_MARK]:
             return
-        if cells and cells[-1].endswith(_END):
-            raise _never_closed(line)
+        if cells and cells[-1].endswith(_END_MARK):
+            raise _unclosed_cell_error(line)
         yield line, cells
         line = reader.line_num + 1
 
@@ -93,7 +93,7 @@ def broken_line(path: Path, separator: str) -> BrokenLine | None:
     after the last line. None also for a cell that is never closed, which the reader reports, and for a pipe, which can
     be read only once. Raises `OSError`, `UnicodeDecodeError`, and for a damaged ``.gz`` `EOFError` or `zlib.error`.
     """
-    if not path.is_file() or not _unfinished(path).strip(f"{separator} \t".encode()):
+    if not path.is_file() or not _last_line(path).strip(f"{separator} \t".encode()):
         return None
     try:
         with opened(path) as file:
@@ -117,10 +117,10 @@ def _decimals(cell: str) -> int | None:
 def _lacks_decimals(column: Sequence[int | None]) -> bool:
     """Tell whether the last number of a column has fewer decimals than all those above it."""
     above = [known for known in column[:-1] if known is not None]
-    return len(above) >= _RULE and column[-1] is not None and column[-1] < min(above)
+    return len(above) >= _LEAST_NUMBERS and column[-1] is not None and column[-1] < min(above)
 
 
-def _unfinished(path: Path) -> bytes:
+def _last_line(path: Path) -> bytes:
     """Return what follows the last line end, or its last 64 KiB: nothing in most files."""
     with gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb") as file:
         if not isinstance(file, gzip.GzipFile):
@@ -140,7 +140,7 @@ def whole_lines(path: Path, separator: str | None, apart: int = 1) -> Iterator[t
     second. With `separator` None blanks separate the cells. Raises as `broken_line`.
     """
     packed = path.suffix.lower() == ".gz"
-    if not packed and not _unfinished(path).strip():
+    if not packed and not _last_line(path).strip():
         yield path, None
         return
     with gzip.open(path) if packed else path.open("rb") as file:
@@ -190,12 +190,14 @@ def summer_time_hint(text: str, seconds: Sequence[float]) -> str:
     summer time if the step to it, with an hour added, is like the step before. In Europe, America and Australia that
     hour is at night.
     """
-    if len(seconds) < _EVIDENT or _OFFSET.search(text):
+    if len(seconds) < _LEAST_TIMES or _OFFSET.search(text):
         return ""
-    earlier, before, after = seconds[-_EVIDENT:]
+    earlier, before, after = seconds[-_LEAST_TIMES:]
     usual_s, step_s = before - earlier, after + 3600.0 - before
     when = datetime.fromtimestamp(after, UTC)
-    if not (0.5 * usual_s <= step_s <= 1.5 * usual_s and when.month in _AUTUMN and when.hour <= _LATEST_HOUR):
+    if not (
+        0.5 * usual_s <= step_s <= 1.5 * usual_s and when.month in _CLOCK_BACK_MONTHS and when.hour <= _LATEST_HOUR
+    ):
         return ""
     return (
         "; these look like local times at the end of summer time: write UTC, or add to each time its offset, such as"
@@ -214,7 +216,7 @@ def second_header_hint(text: str, row: int) -> str:
     return "; remove a second line of the header, such as units" if units else ""
 
 
-def _never_closed(line: int) -> CellError:
+def _unclosed_cell_error(line: int) -> CellError:
     return CellError(
         f"line {line}: a cell begins with a quotation mark and no mark ends it: take the mark out, or close it"
     )

@@ -100,7 +100,11 @@ class Api:
                 Route("/metrics", self._metrics_text),
                 *[Route(f"/api/{name}", self._command(name), methods=["POST"]) for name in NAMES],
             ],
-            exception_handlers={HTTPException: _refused, WrongServiceError: _elsewhere, Exception: _broken},
+            exception_handlers={
+                HTTPException: _answer_http_error,
+                WrongServiceError: _answer_wrong_service,
+                Exception: _answer_own_error,
+            },
         )
         # A redirection has no body: a person who sends a stop to /api/stop/ with curl would read nothing, and the
         # tracker would go on.
@@ -180,14 +184,14 @@ class Api:
         parts = (("cube", seen.cube_trouble), ("bridge", seen.bridge_down_why))
         down = [f"{part}: {why}" for part, why in parts if why]
         for tracker in seen.trackers:
-            of = _of(tracker.name, seen)
+            of = _tracker_suffix(tracker.name, seen)
             if tracker.silent_s > longest_s:
                 troubles.append(f"control{of} has not run for {tracker.silent_s:.0f} s")
-            down += [f"{part}{of}: {why.removeprefix(f'{part}: ')}" for part, why in _down(tracker)]
+            down += [f"{part}{of}: {why.removeprefix(f'{part}: ')}" for part, why in _devices_down(tracker)]
         if seen.store is not None and seen.store.down_why is not None:
             down.append(f"store: {seen.store.down_why}")
         for name, link in seen.links.items():
-            down += [f"mqtt{_of(name, seen)}: {why}" for why in (link.down_why, *link.troubles) if why]
+            down += [f"mqtt{_tracker_suffix(name, seen)}: {why}" for why in (link.down_why, *link.troubles) if why]
         found = {
             "ok": not troubles,
             "troubles": troubles,
@@ -239,11 +243,11 @@ async def _is_given_up(request: Request) -> bool:
     return GIVEN_UP in request.scope.get("extensions", {})
 
 
-def _of(tracker: str, seen: Snapshot) -> str:
+def _tracker_suffix(tracker: str, seen: Snapshot) -> str:
     return f" of {tracker}" if len(seen.trackers) > 1 else ""
 
 
-def _down(tracker: TrackerState) -> Iterator[tuple[str, str]]:
+def _devices_down(tracker: TrackerState) -> Iterator[tuple[str, str]]:
     if tracker.positioner.down_why:
         yield "positioner", tracker.positioner.down_why
     if tracker.load is not None and tracker.load.down_why:
@@ -254,7 +258,7 @@ def _since(text: str | None) -> float:
     return -math.inf if text is None else instant("since", text)
 
 
-async def _refused(request: Request, error: Exception) -> Response:
+async def _answer_http_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)  # noqa: S101 - narrowing; Starlette calls this for no other
     sentence = error.detail
     if error.status_code == 404:
@@ -264,9 +268,9 @@ async def _refused(request: Request, error: Exception) -> Response:
     return JSONResponse({"error": sentence}, status_code=error.status_code, headers=error.headers)
 
 
-async def _elsewhere(_: Request, error: Exception) -> Response:
+async def _answer_wrong_service(_: Request, error: Exception) -> Response:
     return JSONResponse({"error": str(error)}, status_code=421)
 
 
-async def _broken(_: Request, error: Exception) -> Response:
+async def _answer_own_error(_: Request, error: Exception) -> Response:
     return JSONResponse({"error": f"the service met an error of its own ({type(error).__name__})"}, status_code=500)

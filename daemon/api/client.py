@@ -39,7 +39,7 @@ _TRIES = 3
 _AGAIN_AFTER_S = 0.1
 _OTHER_ADDRESS = "127.20.22.1"
 _LENGTH = re.compile(rb"(?i)\r\ncontent-length: *(\d+)")
-_BEFORE_IT_WAS_SENT = (errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EADDRNOTAVAIL)
+_ERRNOS_BEFORE_SENDING = (errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EADDRNOTAVAIL)
 
 
 class NoServiceError(UserError):
@@ -100,7 +100,7 @@ class Client:
         """Return whether the service's work goes on; raises `UserError`."""
         return self._request("GET", "/healthz", None, also=(_UNHEALTHY,))
 
-    def _without_token(self, name: str) -> str:
+    def _no_token_text(self, name: str) -> str:
         if self.configuration:
             return (
                 f"'{name}' needs the service's token, and {self.configuration[0]} has no api.token_file: give the"
@@ -114,7 +114,7 @@ class Client:
     def command(self, name: str, **arguments: float | str) -> Reply:
         """Give a command in the name of the user who runs this, and return its outcome; raises `UserError`."""
         if self.token is None:
-            raise UserError(self._without_token(name))
+            raise UserError(self._no_token_text(name))
         body = {"by": whoami(), **arguments}
         if "why" in arguments:
             body["why"] = _readable(str(arguments["why"]))[:_LONGEST_REASON]
@@ -132,14 +132,14 @@ class Client:
     ) -> dict[str, Any]:
         sent = b"" if body is None else json.dumps(body, ensure_ascii=False).encode("utf-8", "replace")
         try:
-            status, content = self._exchange_surely(method, path, sent)
+            status, content = self._exchange_with_retries(method, path, sent)
         except ConnectionRefusedError:
             raise NoServiceError(
                 f"nothing listens at {self.address}: the service is not running, or its api.listen is another address"
             ) from None
         except OSError as error:
             taken = "; it may have taken the command all the same: see 'heliocube status'"
-            after = taken if method == "POST" and error.errno not in _BEFORE_IT_WAS_SENT else ""
+            after = taken if method == "POST" and error.errno not in _ERRNOS_BEFORE_SENDING else ""
             why = error.strerror or error
             raise NoServiceError(f"the service at {self.address} does not answer: {why}{after}") from None
         try:
@@ -169,7 +169,7 @@ class Client:
         if status == _ANOTHER_SERVICE and isinstance(found, dict):
             raise NoServiceError(f"{undone}: {found.get('error')}")
 
-    def _exchange_surely(self, method: str, path: str, body: bytes) -> tuple[bytes, bytes]:
+    def _exchange_with_retries(self, method: str, path: str, body: bytes) -> tuple[bytes, bytes]:
         """Send a request, and again if the connection is cut off without an answer and the request may be repeated."""
         for _ in range(_TRIES - 1 if path in _REPEATABLE else 0):
             try:

@@ -41,7 +41,7 @@ class OwnConfiguration:
 
     def require(self, meant: Sequence[str], undone: str = "") -> None:
         """Raise `WrongServiceError` with `undone` in front, unless the configuration that is meant is this one."""
-        other = self._other_than(meant)
+        other = self._foreign_configuration(meant)
         if other is not None:
             raise WrongServiceError(
                 f"{undone}api.listen of {other} leads to {self._text}; give {other} an api.listen of its own and start"
@@ -50,14 +50,14 @@ class OwnConfiguration:
 
     def require_stopped(self, meant: Sequence[str], outcome: str) -> None:
         """Raise `WrongServiceError` with what a stop has done here, unless the configuration that is meant is this."""
-        other = self._other_than(meant)
+        other = self._foreign_configuration(meant)
         if other is not None:
             raise WrongServiceError(
                 f"the tracker of {other} was NOT stopped: its api.listen leads to {self._text}, which was told to stop"
                 f" instead: {outcome}"
             )
 
-    def _other_than(self, meant: Sequence[str]) -> str | None:
+    def _foreign_configuration(self, meant: Sequence[str]) -> str | None:
         """Return which file is meant, if it is not this service's; None where it is, or none is named."""
         if not meant or set(meant) & set(self._paths):
             return None

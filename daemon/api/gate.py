@@ -97,7 +97,7 @@ class Bodies:
 
     def __init__(self, speed: float) -> None:
         self._pause_s = _PAUSE_S * speed
-        self._one = asyncio.Lock()
+        self._long_body_lock = asyncio.Lock()
 
     async def read(self, receive: Receive, longest: int) -> bytes | None:
         """Return a body, or None for one that is longer or not whole; a longer one is read up to 16 MiB."""
@@ -111,7 +111,7 @@ class Bodies:
             if length <= longest:
                 content += part
             elif more:
-                async with self._one:
+                async with self._long_body_lock:
                     await asyncio.sleep(self._pause_s)
         return bytes(content) if length <= longest else None
 
@@ -166,10 +166,10 @@ class Gate:
                 return
         wrong_host = self._hosts.refusal(scope, headers)
         if wrong_host is not None:
-            self._refusals.note("host", f"{_whence(scope)}: {wrong_host}")
+            self._refusals.note("host", f"{_client_host(scope)}: {wrong_host}")
             await self._refuse(421, wrong_host, {}, scope, receive, send)
         elif refusal is not None:
-            self._refusals.note("token", f"a command from {_whence(scope)} is refused: {refusal}")
+            self._refusals.note("token", f"a command from {_client_host(scope)} is refused: {refusal}")
             await self._refuse(401, refusal, _BEARER, scope, receive, send)
         else:
             await self._serve(scope, receive, send, counted=not commands)
@@ -196,6 +196,6 @@ class Gate:
         await JSONResponse({"error": sentence}, status_code=status, headers=headers)(scope, receive, send)
 
 
-def _whence(scope: Scope) -> str:
+def _client_host(scope: Scope) -> str:
     client = scope.get("client")
     return f"{client[0]}" if client else "somewhere"

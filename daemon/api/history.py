@@ -27,7 +27,7 @@ class History:
 
     def __init__(self, see: Callable[[], Snapshot]) -> None:
         self._see = see
-        self._one = asyncio.Lock()
+        self._reader_lock = asyncio.Lock()
 
     async def days(self, _: Request) -> Response:
         """Answer which solar days of the site have records."""
@@ -56,7 +56,7 @@ class History:
         store = self._see().store
         if store is None:
             raise HTTPException(409, "no records are kept here: set store.directory")
-        async with self._one:
+        async with self._reader_lock:
             try:
                 return await asyncio.to_thread(read, store.path, *arguments)
             except UserError as error:

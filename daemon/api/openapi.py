@@ -41,7 +41,7 @@ _ANSWERS: tuple[type[BaseModel], ...] = (
     StatePage,
     SunPage,
 )
-_DOES = {
+_COMMAND_SUMMARIES = {
     "stop": "Stop the axes at once and keep them stopped until auto",
     "stow": "Go to the stow position and stay",
     "snow": "Go to the snow position and stay",
@@ -132,16 +132,16 @@ def _schemas() -> dict[str, Any]:
     return dict(sorted((checked["$defs"] | answers["$defs"]).items()))
 
 
-def _of(model: type[BaseModel]) -> dict[str, Any]:
+def _json_content(model: type[BaseModel]) -> dict[str, Any]:
     return {"application/json": {"schema": {"$ref": _REF.format(model=model.__name__)}}}
 
 
 def _refusals(*statuses: int) -> dict[str, Any]:
-    return {str(status): {"description": _REFUSALS[status], "content": _of(ErrorPage)} for status in statuses}
+    return {str(status): {"description": _REFUSALS[status], "content": _json_content(ErrorPage)} for status in statuses}
 
 
 def _page(summary: str, model: type[BaseModel], *statuses: int) -> dict[str, Any]:
-    answers = {"200": {"description": "the page", "content": _of(model)}} | _refusals(*statuses)
+    answers = {"200": {"description": "the page", "content": _json_content(model)}} | _refusals(*statuses)
     return {"get": {"summary": summary, "responses": answers}}
 
 
@@ -182,7 +182,9 @@ def _history() -> dict[str, Any]:
 
 
 def _authorised() -> dict[str, Any]:
-    answers = {"200": {"description": "the token is right", "content": _of(AuthorisedPage)}} | _refusals(401, 421, 503)
+    answers = {"200": {"description": "the token is right", "content": _json_content(AuthorisedPage)}} | _refusals(
+        401, 421, 503
+    )
     return {"post": {"summary": "Whether a token is the service's", "security": [{"token": []}], "responses": answers}}
 
 
@@ -199,14 +201,14 @@ def _health() -> dict[str, Any]:
 
 
 def _command(name: str) -> dict[str, Any]:
-    body = {"content": _of(body_of(name)), "required": body_of(name) in (GotoBody, ModeBody)}
-    answers = {"200": {"description": "carried out", "content": _of(CommandPage)}} | _refusals(*_REFUSALS)
+    body = {"content": _json_content(body_of(name)), "required": body_of(name) in (GotoBody, ModeBody)}
+    answers = {"200": {"description": "carried out", "content": _json_content(CommandPage)}} | _refusals(*_REFUSALS)
     if name == "stop":
         # A stop is obeyed whatever its body is.
         del answers["400"], answers["413"], answers["429"]
     return {
         "post": {
-            "summary": _DOES[name],
+            "summary": _COMMAND_SUMMARIES[name],
             "security": [{"token": []}],
             "parameters": [_TRACKER, _CONFIGURATION],
             "requestBody": body,

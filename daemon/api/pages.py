@@ -79,7 +79,7 @@ class ScanLog:
 
         If it is the time of a scan, these are all that came after that scan, even if the clock was set back in between.
         """
-        behind = self._behind(since_utc_s)
+        behind = self._count_scans_up_to(since_utc_s)
         if behind is None:
             later = (content for utc_s, content in self._scans if utc_s > since_utc_s)
         else:
@@ -88,7 +88,7 @@ class ScanLog:
         more = b"true" if len(found) > _MOST_SCANS else b"false"
         return b'{"scans":[' + b",".join(found[:_MOST_SCANS]) + b'],"more":' + more + b"}"
 
-    def _behind(self, since_utc_s: float) -> int | None:
+    def _count_scans_up_to(self, since_utc_s: float) -> int | None:
         """Return how many scans there are up to the newest of that time, or None if no scan has it."""
         for place, (utc_s, _) in enumerate(reversed(self._scans)):
             if utc_s == since_utc_s:

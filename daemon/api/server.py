@@ -21,7 +21,7 @@ from daemon.config.links import ApiSettings
 
 log = logging.getLogger("heliocube.api")
 
-_AGAIN_S = 10.0
+_RETRY_EVERY_S = 10.0
 _GRACE_S = 1
 _KEEP_ALIVE_S = 5
 
@@ -106,7 +106,7 @@ class ApiServer:
         """Serve until cancelled."""
         try:
             while self._bound is None:
-                await asyncio.sleep(_AGAIN_S * self._speed)
+                await asyncio.sleep(_RETRY_EVERY_S * self._speed)
                 self._try_to_bind()
             await self._serve(self._bound)
         finally:

@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable
 
 _SHARE = 0.25
-_AT_ONCE_S = 0.05
+_FREE_DEBT_S = 0.05
 _MOST_WAITING = 64
 _REFUSED_AFTER_S = 0.25
 # What a request with a connection of its own costs besides its page: accepting, parsing, closing.
@@ -42,7 +42,7 @@ class ReadTurns:
 
     async def take(self) -> None:
         """Wait for a turn; raises `CrowdedError` if too many wait, but after a pause, as asking again costs too."""
-        if not self._waiting and self._debt() <= _AT_ONCE_S:
+        if not self._waiting and self._debt() <= _FREE_DEBT_S:
             self._debt_s += _OVERHEAD_S
             return
         if len(self._waiting) >= _MOST_WAITING:
@@ -50,7 +50,7 @@ class ReadTurns:
             raise CrowdedError
         turn = asyncio.get_running_loop().create_future()
         self._waiting.append(turn)
-        self._wait_for_the_next()
+        self._schedule_next_turn()
         try:
             await turn
         except asyncio.CancelledError:
@@ -78,16 +78,16 @@ class ReadTurns:
         self._at_s = now_s
         return self._debt_s
 
-    def _wait_for_the_next(self) -> None:
+    def _schedule_next_turn(self) -> None:
         if self._timer is None and self._waiting:
-            pause_s = max(self._debt() - _AT_ONCE_S, _OVERHEAD_S) / _SHARE * self._speed
-            self._timer = asyncio.get_running_loop().call_later(pause_s, self._give)
+            pause_s = max(self._debt() - _FREE_DEBT_S, _OVERHEAD_S) / _SHARE * self._speed
+            self._timer = asyncio.get_running_loop().call_later(pause_s, self._grant_turn)
 
-    def _give(self) -> None:
+    def _grant_turn(self) -> None:
         self._timer = None
-        if self._waiting and self._debt() <= _AT_ONCE_S:
+        if self._waiting and self._debt() <= _FREE_DEBT_S:
             turn = self._waiting.popleft()
             if not turn.done():
                 self._debt_s += _OVERHEAD_S
                 turn.set_result(None)
-        self._wait_for_the_next()
+        self._schedule_next_turn()

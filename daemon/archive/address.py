@@ -20,13 +20,13 @@ SCHEMES = ("postgresql://", "postgres://")
 _CONNECT_S = 10
 _LONGEST_PASSWORD = 1024
 _WHERE_IT_IS = "archive.password_file, or the file of PGPASSFILE, mode 0600"
-_HOW = "postgresql://USER@HOST/DATABASE"
+_URL_FORM = "postgresql://USER@HOST/DATABASE"
 # The server's own words, in whatever language: libpq writes two spaces after their severity, and a connection that
 # fails carries no SQLSTATE.
-_SAID = re.compile(r'(?:.* failed: )?[^:"]+:  (.+)')
+_SERVER_MESSAGE = re.compile(r'(?:.* failed: )?[^:"]+:  (.+)')
 # SQLSTATEs by which the database refuses records, besides those of data (22) and of constraints (23): what a trigger
 # raises, in any language, a check of a view, a limit such as that of an index, and a column of another type.
-_OF_RECORDS = ("P0", "2F", "38", "39", "44", "54", "42804")
+_RECORD_SQLSTATES = ("P0", "2F", "38", "39", "44", "54", "42804")
 
 
 # No warnings of psycopg's about a failed rollback, as after Ctrl-C: the first error is told, and the connection closed.
@@ -94,9 +94,9 @@ def parse_archive(text: str) -> ArchiveAddress:
         check_database_hosts(url)
     except ValueError as error:
         # The message leaves out the text, which may hold a password.
-        raise ArchiveError(f"this is not an address of an archive ({error}); an archive is {_HOW}") from None
+        raise ArchiveError(f"this is not an address of an archive ({error}); an archive is {_URL_FORM}") from None
     if not is_archive(url) or not database or "/" in database:
-        raise ArchiveError(f"{text} is not an address of an archive: write {_HOW}")
+        raise ArchiveError(f"{text} is not an address of an archive: write {_URL_FORM}")
     if password is not None or "password=" in parts.query:
         shown = text.replace(f":{password}@", ":...@") if password else "the address"
         raise ArchiveError(
@@ -186,20 +186,20 @@ def telling(address: ArchiveAddress) -> Iterator[None]:
         # Out of locks: a transaction needs one for each day. Pages with fewer days need no more locks than there are.
         raise PagesRefusedError(f"the database cannot take the records in one transaction: {one_line(error)}") from None
     except (psycopg.OperationalError, psycopg.InterfaceError) as error:
-        if _is_of_records(error):
+        if _is_about_records(error):
             raise _records_refused(error) from None
         does = "does not answer" if error.sqlstate is None else "refuses"
         raise ArchiveAwayError(f"the database {address.url} {does}: {one_line(error)}") from None
     except (psycopg.DataError, psycopg.IntegrityError, UnicodeError) as error:
         raise _records_refused(error) from None
     except psycopg.Error as error:
-        if _is_of_records(error):
+        if _is_about_records(error):
             raise _records_refused(error) from None
         raise ArchiveError(f"the database {address.url} refuses: {one_line(error)}") from None
 
 
-def _is_of_records(error: "psycopg.Error") -> bool:
-    return (error.sqlstate or "").startswith(_OF_RECORDS)
+def _is_about_records(error: "psycopg.Error") -> bool:
+    return (error.sqlstate or "").startswith(_RECORD_SQLSTATES)
 
 
 def _records_refused(error: Exception) -> RecordsRefusedError:
@@ -223,12 +223,12 @@ def _reason(address: ArchiveAddress, error: "psycopg.OperationalError") -> Archi
     for part, remedy in remedies.items():
         if part in text:
             return ArchiveError(f"the database {address.url} refuses: {text}: {remedy}")
-    does = "refuses" if _SAID.match(str(error)) else "does not answer"
+    does = "refuses" if _SERVER_MESSAGE.match(str(error)) else "does not answer"
     return ArchiveAwayError(f"the database {address.url} {does}: {text}")
 
 
 def one_line(error: Exception) -> str:
     """Return the first line of what a database says, without its own preface."""
     first = str(error).strip().split("\n")[0]
-    said = _SAID.match(first)
+    said = _SERVER_MESSAGE.match(first)
     return (said[1] if said else first).strip() or type(error).__name__

@@ -24,20 +24,20 @@ class Sieve:
     """
 
     def __init__(self, page: SentPage) -> None:
-        self._left = _halves(page) or [page]
+        self._parts_left = _halves(page) or [page]
         self.refused: list[Refused] = []
 
     def __iter__(self) -> Iterator[SentPage]:
         """Yield parts until all are tried."""
-        while self._left:
-            yield self._left.pop()
+        while self._parts_left:
+            yield self._parts_left.pop()
 
     def refuse(self, part: SentPage, error: PagesRefusedError) -> None:
         """Take note that a part was refused; raises the error if it is not about the only record of the part."""
         halves = _halves(part)
         if not halves and not isinstance(error, RecordsRefusedError):
             raise error
-        self._left += halves
+        self._parts_left += halves
         if not halves:
             ((kind, (row,)),) = part.batch.rows.items()
             self.refused.append(Refused(kind, row, str(error)))

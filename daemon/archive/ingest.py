@@ -93,10 +93,10 @@ class Ingester:
         self._clock = clock
         self._manager = manager
         self._client_id = f"{mqtt.client_id or 'heliocube-archive'}-{secrets.token_hex(4)}"
-        self._database = Outage(log, "the database")
-        self._broker = Outage(log, "the MQTT broker")
+        self._database_outage = Outage(log, "the database")
+        self._broker_outage = Outage(log, "the MQTT broker")
         self._backoff = Backoff(Random(), _FIRST_DELAY_S, 2.0, _LONGEST_DELAY_S)  # noqa: S311 - jitter
-        self._told_s: dict[str, float] = {}
+        self._last_warned_s: dict[str, float] = {}
         self._began = False
         self.records = 0
 
@@ -108,20 +108,20 @@ class Ingester:
             except ArchiveError as error:
                 if not self._began and not isinstance(error, ArchiveAwayError):
                     raise
-                self._database.down(self._clock.monotonic(), str(error))
+                self._database_outage.down(self._clock.monotonic(), str(error))
                 # Without this report systemd would end and restart the process again and again while the database is
                 # away.
                 self._manager.ready()
             except (ConnectionLostError, UserError) as error:
-                self._broker.down(self._clock.monotonic(), str(error))
+                self._broker_outage.down(self._clock.monotonic(), str(error))
             self._manager.watchdog()
             await asyncio.sleep(self._backoff.next_s())
 
     async def _with_database(self) -> None:
         writer = await asyncio.to_thread(ArchiveWriter, self._address)
         try:
-            await self._bounded(writer, writer.prepare)
-            self._database.up(self._clock.monotonic())
+            await self._call_with_time_limit(writer, writer.prepare)
+            self._database_outage.up(self._clock.monotonic())
             self._begin()
             await self._with_broker(writer)
         finally:
@@ -140,16 +140,16 @@ class Ingester:
             for topic in self._filters:
                 if not await connection.subscribe(topic):
                     raise ConnectionLostError(f"the broker does not let this user listen to {topic}")
-            await self._take_in(connection, writer)
+            await self._receive_and_write(connection, writer)
         finally:
             await connection.close()
 
-    async def _take_in(self, connection: Connection, writer: ArchiveWriter) -> None:
+    async def _receive_and_write(self, connection: Connection, writer: ArchiveWriter) -> None:
         """Hear and write at the same time; the first of the two that ends raises why."""
         heard: asyncio.Queue[Incoming] = asyncio.Queue(_MOST_PAGES)
-        await at_once(self._hear(connection, heard), self._write(connection, writer, heard))
+        await at_once(self._receive_messages(connection, heard), self._write(connection, writer, heard))
 
-    async def _hear(self, connection: Connection, heard: "asyncio.Queue[Incoming]") -> None:
+    async def _receive_messages(self, connection: Connection, heard: "asyncio.Queue[Incoming]") -> None:
         async for message in connection.incoming():
             if not message.retained:
                 await heard.put(message)
@@ -157,19 +157,19 @@ class Ingester:
     async def _write(self, connection: Connection, writer: ArchiveWriter, heard: "asyncio.Queue[Incoming]") -> None:
         while True:
             self._manager.watchdog()
-            self._broker.up(self._clock.monotonic())
-            messages = await _within(_HUNG_S, heard)
+            self._broker_outage.up(self._clock.monotonic())
+            messages = await _gather_messages(_HUNG_S, heard)
             if messages:
-                await self._take(connection, writer, messages)
+                await self._handle_messages(connection, writer, messages)
                 self._backoff.reset()
 
-    async def _take(self, connection: Connection, writer: ArchiveWriter, messages: list[Incoming]) -> None:
+    async def _handle_messages(self, connection: Connection, writer: ArchiveWriter, messages: list[Incoming]) -> None:
         pages, answers = await asyncio.to_thread(self._read, messages)
-        await self._say_back(connection, answers)
+        await self._send_answers(connection, answers)
         for part in _parts(pages):
-            await self._say_back(connection, await self._keep(writer, part))
+            await self._send_answers(connection, await self._write_pages(writer, part))
 
-    async def _say_back(self, connection: Connection, answers: list[Message]) -> None:
+    async def _send_answers(self, connection: Connection, answers: list[Message]) -> None:
         for answer in answers:
             self._manager.watchdog()
             # With QoS 0: a sender that misses the answer sends its page again.
@@ -185,63 +185,65 @@ class Ingester:
             try:
                 pages.append(SentPage(installation, decoded(message.payload)))
             except BatchError as error:
-                self._say(installation, f"a message on {message.topic} is not kept: {error}")
+                self._warn_hourly(installation, f"a message on {message.topic} is not kept: {error}")
                 if run := _run_of(message.payload):
                     answers.append(_answer(installation, {"run": run, "refused": str(error)}))
         return pages, answers
 
-    async def _keep(self, writer: ArchiveWriter, pages: list[SentPage]) -> list[Message]:
+    async def _write_pages(self, writer: ArchiveWriter, pages: list[SentPage]) -> list[Message]:
         """Write pages and return the answers to their senders; a page that cannot be kept does not stop the others."""
         try:
-            taken = await self._bounded(writer, partial(writer.take, pages))
+            taken = await self._call_with_time_limit(writer, partial(writer.take, pages))
         except PagesRefusedError:
             if len(pages) > 1:
-                return [answer for page in pages for answer in await self._keep(writer, [page])]
-            return [await self._sift(writer, pages[0])]
-        self._database.up(self._clock.monotonic())
+                return [answer for page in pages for answer in await self._write_pages(writer, [page])]
+            return [await self._write_by_parts(writer, pages[0])]
+        self._database_outage.up(self._clock.monotonic())
         self._note(taken)
         return [
             _answer(page.installation, {"run": page.batch.origin.id, "through": page.batch.through}) for page in pages
         ]
 
-    async def _sift(self, writer: ArchiveWriter, page: SentPage) -> Message:
+    async def _write_by_parts(self, writer: ArchiveWriter, page: SentPage) -> Message:
         """Write the records of a page that the database takes, set aside the rest, and return the sender's answer."""
         (installation, batch, _), sieve = page, Sieve(page)
         try:
             for part in sieve:
                 try:
-                    self._note(await self._bounded(writer, partial(writer.take, [part])))
+                    self._note(await self._call_with_time_limit(writer, partial(writer.take, [part])))
                 except PagesRefusedError as error:
                     sieve.refuse(part, error)
-            await self._bounded(writer, partial(writer.set_aside, page, sieve.refused))
+            await self._call_with_time_limit(writer, partial(writer.set_aside, page, sieve.refused))
         except PagesRefusedError as error:
-            self._say(installation, f"a page of {installation} is not kept: {error}")
+            self._warn_hourly(installation, f"a page of {installation} is not kept: {error}")
             return _answer(installation, {"run": batch.origin.id, "refused": str(error)})
-        self._database.up(self._clock.monotonic())
+        self._database_outage.up(self._clock.monotonic())
         kept = {"run": batch.origin.id, "through": batch.through}
         if not sieve.refused:
             return _answer(installation, kept)
         aside = len(sieve.refused)
         what = f"{counted(aside, 'record is', 'records are')} set aside ({sieve.refused[0].why})"
-        self._say(f"aside {installation}", f"of {installation} {what}: put it right, then 'heliocube archive retry'")
+        self._warn_hourly(
+            f"aside {installation}", f"of {installation} {what}: put it right, then 'heliocube archive retry'"
+        )
         return _answer(installation, {**kept, "set_aside": aside, "why": sieve.refused[0].why})
 
     def _note(self, taken: Taken) -> None:
         self.records += taken.added
         self._manager.status(f"{counted(self.records, 'record')} since the start")
         for sentence in taken.rivals:
-            self._say(sentence, sentence)
+            self._warn_hourly(sentence, sentence)
 
-    def _say(self, subject: str, sentence: str) -> None:
+    def _warn_hourly(self, subject: str, sentence: str) -> None:
         """Warn of one thing once an hour at most."""
         now_s = self._clock.monotonic()
-        if now_s - self._told_s.get(subject, -math.inf) >= _AGAIN_S:
-            if len(self._told_s) >= _MOST_NAMES:
-                self._told_s.clear()
-            self._told_s[subject] = now_s
+        if now_s - self._last_warned_s.get(subject, -math.inf) >= _AGAIN_S:
+            if len(self._last_warned_s) >= _MOST_NAMES:
+                self._last_warned_s.clear()
+            self._last_warned_s[subject] = now_s
             log.warning("%s", sentence)
 
-    async def _bounded(self, writer: ArchiveWriter, call: Callable[[], Result]) -> Result:
+    async def _call_with_time_limit(self, writer: ArchiveWriter, call: Callable[[], Result]) -> Result:
         """Return the result of a database call; a call that hangs, or that nobody waits for any more, is ended."""
         self._manager.watchdog()
         job = asyncio.ensure_future(asyncio.to_thread(call))
@@ -256,7 +258,7 @@ class Ingester:
             timer.cancel()
 
 
-async def _within(first_s: float, heard: "asyncio.Queue[Incoming]") -> list[Incoming]:
+async def _gather_messages(first_s: float, heard: "asyncio.Queue[Incoming]") -> list[Incoming]:
     """Return the messages that come within a moment of the first: so a thousand small pages cost one transaction.
 
     Of large pages only as many are returned as make about one transaction; the others wait as they are.

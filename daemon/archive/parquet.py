@@ -63,7 +63,7 @@ def write_days(address: ArchiveAddress, out: Path, today: date, wanted: date | N
         for kind, day in days_of(connection):
             if day < today and wanted in (None, day):
                 try:
-                    written = _written(connection, kind, day, out, again=wanted is not None)
+                    written = _write_day(connection, kind, day, out, again=wanted is not None)
                 except OSError as error:
                     path = file_of(out, kind, day)
                     raise UserError(f"--out: {path} cannot be written: {error.strerror or error}") from None
@@ -85,7 +85,7 @@ def drop_days(address: ArchiveAddress, out: Path, before: date) -> Iterator[Arch
             if day >= before:
                 continue
             try:
-                dropped = _dropped(connection, kind, day, out)
+                dropped = _drop_day(connection, kind, day, out)
             except OSError as error:
                 path = file_of(out, kind, day)
                 raise UserError(f"--out: {path} cannot get its final name: {error.strerror or error}") from None
@@ -115,7 +115,7 @@ def rows_in(path: Path) -> int | None:
     return None if footer is None else int(footer.num_rows)
 
 
-def _dropped(connection: "psycopg.Connection", kind: str, day: date, out: Path) -> ArchivedDay | None:
+def _drop_day(connection: "psycopg.Connection", kind: str, day: date, out: Path) -> ArchivedDay | None:
     path, table = file_of(out, kind, day), _table(kind, day)
     with connection.transaction():
         # Late records wait for the lock, and then go into a part that is made anew.
@@ -124,7 +124,7 @@ def _dropped(connection: "psycopg.Connection", kind: str, day: date, out: Path) 
         if rows_in(path) != count:
             return None
         # This file is never written again: late records get a file of their own beside it.
-        final = _final(connection, table, path)
+        final = _final_path(connection, table, path)
         path.rename(final)
         # A power cut after the drop must not lose a name on the way to the file; its content was synced when written.
         for folder in final.parents[:4]:
@@ -137,24 +137,24 @@ def _dropped(connection: "psycopg.Connection", kind: str, day: date, out: Path) 
     return ArchivedDay(kind, day, final, count, written=False)
 
 
-def _final(connection: "psycopg.Connection", table: str, path: Path) -> Path:
+def _final_path(connection: "psycopg.Connection", table: str, path: Path) -> Path:
     """Return the name that the file of a part has once the part is gone; each part of a day has a different one."""
     return path.with_name(f"final-{identity_of(connection, table)}.parquet")
 
 
-def _written(connection: "psycopg.Connection", kind: str, day: date, out: Path, *, again: bool) -> ArchivedDay:
+def _write_day(connection: "psycopg.Connection", kind: str, day: date, out: Path, *, again: bool) -> ArchivedDay:
     path = file_of(out, kind, day)
     table = _table(kind, day)
-    final = _final(connection, table, path)
+    final = _final_path(connection, table, path)
     if final.exists():
         # The drop of this same part was broken off, or the server was restored to a time before it.
-        _keep_of_another(path, final)
+        _keep_file_of_other_part(path, final)
         final.replace(path)
     count, there = _count(connection, table), rows_in(path)
     if not again and there == count:
         return ArchivedDay(kind, day, path, count, written=False)
     # A file of another part is kept: that part was dropped by hand, and late records have begun this one.
-    if not _keep_of_another(path, final) and not again and there is not None and there > count:
+    if not _keep_file_of_other_part(path, final) and not again and there is not None and there > count:
         return ArchivedDay(kind, day, path, there, written=False)
     part = path.with_name(path.name + ".part")
     try:
@@ -180,7 +180,7 @@ def _count(connection: "psycopg.Connection", table: str) -> int:
     return int(row[0]) if row else 0
 
 
-def _keep_of_another(path: Path, final: Path) -> bool:
+def _keep_file_of_other_part(path: Path, final: Path) -> bool:
     """If a file is of another part than `final`, one that is gone, give it its lasting name; tell whether it is."""
     footer = _footer(path)
     # An older file does not name its part.

@@ -52,7 +52,7 @@ class ArchiveReader:
             with telling(address):
                 self._connection.execute("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ READ ONLY")
                 check_is_archive(self._connection, address)
-                self.installation = self._chosen()
+                self.installation = self._choose_installation()
                 self.runs = self._runs()
         except BaseException:
             self.close()
@@ -89,7 +89,7 @@ class ArchiveReader:
             store.execute("COMMIT")
         return count
 
-    def _chosen(self) -> str:
+    def _choose_installation(self) -> str:
         rows = self._connection.execute(f"SELECT DISTINCT installation FROM {SCHEMA}.runs ORDER BY 1").fetchall()  # noqa: S608 - ours
         names = [row[0] for row in rows]
         wanted = self.address.installation

@@ -19,7 +19,7 @@ from daemon.store.store import Origin
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 # Within this time two services that send in turns are noticed.
-_BOTH_ALIVE = "10 min"
+_RIVALS_WITHIN = "10 min"
 
 
 class SentPage(NamedTuple):
@@ -63,7 +63,7 @@ class ArchiveWriter:
         self._address = address
         self._runs: dict[tuple[str, str], int] = {}
         self._days: set[tuple[str, int]] = set()
-        self._divided: set[str] = set()
+        self._partitioned_tables: set[str] = set()
         self._connection = connected(address, "heliocube archive")
         self._connection.autocommit = True
 
@@ -71,7 +71,7 @@ class ArchiveWriter:
         """Make the tables if they are not there; raises as the constructor does."""
         with telling(self._address):
             ensure(self._connection)
-            self._divided = partitioned(self._connection)
+            self._partitioned_tables = partitioned(self._connection)
             for name in KINDS:
                 # With the types that are sent: if somebody has changed a column's type, the server converts them.
                 columns = ", ".join(columns_sql(name))
@@ -103,13 +103,13 @@ class ArchiveWriter:
 
         with telling(self._address):
             try:
-                return self._written(pages)
+                return self._write_pages(pages)
             except psycopg.errors.CheckViolation as error:
                 if error.diag.constraint_name is not None:
                     raise
                 # The part of a day that was made here has been dropped since, as Parquet. Late records begin it anew.
                 self._days.clear()
-                return self._written(pages)
+                return self._write_pages(pages)
 
     def set_aside(self, page: SentPage, refused: Sequence[Refused]) -> None:
         """Keep records of a page that the database does not take, and note that the whole page is here.
@@ -127,7 +127,7 @@ class ArchiveWriter:
                 " ON CONFLICT (run, kind, number) DO UPDATE SET why = EXCLUDED.why",
                 [(run, each.kind, each.row[0], _as_json(each), each.why) for each in refused],
             )
-            self._advance([page], [run])
+            self._note_progress([page], [run])
         self._runs = known
 
     def pages_aside(self) -> Iterator[SentPage]:
@@ -170,14 +170,14 @@ class ArchiveWriter:
         assert row is not None  # noqa: S101 - narrowing; a run is never deleted
         return row[0], Origin(*row[1:])
 
-    def _written(self, pages: Sequence[SentPage]) -> Taken:
+    def _write_pages(self, pages: Sequence[SentPage]) -> Taken:
         self._make_days(pages)
         known = dict(self._runs)
         with self._connection.transaction():
             runs = [self._run_of(page, known) for page in pages]
             added = sum(self._insert(name, pages, runs) for name in KINDS)
-            self._advance(pages, runs)
-            rivals = self._rivals(pages, runs) if added else []
+            self._note_progress(pages, runs)
+            rivals = self._rival_sentences(pages, runs) if added else []
         self._runs = known
         return Taken(added, rivals)
 
@@ -187,7 +187,7 @@ class ArchiveWriter:
             (name, (_instant(row[1]) - _EPOCH).days)
             for page in pages
             for name, rows in page.batch.rows.items()
-            if name in self._divided
+            if name in self._partitioned_tables
             for row in rows
         } - self._days
         if wanted:
@@ -233,7 +233,7 @@ class ArchiveWriter:
         )
         return done.rowcount
 
-    def _advance(self, pages: Sequence[SentPage], runs: Sequence[int]) -> None:
+    def _note_progress(self, pages: Sequence[SentPage], runs: Sequence[int]) -> None:
         """Note how far each run has come; in the order of the runs, so that two writers do not wait for each other."""
         ends: dict[int, int] = defaultdict(lambda: -1)
         for run, page in zip(runs, pages, strict=True):
@@ -246,7 +246,7 @@ class ArchiveWriter:
                 [(ends[run], run in live, run) for run in sorted(ends)],
             )
 
-    def _rivals(self, pages: Sequence[SentPage], runs: Sequence[int]) -> list[str]:
+    def _rival_sentences(self, pages: Sequence[SentPage], runs: Sequence[int]) -> list[str]:
         """Return a sentence for each installation whose earlier run sends records from after a later run's start.
 
         A service sends its runs one after the other: records of an earlier run, made after the start of a later one
@@ -260,7 +260,7 @@ class ArchiveWriter:
             " FROM unnest(%s::int4[], %s::timestamptz[]) AS sent (run, latest)"
             f" JOIN {SCHEMA}.runs AS earlier USING (run)"
             f" JOIN {SCHEMA}.runs AS later ON later.installation = earlier.installation AND later.run > earlier.run"
-            f" WHERE later.heard > now() - interval '{_BOTH_ALIVE}' AND later.started < sent.latest",
+            f" WHERE later.heard > now() - interval '{_RIVALS_WITHIN}' AND later.started < sent.latest",
             (list(latest), [_instant(latest_s) for latest_s in latest.values()]),
         )
         return [

@@ -14,7 +14,7 @@ _ADD_UP_S = 3600.0
 _SYNCHRONISE_WITHIN_S = 120.0
 _ASK_EVERY_S = 60.0
 
-_NEVER = (
+_NEVER_SYNCHRONISED_TEXT = (
     "the clock of this machine has not been synchronised since it was started or set, and the sun's position comes from"
     " it: see 'timedatectl' and the network"
 )
@@ -54,19 +54,19 @@ class ClockWatch:
         self._clock = clock
         self._alarms = alarms
         self._synchronised = synchronised
-        self._offset_s = self._believed_s = clock.utc() - self._ran_s()
+        self._offset_s = self._believed_s = clock.utc() - self._monotonic_with_sleep_s()
         self._believed_at_s = clock.monotonic()
         self._ask_s = clock.monotonic() + _SYNCHRONISE_WITHIN_S
         # None: not asked yet, and nothing to tell of.
-        self._never: bool | None = None
+        self._never_synchronised: bool | None = None
         self.trusted = True
         self.corrections = 0
         # Why the time of the start is doubted; None once a time has been believed.
         self._wrong_start: str | None = None
         if ran_utc_s - clock.utc() > _DISTRUST_S and synchronised() is not True:
-            self.trusted, self._never = False, False
-            self._believed_s = ran_utc_s - self._ran_s()
-            self._wrong_start = _doubt_of_start(clock.utc(), ran_utc_s)
+            self.trusted, self._never_synchronised = False, False
+            self._believed_s = ran_utc_s - self._monotonic_with_sleep_s()
+            self._wrong_start = _start_doubt_text(clock.utc(), ran_utc_s)
 
     def step_s(self) -> float | None:
         """Return by how much UTC has stepped since the last call [s], or None if it has not.
@@ -76,16 +76,16 @@ class ClockWatch:
         when it is back where it would be without the step, or synchronised.
         """
         now_s = self._clock.monotonic()
-        offset_s = self._clock.utc() - self._ran_s()
+        offset_s = self._clock.utc() - self._monotonic_with_sleep_s()
         step_s = offset_s - self._offset_s
         self._offset_s = offset_s
         if self.trusted and abs(step_s) < _STEP_S:
             self._believed_s += step_s
-        if abs(step_s) > _DISTRUST_S or (self.trusted and self._off_s > _DISTRUST_S):
-            self.trusted, self._never = False, bool(self._never)
+        if abs(step_s) > _DISTRUST_S or (self.trusted and self._deviation_s > _DISTRUST_S):
+            self.trusted, self._never_synchronised = False, bool(self._never_synchronised)
             self._ask_s = now_s + _SYNCHRONISE_WITHIN_S
         self._ask(now_s)
-        if now_s - self._believed_at_s >= _ADD_UP_S if self.trusted else self._off_s <= _DISTRUST_S:
+        if now_s - self._believed_at_s >= _ADD_UP_S if self.trusted else self._deviation_s <= _DISTRUST_S:
             self._believe(now_s)
         self._report()
         return step_s if abs(step_s) >= _STEP_S else None
@@ -93,29 +93,29 @@ class ClockWatch:
     @property
     def believed_utc_s(self) -> float:
         """UTC [s] as last believed: what the clock would show if nobody had set it, within 30 s while not in doubt."""
-        return self._ran_s() + self._believed_s
+        return self._monotonic_with_sleep_s() + self._believed_s
 
     @property
     def trusted_now(self) -> bool:
         """Whether the time of day is right as far as is known at this instant, and not only at the last look."""
         return self.trusted and abs(self._clock.utc() - self.believed_utc_s) <= _DISTRUST_S
 
-    def _ran_s(self) -> float:
+    def _monotonic_with_sleep_s(self) -> float:
         return self._clock.monotonic() + (self._clock.asleep_s() or 0.0)
 
     def _ask(self, now_s: float) -> None:
         if now_s < self._ask_s:
             return
         synchronised = self._synchronised()
-        self._never = synchronised is False
+        self._never_synchronised = synchronised is False
         if synchronised is True and not self.trusted:
             self._believe(now_s)
             self.corrections += 1
         # Once synchronised, a clock of this machine keeps time well enough for the sun.
-        self._ask_s = now_s + _ASK_EVERY_S if self._never or not self.trusted else math.inf
+        self._ask_s = now_s + _ASK_EVERY_S if self._never_synchronised or not self.trusted else math.inf
 
     @property
-    def _off_s(self) -> float:
+    def _deviation_s(self) -> float:
         return abs(self._offset_s - self._believed_s)
 
     def _believe(self, now_s: float) -> None:
@@ -126,9 +126,9 @@ class ClockWatch:
         if self._alarms is None:
             return
         if not self.trusted:
-            self._alarms.set("clock", self._wrong_start or _doubt(self._offset_s - self._believed_s))
-        elif self._never is not None:
-            self._alarms.set("clock", _NEVER if self._never else None)
+            self._alarms.set("clock", self._wrong_start or _doubt_text(self._offset_s - self._believed_s))
+        elif self._never_synchronised is not None:
+            self._alarms.set("clock", _NEVER_SYNCHRONISED_TEXT if self._never_synchronised else None)
 
 
 _UNITS = (("s", 1.0, 120.0), ("min", 60.0, 7200.0), ("h", 3600.0, 172_800.0), ("days", 86_400.0, 63_115_200.0))
@@ -137,17 +137,17 @@ _YEAR_S = 31_557_600.0
 
 def step_words(step_s: float) -> str:
     """Return a step of the clock [s] as a person says it: ``set forward by 52 years``, ``set back by 61 min``."""
-    return f"set {'forward' if step_s > 0 else 'back'} by {_lasting(abs(step_s))}"
+    return f"set {'forward' if step_s > 0 else 'back'} by {_duration_words(abs(step_s))}"
 
 
-def _lasting(size_s: float) -> str:
+def _duration_words(size_s: float) -> str:
     found = next((f"{size_s / of_s:.3g} {unit}" for unit, of_s, below_s in _UNITS if size_s < below_s), None)
     return found or f"{size_s / _YEAR_S:.0f} years"
 
 
 def told_sleep(slept_s: float) -> str:
     """Return the sentence for a sleep of the machine of so long [s]."""
-    return f"the machine slept for {_lasting(slept_s)}: readings and wind from before the sleep no longer count"
+    return f"the machine slept for {_duration_words(slept_s)}: readings and wind from before the sleep no longer count"
 
 
 def told_step(step_s: float, now_utc_s: float) -> str:
@@ -156,14 +156,14 @@ def told_step(step_s: float, now_utc_s: float) -> str:
     return f"the clock was {step_words(step_s)}{f', from {before} to {now}' if before != now else ''}"
 
 
-def _doubt(off_s: float) -> str:
+def _doubt_text(off_s: float) -> str:
     return (
         f"the clock was {step_words(off_s)}, and nothing confirms the new time: the sun's position is not used until"
         " the clock is synchronised (see 'timedatectl') or the step undone; if the time is right, restart the service"
     )
 
 
-def _doubt_of_start(utc_s: float, ran_utc_s: float) -> str:
+def _start_doubt_text(utc_s: float, ran_utc_s: float) -> str:
     return (
         f"by the clock this start of the service was at {minute_utc(utc_s)}, before the last one at"
         f" {minute_utc(ran_utc_s)}, and nothing confirms its time: the sun's position is not used until the clock is"

@@ -52,7 +52,7 @@ def replace_file(path: Path, text: str) -> None:
     """Write `text` to `path` by way of a file beside it, and make its folder; an `OSError` leaves no part of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as file:
-        _fill(file, text)
+        _write_and_sync(file, text)
     sync_names(Path(file.name).parent)
 
 
@@ -65,7 +65,7 @@ def rewrite_file(path: Path, text: str) -> None:
         The file cannot be written, for example on a full disk. It stays as it was.
     """
     with whole_file(path) as file:
-        _fill(file, text, path.stat())
+        _write_and_sync(file, text, path.stat())
     sync_names(Path(file.name).parent)
 
 
@@ -80,14 +80,14 @@ def write_new(path: Path, text: str, like: os.stat_result | None = None) -> None
     file = path.open("x", encoding="utf-8", newline="\n")
     try:
         with file:
-            _fill(file, text, like)
+            _write_and_sync(file, text, like)
     except OSError:
         path.unlink(missing_ok=True)
         raise
     sync_names(path.parent)
 
 
-def _fill(file: TextIO, text: str, like: os.stat_result | None = None) -> None:
+def _write_and_sync(file: TextIO, text: str, like: os.stat_result | None = None) -> None:
     """Write a text into an open file, with owner and rights as in `like`, and have it on the disk."""
     if like is not None:
         Path(file.name).chmod(stat.S_IMODE(like.st_mode))
@@ -196,12 +196,12 @@ def _check_bounds(values: dict[str, Any]) -> None:
             raise ValueError(
                 f"it has more than {_MOST_TOML_VALUES} values, and no configuration of heliocube has so many"
             )
-        reason = _unusable(value)
+        reason = _why_unusable(value)
         if reason is not None:
             raise ValueError(f"{place}: {reason}")
         if isinstance(value, dict):
             for name in value:
-                if (reason := _unusable(name)) is not None:
+                if (reason := _why_unusable(name)) is not None:
                     raise ValueError(f"a key in [{place}]: {reason}")
             names = [ascii(name)[1:-1] for name in value]
             places = [f"{place}.{name}" if place else name for name in names]
@@ -210,7 +210,7 @@ def _check_bounds(values: dict[str, Any]) -> None:
             waiting += [(f"{place}[{number}]", inner, depth + 1) for number, inner in enumerate(value)]
 
 
-def _unusable(value: Any) -> str | None:
+def _why_unusable(value: Any) -> str | None:
     """Return why nobody can mean a single value, or None."""
     if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
         return "the number has more than the 64 bits that TOML gives it"

@@ -24,7 +24,7 @@ def damage() -> str | None:
     that was installed.
     """
     home = Path(__file__).resolve().parents[2]
-    recorded = _recorded(home, sys.path)
+    recorded = _recorded_digests(home, sys.path)
     for package in PACKAGES:
         spec = find_spec(package)
         found = None if spec is None or spec.origin is None else Path(spec.origin).resolve().parent
@@ -32,7 +32,9 @@ def damage() -> str | None:
             return f"the package '{package}' is found at {found} and not at {home / package}: {_REMEDY}"
         name = f"{package}/__init__.py"
         if not (home / name).is_file() or recorded.get(name, "") not in ("", _digest(home / name)):
-            return f"the package '{package}' at {home} has been overwritten{_by(name, sys.path)}: {_REMEDY}"
+            return (
+                f"the package '{package}' at {home} has been overwritten{_overwriter_clause(name, sys.path)}: {_REMEDY}"
+            )
     return None
 
 
@@ -45,7 +47,7 @@ def release() -> str:
     home = Path(__file__).resolve().parents[2]
     digests = sorted(
         f"{name} {digest}"
-        for name, digest in _recorded(home, sys.path).items()
+        for name, digest in _recorded_digests(home, sys.path).items()
         if digest and name.partition("/")[0] in PACKAGES
     )
     version = metadata.version(DISTRIBUTION)
@@ -54,7 +56,7 @@ def release() -> str:
     return f"{version}+{hashlib.sha256(chr(10).join(digests).encode()).hexdigest()[:12]}"
 
 
-def _recorded(home: Path, path: Sequence[str]) -> dict[str, str]:
+def _recorded_digests(home: Path, path: Sequence[str]) -> dict[str, str]:
     """Return the digest of each file as our installation recorded it; empty for an editable one, which records none."""
     for distribution in metadata.distributions(name=DISTRIBUTION, path=list(path)):
         if Path(str(distribution.locate_file(""))).resolve() == home:
@@ -63,7 +65,7 @@ def _recorded(home: Path, path: Sequence[str]) -> dict[str, str]:
     return {}
 
 
-def _by(name: str, path: Sequence[str]) -> str:
+def _overwriter_clause(name: str, path: Sequence[str]) -> str:
     """Return who else has installed a file of that name, as the end of a clause."""
     others = {
         distribution.metadata["Name"]

@@ -5,7 +5,7 @@ import sys
 
 # Setting the clock raises the bound of its error to this. A program that synchronises it lowers the bound, even a
 # chrony that leaves the flag for unsynchronised clocks alone (without `rtcsync`). `timedatectl` goes by the bound, too.
-_UNKNOWN_US = 16_000_000
+_UNSYNCHRONISED_ERROR_US = 16_000_000
 
 
 class _Timex(ctypes.Structure):
@@ -29,4 +29,4 @@ def synchronised() -> bool | None:
         state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(found))
     except (OSError, AttributeError):
         return None
-    return None if state < 0 else found.maxerror < _UNKNOWN_US
+    return None if state < 0 else found.maxerror < _UNSYNCHRONISED_ERROR_US

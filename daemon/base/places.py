@@ -23,7 +23,7 @@ class Places:
     """
 
     def __init__(self, most: int) -> None:
-        self._most = most
+        self._place_count = most
         self._taken: Counter[str] = Counter()
 
     def are_free_for(self, host: str) -> bool:
@@ -32,7 +32,9 @@ class Places:
             near = ipaddress.ip_address(without_mapping(host)).is_loopback
         except ValueError:
             near = False
-        return self._taken.total() < self._most and self._taken[host] < (self._most if near else self._most // 2)
+        return self._taken.total() < self._place_count and self._taken[host] < (
+            self._place_count if near else self._place_count // 2
+        )
 
     @contextmanager
     def taken_by(self, host: str) -> Iterator[None]:

@@ -20,7 +20,7 @@ class PluginError(UserError):
 
 def names(group: str) -> tuple[str, ...]:
     """Return the names that installed packages offer in a group, sorted; nothing is imported."""
-    return tuple(sorted({point.name for point in _points(group)}))
+    return tuple(sorted({point.name for point in _entry_points_of(group)}))
 
 
 def load(group: str, name: str) -> ModuleType:
@@ -44,7 +44,7 @@ def load(group: str, name: str) -> ModuleType:
         without a default.
     """
     kind = group.rpartition(".")[2]
-    found = [point for point in _points(group) if point.name == name]
+    found = [point for point in _entry_points_of(group) if point.name == name]
     if not found:
         known = ", ".join(names(group)) or "none; reinstall heliocube with 'pip install -e .'"
         raise PluginError(f'there is no {kind} "{name}"; known are {known}')
@@ -72,18 +72,18 @@ def load(group: str, name: str) -> ModuleType:
     return module  # type: ignore[no-any-return]
 
 
-def _points(group: str) -> EntryPoints:
-    return _points_along(group, tuple(sys.path))
+def _entry_points_of(group: str) -> EntryPoints:
+    return _entry_points_in(group, tuple(sys.path))
 
 
 # Looking through all of them takes nine tenths of the time in which settings are built.
 @lru_cache
-def _points_along(group: str, search_path: tuple[str, ...]) -> EntryPoints:
-    return cast("EntryPoints", _all_points(search_path).select(group=group))
+def _entry_points_in(group: str, search_path: tuple[str, ...]) -> EntryPoints:
+    return cast("EntryPoints", _all_entry_points(search_path).select(group=group))
 
 
 @lru_cache
-def _all_points(_search_path: tuple[str, ...]) -> Any:
+def _all_entry_points(_search_path: tuple[str, ...]) -> Any:
     """Return what all packages offer; reading that takes a tenth of a second, so it is done once per search path."""
     return entry_points()
 

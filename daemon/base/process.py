@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
 _DEBUG_PRIORITY = 7
 # sd_listen_fds(3): what the manager hands over begins here.
-_FIRST_HANDED = 3
+_FIRST_INHERITED_DESCRIPTOR = 3
 _BARRIER_S = 5.0
 _PLAIN_VALUE = re.compile(r'[^\s="\\]+')
 _ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\r": "\\r", "\t": "\\t"}
@@ -165,7 +165,7 @@ class Notifier:
         # A leading @ stands for the NUL byte of Linux's abstract socket names.
         self._address = "\0" + path[1:] if path.startswith("@") else path
         self._interval_s = _interval_s(environment, pid)
-        self._kept = _handed(environment, pid)
+        self._unclaimed_descriptors = _inherited_descriptors(environment, pid)
 
     @property
     def watchdog_interval_s(self) -> float | None:
@@ -206,7 +206,7 @@ class Notifier:
         All other sockets that it gave are closed, and the manager has let go of them when this returns: nobody would
         read from them, and one may have the port that is wanted now.
         """
-        found, handed, self._kept = None, self._kept, []
+        found, handed, self._unclaimed_descriptors = None, self._unclaimed_descriptors, []
         for other, number in handed:
             if other == name and found is None:
                 os.set_inheritable(number, False)
@@ -253,13 +253,13 @@ def _interval_s(environment: Mapping[str, str], pid: int) -> float | None:
     return int(microseconds) / 2e6
 
 
-def _handed(environment: Mapping[str, str], pid: int) -> list[tuple[str, int]]:
+def _inherited_descriptors(environment: Mapping[str, str], pid: int) -> list[tuple[str, int]]:
     """Return name and number of each descriptor that the manager handed to this process."""
     count = environment.get("LISTEN_FDS", "")
     if not count.isdecimal() or environment.get("LISTEN_PID", "") != str(pid):
         return []
     names = environment.get("LISTEN_FDNAMES", "").split(":")
-    return list(zip(names, range(_FIRST_HANDED, _FIRST_HANDED + int(count)), strict=False))
+    return list(zip(names, range(_FIRST_INHERITED_DESCRIPTOR, _FIRST_INHERITED_DESCRIPTOR + int(count)), strict=False))
 
 
 @contextlib.contextmanager
@@ -314,12 +314,12 @@ def _ctrl_c(number: int, frame: FrameType | None) -> None:
         return
     # If SIGINT was ignored at the start, as in the background of a script, no event loop has set one.
     with contextlib.suppress(RuntimeError):
-        asyncio.get_running_loop().call_soon_threadsafe(_end_all, frame)
+        asyncio.get_running_loop().call_soon_threadsafe(_cancel_tasks_and_interrupt, frame)
         return
     signal.default_int_handler(signal.SIGINT, frame)
 
 
-def _end_all(frame: FrameType | None) -> None:
+def _cancel_tasks_and_interrupt(frame: FrameType | None) -> None:
     """Leave the running loop from outside of any task: raised in one, KeyboardInterrupt would come again at its end."""
     for task in asyncio.all_tasks():
         task.cancel()

@@ -90,7 +90,7 @@ class Outage:
             What to tell of it when it is back.
         """
         if self.since is None:
-            return self._steady(now_s)
+            return self._report_steady_again(now_s)
         back = f"{self._subject} is back{': ' if how else ''}{how}"
         level = logging.INFO if self._reported_plainly else logging.DEBUG
         self._logger.log(level, "%s", back, extra=self._fields(now_s))
@@ -99,7 +99,7 @@ class Outage:
         self._up_s = now_s
         return back if self._reported_plainly else ""
 
-    def _steady(self, now_s: float) -> str:
+    def _report_steady_again(self, now_s: float) -> str:
         count = self._recurrence.over(now_s, self._up_s)
         if not count:
             return ""
@@ -212,8 +212,8 @@ class Reconnection:
         self._backoff = Backoff(random)
         self._now_s = now_s
         self._notify = notify
-        self._lost = lost
-        self._hopeless = hopeless
+        self._loss_errors = lost
+        self._hopeless_errors = hopeless
 
     async def run(
         self,
@@ -235,9 +235,9 @@ class Reconnection:
         while True:
             try:
                 await use()
-            except self._hopeless:
+            except self._hopeless_errors:
                 raise
-            except self._lost as error:
+            except self._loss_errors as error:
                 forget()
                 self._report(str(error))
                 await close()

@@ -328,7 +328,7 @@ class Bus:
 
     def __init__(self) -> None:
         self._subscribers: list[Subscriber] = []
-        self._of_one: dict[str, list[Subscriber]] = {}
+        self._subscribers_by_tracker: dict[str, list[Subscriber]] = {}
 
     def subscribe(self, subscriber: Subscriber, tracker: str = "") -> None:
         """Add a subscriber for all records from now on, or for those that concern one tracker: its own and nobody's.
@@ -336,7 +336,7 @@ class Bus:
         If each of hundreds of trackers asked every record whose it is, the asking would be most of the work.
         """
         if tracker:
-            self._of_one.setdefault(tracker, []).append(subscriber)
+            self._subscribers_by_tracker.setdefault(tracker, []).append(subscriber)
         else:
             self._subscribers.append(subscriber)
 
@@ -345,7 +345,7 @@ class Bus:
         for subscriber in self._subscribers:
             subscriber(record)
         tracker = "" if isinstance(record, Scan) else record.tracker
-        chosen = (self._of_one.get(tracker, ()),) if tracker else self._of_one.values()
+        chosen = (self._subscribers_by_tracker.get(tracker, ()),) if tracker else self._subscribers_by_tracker.values()
         for subscribers in chosen:
             for subscriber in subscribers:
                 subscriber(record)

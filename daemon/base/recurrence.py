@@ -39,7 +39,7 @@ class Recurrence:
         self._few = few
         self._reminds = reminds
         self._times: deque[float] = deque(maxlen=_MOST)
-        self._often = self._new_chance = False
+        self._is_frequent = self._tell_next_plainly = False
         self._spells = self._reminders = self._reported = self._count = 0
         self._due_s = -math.inf
 
@@ -48,15 +48,15 @@ class Recurrence:
         self._forget_old(now_s)
         self._times.append(now_s)
         self._count += 1
-        if len(self._times) <= (self._few // 2 if self._often else self._few):
+        if len(self._times) <= (self._few // 2 if self._is_frequent else self._few):
             self._begin()
             self._count = len(self._times)
             return Wording.PLAINLY
-        if not self._often:
-            if self._new_chance:
-                self._new_chance = False
+        if not self._is_frequent:
+            if self._tell_next_plainly:
+                self._tell_next_plainly = False
                 return Wording.PLAINLY
-            self._often, self._reported = True, 0
+            self._is_frequent, self._reported = True, 0
             self._spells += 1
         if now_s < self._due_s or (self._reported and not self._reminds):
             return Wording.QUIETLY
@@ -70,9 +70,11 @@ class Recurrence:
 
         The next time is told plainly again.
         """
-        if not self._often or now_s - calm_since_s < min(_FIRST_CALM_S * 2.0 ** (self._spells - 1), _LONGEST_CALM_S):
+        if not self._is_frequent or now_s - calm_since_s < min(
+            _FIRST_CALM_S * 2.0 ** (self._spells - 1), _LONGEST_CALM_S
+        ):
             return 0
-        self._often, self._new_chance = False, True
+        self._is_frequent, self._tell_next_plainly = False, True
         count, self._count = self._count, 0
         return count if self._reported else 0
 
@@ -85,7 +87,7 @@ class Recurrence:
         return f"{len(self._times)} times in the last 12 hours"
 
     def _begin(self) -> None:
-        self._often = self._new_chance = False
+        self._is_frequent = self._tell_next_plainly = False
         self._spells = self._reminders = self._reported = self._count = 0
         self._due_s = -math.inf
 
@@ -158,14 +160,14 @@ class RateLimit:
     def __init__(self, per_s: float, burst: int) -> None:
         self._per_s = per_s
         self._burst = burst
-        self._left = float(burst)
-        self._at_s = -math.inf
+        self._tokens_left = float(burst)
+        self._refilled_at_s = -math.inf
 
     def admit(self, now_s: float) -> bool:
         """Return whether one more may be done at a monotonic time [s], and count it if so."""
-        self._left = min(self._left + (now_s - self._at_s) * self._per_s, float(self._burst))
-        self._at_s = now_s
-        if not self._left >= 1.0:
+        self._tokens_left = min(self._tokens_left + (now_s - self._refilled_at_s) * self._per_s, float(self._burst))
+        self._refilled_at_s = now_s
+        if not self._tokens_left >= 1.0:
             return False
-        self._left -= 1.0
+        self._tokens_left -= 1.0
         return True

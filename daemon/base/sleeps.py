@@ -36,14 +36,14 @@ class SleepGauge:
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
-        self._asleep_s = self._now_s()
+        self._asleep_s = self._gauge_reading_s()
 
     def take_s(self) -> float:
         """Return for how long it has slept since the last call [s]."""
-        before_s, self._asleep_s = self._asleep_s, self._now_s()
+        before_s, self._asleep_s = self._asleep_s, self._gauge_reading_s()
         return max(self._asleep_s - before_s, 0.0)
 
-    def _now_s(self) -> float:
+    def _gauge_reading_s(self) -> float:
         asleep_s = self._clock.asleep_s()
         return self._clock.utc() - self._clock.monotonic() if asleep_s is None else asleep_s
 

@@ -165,12 +165,12 @@ class StateFolder:
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.directory = directory
-        self._behind = behind
+        self._writes_in_thread = behind
         self._replace = replace
         self._reserve = reserve
         self._now_s = now_s
         self._changed = threading.Condition()
-        self._roomless: list[Path] = []
+        self._paths_without_room: list[Path] = []
         self._waiting: dict[Path, _Content] = {}
         self._failed: dict[Path, str] = {}
         self._working = False
@@ -196,7 +196,7 @@ class StateFolder:
     def reserve(self, path: Path) -> None:
         """Keep room on the disk for a file that may have to be written when no other room is left."""
         with self._changed:
-            self._roomless.append(path)
+            self._paths_without_room.append(path)
         self._write()
 
     @property
@@ -247,7 +247,7 @@ class StateFolder:
             if self._working:
                 return
             self._working = True
-        if self._behind:
+        if self._writes_in_thread:
             # A daemon thread, for which the end of the process does not wait: a disk may never answer.
             thread = threading.Thread(target=self._work, name="kept state", daemon=True)
             try:
@@ -275,7 +275,7 @@ class StateFolder:
                 kept.tried = True
                 return partial(self._try_to_write, path, kept)
         # Room comes last: a content that waits may be a person's stop.
-        return partial(self._reserve, self._roomless.pop()) if self._roomless else None
+        return partial(self._reserve, self._paths_without_room.pop()) if self._paths_without_room else None
 
     def _try_to_write(self, path: Path, kept: _Content) -> None:
         reason = self._attempt(path, kept.text)

@@ -26,7 +26,7 @@ _LOOK_EVERY_ROUNDS = 16
 _RESOLUTION_S = 1e-9
 _LONGEST_TURN_S = 1.0
 _TIDY_TIMERS = 100
-_LOOK_FOR_GARBAGE_AFTER = (100_000, 20, 20)
+_GC_THRESHOLDS = (100_000, 20, 20)
 # The callback that `asyncio.sleep`, and nothing else, sets for the end of its time.
 _WAKE_SLEEPER = getattr(asyncio.futures, "_set_result_unless_cancelled", None)
 
@@ -140,8 +140,8 @@ class _Timer:
             loop.call_exception_handler({"message": f"Exception in timer {self.callback!r}", "exception": error})
 
 
-_OVER = _Timer(0.0, print, (), copy_context())
-_OVER.cancel()
+_CANCELLED_TIMER = _Timer(0.0, print, (), copy_context())
+_CANCELLED_TIMER.cancel()
 
 
 class _VirtualSelector(_DelegatingSelector):
@@ -152,9 +152,9 @@ class _VirtualSelector(_DelegatingSelector):
         self._has_events: Callable[[float], object] = poll
         # Both are heaps ordered by time, and for the same time by which was set first.
         self._beats: list[tuple[float, int, _Beat]] = []
-        self._beats_set = 0
+        self._last_beat_number = 0
         self._timers: list[tuple[float, int, _Timer]] = []
-        self._timers_set = 0
+        self._last_timer_number = 0
         self._tidy_at = _TIDY_TIMERS
         self._now_ns, self.now_s = 0, 0.0
         self.jobs = 0
@@ -162,19 +162,19 @@ class _VirtualSelector(_DelegatingSelector):
         self.loop: AbstractEventLoop
 
     def set_timer(self, timer: _Timer) -> None:
-        self._timers_set += 1
-        heapq.heappush(self._timers, (timer.when(), self._timers_set, timer))
+        self._last_timer_number += 1
+        heapq.heappush(self._timers, (timer.when(), self._last_timer_number, timer))
         if len(self._timers) > self._tidy_at:
             self._timers = [entry for entry in self._timers if not entry[2].cancelled()]
             heapq.heapify(self._timers)
             self._tidy_at = 2 * len(self._timers) + _TIDY_TIMERS
 
     def set_beat(self, beat: _Beat) -> Callable[[], None]:
-        self._beats_set = number = self._beats_set + 1
+        self._last_beat_number = number = self._last_beat_number + 1
         heapq.heappush(self._beats, (self.now_s + beat.every_s, number, beat))
 
         def end() -> None:
-            # Change the list in place: a beat may call this while `_pass_to` works on the same list.
+            # Change the list in place: a beat may call this while `_advance_time_to` works on the same list.
             self._beats[:] = [entry for entry in self._beats if entry[1] != number]
             heapq.heapify(self._beats)
 
@@ -197,11 +197,11 @@ class _VirtualSelector(_DelegatingSelector):
                     "the program waits for something that virtual time cannot bring"
                 )
             return events
-        if self._pass_to(self._timers[0][0] if self._timers else math.inf):
+        if self._advance_time_to(self._timers[0][0] if self._timers else math.inf):
             self._run_timers()
         return []
 
-    def _pass_to(self, until_s: float) -> bool:
+    def _advance_time_to(self, until_s: float) -> bool:
         """Let time go on, with its beats; return False if one of them has set off something that has to run first."""
         beats = self._beats
         while beats:
@@ -220,7 +220,7 @@ class _VirtualSelector(_DelegatingSelector):
         self._drop_cancelled()
         if self.jobs or (self._timers and self._timers[0][0] <= when_s + max(_RESOLUTION_S, math.ulp(when_s))):
             return False
-        return not self._has_events(0) and self._pass_to(when_s)
+        return not self._has_events(0) and self._advance_time_to(when_s)
 
     def _drop_cancelled(self) -> None:
         while self._timers and self._timers[0][2].callback is None:
@@ -229,7 +229,7 @@ class _VirtualSelector(_DelegatingSelector):
     def _run_timers(self) -> None:
         # Called here: through the loop's own list of callbacks each would take a second round. Timers that are set
         # meanwhile wait for the next round. Time is rounded to whole nanoseconds, and to what a float can hold.
-        due_s, last = self.now_s + max(_RESOLUTION_S, math.ulp(self.now_s)), self._timers_set
+        due_s, last = self.now_s + max(_RESOLUTION_S, math.ulp(self.now_s)), self._last_timer_number
         while self._timers and self._timers[0][0] < due_s and self._timers[0][1] <= last:
             heapq.heappop(self._timers)[2].run(self.loop)
 
@@ -260,9 +260,9 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
     ) -> TimerHandle:
         """Call back after so many virtual seconds; a task that sleeps alone goes on at once."""
         when_s = self._virtual.now_s + delay
-        if callback is _WAKE_SLEEPER and self._sleeps_alone(when_s):
+        if callback is _WAKE_SLEEPER and self._pass_sleep_if_alone(when_s):
             callback(*args)
-            return cast("TimerHandle", _OVER)
+            return cast("TimerHandle", _CANCELLED_TIMER)
         return self.call_at(when_s, callback, *args, context=context)
 
     def call_at(
@@ -279,7 +279,7 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         self._virtual.set_timer(timer)
         return cast("TimerHandle", timer)
 
-    def _sleeps_alone(self, until_s: float) -> bool:
+    def _pass_sleep_if_alone(self, until_s: float) -> bool:
         """Let time go on while the running task sleeps, if nothing else is to happen before: it sees no difference.
 
         The task goes on at once then, at a fifth of the cost of a timer, a waking and a round of the loop.
@@ -332,7 +332,7 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
 def virtual_time() -> Iterator[asyncio.Runner]:
     """Run in virtual time, seldom collecting garbage: a day makes hardly any cycles, and takes a thirtieth less."""
     often = gc.get_threshold()
-    gc.set_threshold(*_LOOK_FOR_GARBAGE_AFTER)
+    gc.set_threshold(*_GC_THRESHOLDS)
     try:
         with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
             yield runner

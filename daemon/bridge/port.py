@@ -51,7 +51,7 @@ _STAMP = struct.Struct("@ll")
 # ip(7), <linux/in.h>: unless it is 0, a socket also hears the groups that other programs of the machine have joined.
 _IP_MULTICAST_ALL = 49
 # ip(7), the end of struct ip_mreqn: no address, and the index of the network's interface.
-_BY_INDEX = struct.Struct("@4xi")
+_MREQN_BY_INDEX = struct.Struct("@4xi")
 # How many datagrams that waited are read at the start: more than a buffer holds, and a flood cannot prolong it.
 _MOST_WAITING = 8192
 # A longer wait means that the clock was set meanwhile.
@@ -105,14 +105,14 @@ class UdpPort:
         self._clock = clock
         self._alarm = alarm
         self._bound: socket.socket | None = None
-        self._was_kept = self._reads = False
-        self._looking: asyncio.TimerHandle | None = None
+        self._was_kept = self._is_reading = False
+        self._look_timer: asyncio.TimerHandle | None = None
         self._outage = Outage(_log, "the bridge")
-        self._well_s = self._deaf_s = -math.inf
+        self._last_well_s = self._last_deaf_s = -math.inf
         self._networks: set[int] = set()
         self._has_joined = False
         self._lines: dict[Peer, socket.socket] = {}
-        self._proven_s: dict[Peer, float] = {}
+        self._last_scan_s: dict[Peer, float] = {}
 
     @property
     def address(self) -> Address:
@@ -136,7 +136,7 @@ class UdpPort:
             self._networks = _networks()
             return
         try:
-            self._take()
+            self._bind_and_join()
         except _NotHereError:
             # `open` tries again and reports it, once the service keeps records.
             return
@@ -154,9 +154,9 @@ class UdpPort:
         if self._bound is None:
             self.bind()
         waited, self._was_kept = self._was_kept, False
-        self._reads, self._well_s = True, self._clock.monotonic()
+        self._is_reading, self._last_well_s = True, self._clock.monotonic()
         bound = self._bound
-        if bound is None or self._may_go:
+        if bound is None or self._may_lose_network:
             self._look()
         if bound is not None:
             if waited:
@@ -166,11 +166,11 @@ class UdpPort:
 
     def close(self) -> None:
         """Release the port."""
-        self._reads = self._has_joined = False
+        self._is_reading = self._has_joined = False
         for peer in tuple(self._lines):
             self._drop(peer)
-        if self._looking is not None:
-            self._looking.cancel()
+        if self._look_timer is not None:
+            self._look_timer.cancel()
         if self._bound is not None:
             asyncio.get_running_loop().remove_reader(self._bound)
             self._bound.close()
@@ -179,19 +179,19 @@ class UdpPort:
     def favour(self, peer: Peer, now_s: float) -> None:
         """Give a peer that has sent an authentic scan, at a monotonic time [s], a line if one is free."""
         if peer in self._lines:
-            self._proven_s[peer] = now_s
+            self._last_scan_s[peer] = now_s
             return
         # Each socket would get a copy of every datagram that is sent to the group.
         if self._bound is None or self._group is not None or sys.platform != "linux":
             return
         if len(self._lines) >= _MOST_LINES:
-            idle = min(self._lines, key=self._proven_s.__getitem__)
-            if now_s - self._proven_s[idle] < _HELD_S:
+            idle = min(self._lines, key=self._last_scan_s.__getitem__)
+            if now_s - self._last_scan_s[idle] < _HELD_S:
                 return
             self._drop(idle)
-        line = self._connected(self._bound, peer)
+        line = self._connect_line(self._bound, peer)
         if line is not None:
-            self._lines[peer], self._proven_s[peer] = line, now_s
+            self._lines[peer], self._last_scan_s[peer] = line, now_s
             self._read_from(line)
 
     @property
@@ -209,7 +209,7 @@ class UdpPort:
                 self._receive(data, peer, _waited_s(ancillary))
 
     @property
-    def _may_go(self) -> bool:
+    def _may_lose_network(self) -> bool:
         """Whether it listens on a network that can vanish."""
         return self._group is not None or not (self._listen.ip.is_loopback or self._listen.ip.is_unspecified)
 
@@ -217,32 +217,32 @@ class UdpPort:
         """Take the port and the group if their network is there, else report why not; look again in a few seconds."""
         now_s = self._clock.monotonic()
         try:
-            self._take()
+            self._bind_and_join()
         except BridgeError as error:
-            self._deaf_s = now_s
+            self._last_deaf_s = now_s
             self._outage.down(now_s, str(error))
-            if now_s - self._well_s >= _ALARM_AFTER_S:
+            if now_s - self._last_well_s >= _ALARM_AFTER_S:
                 self._alarm("bridge-down", f"the bridge hears nothing: {error}")
         else:
-            self._well_s = now_s
+            self._last_well_s = now_s
             self._outage.up(now_s)
-            if now_s - self._deaf_s >= _OVER_AFTER_S:
+            if now_s - self._last_deaf_s >= _OVER_AFTER_S:
                 self._alarm("bridge-down", None)
-        self._looking = asyncio.get_running_loop().call_later(_LOOK_AGAIN_S, self._look)
+        self._look_timer = asyncio.get_running_loop().call_later(_LOOK_AGAIN_S, self._look)
 
-    def _take(self) -> None:
+    def _bind_and_join(self) -> None:
         """Bind and join as far as that is not done; raises `BridgeError` where nothing can be heard."""
         if self._bound is None:
             self._bound = self._bind()
             self._keeper.keep(self._name_kept, self._bound)
-            if self._reads:
+            if self._is_reading:
                 self._read_from(self._bound)
         if self._group is not None:
-            self._stay_in(self._group, self._bound)
+            self._keep_joined(self._group, self._bound)
         elif not is_here(self._listen):
             raise _NotHereError(f"bridge.listen: {self._listen} {_NOT_ON_THIS_MACHINE}")
 
-    def _stay_in(self, group: Address, bound: socket.socket) -> None:
+    def _keep_joined(self, group: Address, bound: socket.socket) -> None:
         """Join a group; join it again after its network was gone, because the kernel then forgets the membership."""
         try:
             self._join(group, bound)
@@ -275,14 +275,14 @@ class UdpPort:
         # A membership in a network that has gone still counts among the few of a socket (igmp_max_memberships).
         for index in self._networks - there:
             with contextlib.suppress(OSError):
-                bound.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, address + _BY_INDEX.pack(index))
+                bound.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, address + _MREQN_BY_INDEX.pack(index))
         self._networks = there
 
     def _drop(self, peer: Peer) -> None:
         # Datagrams that the line still holds would be lost with it. While it is listed, its peer gets no second one.
         self._read(self._lines[peer])
         line = self._lines.pop(peer)
-        del self._proven_s[peer]
+        del self._last_scan_s[peer]
         asyncio.get_running_loop().remove_reader(line)
         line.close()
 
@@ -301,7 +301,7 @@ class UdpPort:
                 return
             self._receive(data, peer, 0.0)
 
-    def _connected(self, bound: socket.socket, peer: Peer) -> socket.socket | None:
+    def _connect_line(self, bound: socket.socket, peer: Peer) -> socket.socket | None:
         """Return a second socket on the port that hears one peer; None where the system does not let it."""
         line = socket.socket(bound.family, socket.SOCK_DGRAM)
         # Every socket of the port must allow sharing, and for this instant only: no other program may share the port.

@@ -123,18 +123,18 @@ class BridgeReceiver:
 
         It came `waited_s` ago [s], and is judged and dated by the time when it came.
         """
-        if self._take(data, addr, addr[0], waited_s):
+        if self._examine_and_pass_on(data, addr, addr[0], waited_s):
             self._port.favour(addr, self._clock.monotonic())
 
     def take(self, data: bytes, sender: str) -> None:
         """Examine a scan that came over a transport without IP addresses, as a datagram is examined."""
-        self._take(data, sender, None)
+        self._examine_and_pass_on(data, sender, None)
 
     def take_own(self, data: bytes) -> None:
         """Examine a scan that this process sends itself while its address is not there, as if it came from there."""
-        self._take(data, str(self._listen), self._listen.host)
+        self._examine_and_pass_on(data, str(self._listen), self._listen.host)
 
-    def _take(self, data: bytes, sender: str | Peer, host: str | None, waited_s: float = 0.0) -> bool:
+    def _examine_and_pass_on(self, data: bytes, sender: str | Peer, host: str | None, waited_s: float = 0.0) -> bool:
         now_s = self._clock.monotonic() - waited_s
         utc_s = self._clock.utc() - waited_s
         try:

@@ -108,7 +108,7 @@ class Tally:
         self._last_utc_s: float | None = None
         self._last_monotonic_s = -inf
         self._gap_began_s: float | None = None
-        self._gap: Counter[Refusal] = Counter()
+        self._gap_counts: Counter[Refusal] = Counter()
         self._begin_stretch(-inf)
 
     def _begin_stretch(self, now_monotonic_s: float) -> None:
@@ -125,7 +125,7 @@ class Tally:
             gap_s = now_monotonic_s - self._gap_began_s
             if gap_s >= SILENCE_S and not self._recovery_reported:
                 self._recovery_reported = True
-                _log.info("scans are accepted again, %.0f s and %d refusals later", gap_s, self._gap.total())
+                _log.info("scans are accepted again, %.0f s and %d refusals later", gap_s, self._gap_counts.total())
             self._gap_began_s = None
 
     def refuse(self, refused: ScanRefusedError, sender: "str | Peer", utc_s: float, now_monotonic_s: float) -> None:
@@ -135,8 +135,8 @@ class Tally:
             self._begin_stretch(now_monotonic_s)
         if self._gap_began_s is None:
             self._gap_began_s = now_monotonic_s
-            self._gap.clear()
-        self._gap[kind] += 1
+            self._gap_counts.clear()
+        self._gap_counts[kind] += 1
         self._refused[kind] += 1
         self._last = kind, sender, refused.reason
         self._last_utc_s = utc_s
@@ -154,7 +154,7 @@ class Tally:
         """What was refused since the last scan that was passed on, in words; empty for nothing."""
         if self._gap_began_s is None:
             return ""
-        return f"the bridge refused {_listed(self._gap)} since; the latest is {self._last_refusal}"
+        return f"the bridge refused {_counts_text(self._gap_counts)} since; the latest is {self._last_refusal}"
 
     @property
     def _last_refusal(self) -> str:
@@ -177,7 +177,7 @@ class Tally:
         )
 
     def _summarise(self, now_monotonic_s: float) -> None:
-        counts = _listed(self._unreported)
+        counts = _counts_text(self._unreported)
         _log.warning("datagrams refused and not logged yet: %s; the latest was %s", counts, self._last_refusal)
         self._unreported.clear()
         # Doubling keeps a day of refusals under twenty lines, however many datagrams there are.
@@ -185,5 +185,5 @@ class Tally:
         self._summary_at_s = now_monotonic_s + self._summary_every_s
 
 
-def _listed(counts: Counter[Refusal]) -> str:
+def _counts_text(counts: Counter[Refusal]) -> str:
     return ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in sorted(counts.items()))

@@ -149,11 +149,11 @@ class _Target:
         error: OSError | None = None
         try:
             try:
-                self._connected().send(datagram)
+                self._connected_socket().send(datagram)
             except ConnectionRefusedError as refused:
                 # The kernel reports that the previous datagram failed by failing this one, so this one is sent again.
                 error = refused
-                self._connected().send(datagram)
+                self._connected_socket().send(datagram)
             self._sent += 1
         except OSError as failure:
             error = failure
@@ -173,7 +173,7 @@ class _Target:
             self._socket.close()
             self._socket = None
 
-    def _connected(self) -> socket.socket:
+    def _connected_socket(self) -> socket.socket:
         if self._socket is None:
             opened = socket.socket(self.address.family, socket.SOCK_DGRAM)
             try:

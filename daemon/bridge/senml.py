@@ -20,15 +20,15 @@ LARGEST_SEQUENCE = 2**53 - 1  # the largest count that every JSON library reads 
 _SOURCE = re.compile(r"([A-Za-z0-9][A-Za-z0-9_.-]{0,31})/", re.ASCII)
 _SESSION = re.compile(r"[A-Za-z0-9_-]{1,32}", re.ASCII)
 # How the reference sender begins a pack, and how it goes on after the faces.
-_BEGINNING = re.compile(rb'\[\{"bn":"([A-Za-z0-9][A-Za-z0-9_.-]{0,31})/","bt":([0-9]{9,10}\.[0-9]{1,3}),"n":"')
-_COUNTED = re.compile(
+_PACK_HEAD = re.compile(rb'\[\{"bn":"([A-Za-z0-9][A-Za-z0-9_.-]{0,31})/","bt":([0-9]{9,10}\.[0-9]{1,3}),"n":"')
+_SEQUENCE_AND_SESSION = re.compile(
     rb',\{"n":"sequence","u":"count","v":([0-9]{1,16})\},\{"n":"session","vs":"([A-Za-z0-9_-]{1,32})"\},'
 )
 # A tuple, because `int | float` would be made anew for each of the ten numbers of a scan.
 _NUMBERS = (int, float)
 _QUALITY_OF = {f"{face}/quality": face for face in FACES}
 _CALIBRATION = re.compile(r"[0-9]{8}-[0-9a-f]{8}", re.ASCII)
-_COMMON = ("sequence", "session", "monotonic", "simulated")
+_REQUIRED_RECORDS = ("sequence", "session", "monotonic", "simulated")
 _LABELS = {
     **dict.fromkeys(FACES, frozenset({"n", "u", "v", "t"})),
     **dict.fromkeys(_QUALITY_OF, frozenset({"n", "vs", "t"})),
@@ -74,7 +74,7 @@ def encode(scan: Scan) -> bytes:
 
 def peek(payload: bytes) -> ScanHead | None:
     """Return the head of a pack in exactly the form that `encode` writes; None for any other form, valid or not."""
-    beginning, counted = _BEGINNING.match(payload), _COUNTED.search(payload)
+    beginning, counted = _PACK_HEAD.match(payload), _SEQUENCE_AND_SESSION.search(payload)
     if beginning is None or counted is None:
         return None
     return ScanHead(beginning[1].decode(), counted[2].decode(), int(counted[1]), float(beginning[2]))
@@ -100,7 +100,7 @@ def decode(payload: bytes) -> Scan:
         if not _LABELS[name].issuperset(record):
             raise _malformed(f"has labels in its record {name} that do not belong there: {_shown(record)}")
         named[name] = record
-    for name in _COMMON:
+    for name in _REQUIRED_RECORDS:
         if name not in named:
             raise _malformed(f"has no record {name}")
     sequence = named["sequence"].get("v")
@@ -112,8 +112,8 @@ def decode(payload: bytes) -> Scan:
     simulated = named["simulated"].get("vb")
     if not isinstance(simulated, bool):
         raise _malformed(f"has a record simulated that is neither true nor false: {_shown(simulated)}")
-    _unit(named["sequence"], "count")
-    _unit(named["monotonic"], "s")
+    _check_unit(named["sequence"], "count")
+    _check_unit(named["monotonic"], "s")
     monotonic_s = _number(named["monotonic"].get("v"), 0.0, LARGEST_MONOTONIC_S, "monotonic")
     calibration = named["calibration"].get("vs") if "calibration" in named else ""
     if not isinstance(calibration, str) or ("calibration" in named and _CALIBRATION.fullmatch(calibration) is None):
@@ -166,7 +166,7 @@ def _face(name: str, named: dict[str, dict[str, Any]], time_utc_s: float, monoto
         except ValueError:
             raise _malformed(f"has an unknown quality for {name}: {_shown(flag.get('vs'))}") from None
     if value is not None:
-        _unit(value, UNIT)
+        _check_unit(value, UNIT)
         irradiance = _number(value.get("v"), -LARGEST_W_M2, LARGEST_W_M2, name)
         timed = value
     elif flag is not None and quality is not Quality.OK:
@@ -178,7 +178,7 @@ def _face(name: str, named: dict[str, dict[str, Any]], time_utc_s: float, monoto
     return FaceReading(irradiance, quality, time_utc_s + offset_s, monotonic_s + offset_s)
 
 
-def _unit(record: dict[str, Any], unit: str) -> None:
+def _check_unit(record: dict[str, Any], unit: str) -> None:
     if record.get("u") != unit:
         raise _malformed(f"has {record['n']} in {_shown(record.get('u'))} and not in {unit}")
 
@@ -196,11 +196,11 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _no_constant(text: str) -> float:
+def _refuse_constant(text: str) -> float:
     raise ValueError(f"{text} is not a JSON number")
 
 
-_decoder = json.JSONDecoder(object_pairs_hook=_unique, parse_constant=_no_constant)
+_decoder = json.JSONDecoder(object_pairs_hook=_unique, parse_constant=_refuse_constant)
 
 
 def _shown(value: object) -> str:

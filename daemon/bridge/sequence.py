@@ -38,7 +38,7 @@ class SequenceGuard:
         # The sessions of the source, by trust: the oldest first, and a restart right after the session it replaced.
         self._sessions: list[_Session] = []
         self._followed: _Session | None = None
-        self._lost_before = 0
+        self._lost_in_past_sessions = 0
         self._accepted_utc_s = -inf
         self._accepted_at_s = -inf
         self._latest_scan_s = -inf
@@ -46,7 +46,7 @@ class SequenceGuard:
     @property
     def lost(self) -> int:
         """Sequence numbers that never came, over all sessions."""
-        return self._lost_before + sum(session.numbers.lost for session in self._sessions)
+        return self._lost_in_past_sessions + sum(session.numbers.lost for session in self._sessions)
 
     def forget_delays(self) -> None:
         """Forget the shortest time that a scan was under way, and learn it anew."""
@@ -137,7 +137,7 @@ class SequenceGuard:
 
     def _begin(self, head: "ScanHead") -> "_Session":
         if head.source != self._source:
-            self._lost_before = self.lost
+            self._lost_in_past_sessions = self.lost
             self._source, self._followed = head.source, None
             self._sessions.clear()
         session = _Session(head.session, _Numbers(head.sequence))
@@ -145,7 +145,7 @@ class SequenceGuard:
         self._sessions.insert(place, session)
         if len(self._sessions) > SESSIONS_REMEMBERED:
             oldest = min((one for one in self._sessions if one is not session), key=_accepted_at_s)
-            self._lost_before += oldest.numbers.lost
+            self._lost_in_past_sessions += oldest.numbers.lost
             self._sessions.remove(oldest)
         return session
 
@@ -189,7 +189,7 @@ class _Numbers:
     def __init__(self, first: int) -> None:
         self._first = first
         self.highest = first
-        self._seen = 1
+        self._seen_bits = 1
         self.lost = 0
 
     def note(self, number: int) -> None:
@@ -197,10 +197,12 @@ class _Numbers:
         ahead = number - self.highest
         if ahead > 0:
             self.lost += ahead - 1
-            self._seen = (self._seen << ahead | 1) & (1 << SEQUENCE_WINDOW) - 1 if ahead < SEQUENCE_WINDOW else 1
+            self._seen_bits = (
+                (self._seen_bits << ahead | 1) & (1 << SEQUENCE_WINDOW) - 1 if ahead < SEQUENCE_WINDOW else 1
+            )
             self.highest = number
             return
-        self._seen |= 1 << -ahead
+        self._seen_bits |= 1 << -ahead
         if number > self._first:
             self.lost -= 1
         raise ScanRefusedError(Refusal.REORDERED, f"has the number {number}, after {self.highest}")
@@ -210,7 +212,7 @@ class _Numbers:
         behind = self.highest - number
         if behind >= SEQUENCE_WINDOW:
             raise ScanRefusedError(Refusal.REPLAYED, f"has the number {number}, long after {self.highest}")
-        if behind >= 0 and self._seen >> behind & 1:
+        if behind >= 0 and self._seen_bits >> behind & 1:
             raise ScanRefusedError(Refusal.DUPLICATE, f"repeats the number {number}")
 
 

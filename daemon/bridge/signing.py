@@ -65,10 +65,10 @@ def verify(datagram: bytes, *keys: bytes) -> bytes:
         )
     if _PAYLOAD.fullmatch(parts[1]) is None or len(parts[1]) % 4 == 1:
         raise ScanRefusedError(Refusal.MALFORMED, "is not in the compact form of a JWS")
-    return _decoded(parts[1])
+    return _decode_base64url(parts[1])
 
 
-def _decoded(part: bytes) -> bytes:
+def _decode_base64url(part: bytes) -> bytes:
     # The decoder ignores surplus padding.
     return base64.urlsafe_b64decode(part + b"==")
 
@@ -80,7 +80,7 @@ def _signature(signed: bytes, key: bytes) -> bytes:
 def _check_header(part: bytes) -> None:
     """Refuse every header but ours: no other algorithm, no ``none``, no extension marked critical."""
     try:
-        header = json.loads(_decoded(part))
+        header = json.loads(_decode_base64url(part))
     except (ValueError, RecursionError):
         raise ScanRefusedError(Refusal.MALFORMED, "does not begin with the header of a JWS") from None
     if header != HEADER:
@@ -134,7 +134,7 @@ def _is_no_key(line: bytes) -> bool:
 
 
 def _key(line: bytes, path: Path, remedy: str) -> bytes:
-    key = _decoded(line.rstrip(b"="))
+    key = _decode_base64url(line.rstrip(b"="))
     if len(key) < KEY_BYTES:
         raise KeyFileError(
             f"the key in {path} is too short: it has {len(key)} bytes, and {KEY_BYTES} is the least; {remedy}"

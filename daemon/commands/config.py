@@ -241,7 +241,7 @@ def _summary(settings: "Settings") -> dict[str, str]:
         "law": f"{settings.law.driver}: mean of {settings.windows.mean_s:g} s, decided every"
         f" {settings.windows.decide_every_s:g} s",
         "limits": str(settings.limits.limits()),
-        **({"rows": _group(settings.rows)} if settings.rows.east_m else {}),
+        **({"rows": _rows_text(settings.rows)} if settings.rows.east_m else {}),
         "safety": f"wind from {safety.stow_wind_m_s:g} m/s stows at A {safety.stow_a_deg:g} deg,"
         f" B {safety.stow_b_deg:g} deg; fallback after {safety.fallback_after_s:g} s without readings",
         "bridge": f"listens on {bridge.listen}, sends to {', '.join(targets) or 'nobody'}; {signed}",
@@ -253,7 +253,7 @@ def _summary(settings: "Settings") -> dict[str, str]:
     }
 
 
-def _group(rows: "RowsSettings") -> str:
+def _rows_text(rows: "RowsSettings") -> str:
     size = f"{rows.module_width_m:g} by {rows.module_height_m:g} m"
     return f"{len(rows.east_m)} trackers with modules of {size} turn back together from each other's shade"
 

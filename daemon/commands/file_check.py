@@ -103,10 +103,10 @@ def check_file(
             problems += [
                 f"as {' or '.join(names)}: {sentence}"
                 for sentence, names in roles.items()
-                if not _told(sentence, problems)
+                if not _is_mentioned(sentence, problems)
             ]
     if look is not None:
-        problems += [sentence for sentence in look(settings) if not _told(sentence, problems)]
+        problems += [sentence for sentence in look(settings) if not _is_mentioned(sentence, problems)]
     if problems:
         raise ConfigError(str(path), problems)
     return settings
@@ -141,7 +141,7 @@ def absent_addresses(settings: "Settings") -> list[str]:
     ]
 
 
-def _told(sentence: str, problems: list[str]) -> bool:
+def _is_mentioned(sentence: str, problems: list[str]) -> bool:
     """Tell whether a sentence is in the list already, under another key."""
     return any(sentence in problem for problem in problems)
 

@@ -86,7 +86,7 @@ class _Commands(TyperGroup):
 
 
 # Part of matplotlib's message when it cannot be loaded, on a full disk for example. Only commands that draw load it.
-_NO_CACHE = "MPLCONFIGDIR"
+_CACHE_FOLDER_VARIABLE = "MPLCONFIGDIR"
 
 show_values_in_words()
 refuse_repeated()
@@ -370,11 +370,11 @@ def main() -> None:
         say(f"heliocube: {error}", err=True)
         sys.exit(error.exit_code)
     except OSError as error:
-        if _NO_CACHE in str(error):
+        if _CACHE_FOLDER_VARIABLE in str(error):
             say(
                 "heliocube: matplotlib, which draws the pictures, needs a folder of its own, and there is no room for"
                 " one in the user's home or among the temporary files: free space there, or set"
-                f" {_NO_CACHE} to a folder",
+                f" {_CACHE_FOLDER_VARIABLE} to a folder",
                 err=True,
             )
             sys.exit(ExitCode.MISTYPED)

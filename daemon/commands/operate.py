@@ -20,14 +20,14 @@ TokenOption = Annotated[
     ),
 ]
 WhyOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, for the records.")]
-_AN_OPERATOR = "an operator asked"
+_DEFAULT_WHY = "an operator asked"
 _EXIT_CODES = (
     "Exit code: 0 if its effect was seen, complete or under way; 3 if it was not seen in time; 5 if the service cannot"
     " be reached; 6 if it is refused."
 )
 
 
-def _plain(name: str, meaning: str) -> None:
+def _add_plain_command(name: str, meaning: str) -> None:
     """Offer a command that takes only the options that all commands have."""
 
     @app.command(
@@ -41,7 +41,7 @@ def _plain(name: str, meaning: str) -> None:
         config: ConfigOption = None,
         api: ApiOption = None,
         token_file: TokenOption = None,
-        why: WhyOption = _AN_OPERATOR,
+        why: WhyOption = _DEFAULT_WHY,
         tracker: TrackerOption = None,
         as_json: JsonOption = False,
     ) -> None:
@@ -52,12 +52,12 @@ def _plain(name: str, meaning: str) -> None:
         give(name, config, api, token_file, why, tracker, as_json=as_json)
 
 
-_plain("stow", "Go to the stow position now and stay there until 'auto'.")
-_plain("hold", "Stay where the tracker is until 'auto'; a stow for wind still moves it.")
-_plain("auto", "Track again: end a stop, maintenance, stow, snow, hold or goto.")
-_plain("stop", "Stop the axes at once; nothing moves them until 'auto', not even a storm.")
-_plain("snow", "Go to the steep position that sheds snow and hail and stay there until 'auto'.")
-_plain("maintenance", "Stop the axes, keep them still and silence all alarms, until 'auto'.")
+_add_plain_command("stow", "Go to the stow position now and stay there until 'auto'.")
+_add_plain_command("hold", "Stay where the tracker is until 'auto'; a stow for wind still moves it.")
+_add_plain_command("auto", "Track again: end a stop, maintenance, stow, snow, hold or goto.")
+_add_plain_command("stop", "Stop the axes at once; nothing moves them until 'auto', not even a storm.")
+_add_plain_command("snow", "Go to the steep position that sheds snow and hail and stay there until 'auto'.")
+_add_plain_command("maintenance", "Stop the axes, keep them still and silence all alarms, until 'auto'.")
 
 
 @app.command(
@@ -71,7 +71,7 @@ def goto(
     config: ConfigOption = None,
     api: ApiOption = None,
     token_file: TokenOption = None,
-    why: WhyOption = _AN_OPERATOR,
+    why: WhyOption = _DEFAULT_WHY,
     tracker: TrackerOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -79,9 +79,9 @@ def goto(
     give("goto", config, api, token_file, why, tracker, as_json=as_json, a_deg=a_deg, b_deg=b_deg)
 
 
-_plain("home", "Clear faults and make a reference run: both axes move over their whole range.")
-_plain("clear", "Clear the faults and doubts that are shown, without a reference run.")
-_plain("relearn", "Forget what the law has learned of the site.")
+_add_plain_command("home", "Clear faults and make a reference run: both axes move over their whole range.")
+_add_plain_command("clear", "Clear the faults and doubts that are shown, without a reference run.")
+_add_plain_command("relearn", "Forget what the law has learned of the site.")
 
 
 def give(

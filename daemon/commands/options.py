@@ -85,7 +85,7 @@ ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite existing f
 
 # Options that reach a service, or give a reason, are not here: a script may add one again, and a stop must not be
 # refused for that. A second --tracker is refused in daemon.entry, before the command is known.
-_ONE_IS_MEANT = {
+_SINGLE_VALUE_OPTIONS = {
     *("--against", "--bias", "--day", "--ghi", "--lat", "--law", "--laws", "--model", "--only", "--points"),
     *("--schedule", "--site", "--sites", "--skies", "--sky", "--store", "--tables", "--weather"),
     "--without",
@@ -129,7 +129,7 @@ def refuse_repeated() -> None:
         def parse_once(args: list[str]) -> Any:
             found = parse(args)
             given = Counter(option.opts[0] for option in found[2] if not getattr(option, "multiple", True))
-            for name in sorted(_ONE_IS_MEANT & given.keys()):
+            for name in sorted(_SINGLE_VALUE_OPTIONS & given.keys()):
                 if given[name] > 1:
                     raise UserError(
                         f"nothing is done: {name} is given {given[name]} times, and only one would count: put several"

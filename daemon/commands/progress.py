@@ -65,10 +65,10 @@ def _lines(task: Task, every_s: float) -> Iterator[None]:
 
 def _line(task: Task) -> str:
     left_s = task.time_remaining
-    left = f", about {_minutes(left_s)} left" if left_s else ""
-    return f"{task.description}: {math.floor(task.percentage)} % done after {_minutes(task.elapsed or 0.0)}{left}"
+    left = f", about {_duration_text(left_s)} left" if left_s else ""
+    return f"{task.description}: {math.floor(task.percentage)} % done after {_duration_text(task.elapsed or 0.0)}{left}"
 
 
-def _minutes(duration_s: float) -> str:
+def _duration_text(duration_s: float) -> str:
     hours, minutes = divmod(max(round(duration_s / 60.0), 1), 60)
     return f"{hours} h {minutes:02} min" if hours else f"{minutes} min"

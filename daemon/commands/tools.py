@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for scientific libraries.
     from daemon.config.settings import Settings
 
-_VERB = 36
+_VERB_WIDTH = 36
 
 app = typer.Typer(help="Tools for the UDP bridge between cube and trackers.", no_args_is_help=True)
 
@@ -131,7 +131,7 @@ def control(
     _require_terminals()
     if verb == "help":
         for name, (usage, meaning) in bench_verbs().items():
-            say(f"{f'{name} {usage}'.rstrip():<{_VERB}}  {meaning}", hang=_VERB + 2)
+            say(f"{f'{name} {usage}'.rstrip():<{_VERB_WIDTH}}  {meaning}", hang=_VERB_WIDTH + 2)
         return
     result = ask_bench(directory.absolute(), verb, arguments or [])
     if result is not None:

@@ -96,12 +96,12 @@ def load_settings(path: Path) -> Settings:
     ConfigError
         With all problems of the file.
     """
-    return _resolved(_settings(_read(path), str(path)), path.parent, str(path))
+    return _with_whole_paths(_settings(_read(path), str(path)), path.parent, str(path))
 
 
 def load_settings_with_topics(path: Path, unusable: Callable[[Settings], Iterable[str]]) -> Settings:
     """Read a file like `load_settings`; the keys that `unusable` names are problems too. Raises `ConfigError`."""
-    return _resolved(_settings(_read(path), str(path), unusable), path.parent, str(path))
+    return _with_whole_paths(_settings(_read(path), str(path), unusable), path.parent, str(path))
 
 
 def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]], to_come: Collection[str] = ()) -> Settings:
@@ -180,7 +180,7 @@ def _settings(
 ) -> Settings:
     tables = raw.get("tracker", ())
     raw = {name: value for name, value in raw.items() if name != "tracker"}
-    settings, problems = _checked(raw, unusable, to_come)
+    settings, problems = _settings_and_problems(raw, unusable, to_come)
     problems += _tracker_problems(raw, tables, problems, settings.site.latitude_deg)
     if problems:
         order = {key: place for place, key in enumerate(_paths_in(raw, ""))}
@@ -210,7 +210,7 @@ def _tracker_problems(
         if name.lower() in names:
             yield _Problem(f"tracker[{number}].name", f" = {keys.shown(name)}: is the name of another tracker already")
         names.add(name.lower())
-        settings, problems = _checked(merged(raw, table))
+        settings, problems = _settings_and_problems(merged(raw, table))
         found.append(NamedSettings(name, settings))
         for key in table.keys() - {"name", *PARTS}:
             yield _Problem(f"tracker[{name}].{key}", f": a tracker has no such section; {resembling(key)}")
@@ -221,13 +221,13 @@ def _tracker_problems(
         yield _Problem(f"tracker[{clash.tracker}].{clash.key}", f" = {keys.shown(clash.value)}: {clash.reason}")
 
 
-def _checked(
+def _settings_and_problems(
     raw: dict[str, Any], unusable: Callable[[Settings], Iterable[str]] = lambda _: (), to_come: Collection[str] = ()
 ) -> tuple[Settings, list[_Problem]]:
     """Return the settings of all that is right in the sections of a file, and everything that is wrong with them."""
     tables, chosen, wrong_in_drivers = settled(raw)
     unknown = [name for name in raw if name not in Sections.model_fields]
-    problems = [_unknown("", name, raw[name], chosen) for name in unknown[:_MOST_REMEDIES]]
+    problems = [_unknown_key_problem("", name, raw[name], chosen) for name in unknown[:_MOST_REMEDIES]]
     problems += [_Problem(keys.toml_name(name), ": there is no such key") for name in unknown[_MOST_REMEDIES:]]
     for number, (path, each) in enumerate(wrong_in_drivers):
         problems.append(_driver_problem(path, each, chosen) if number < _MOST_REMEDIES else _Problem(path, _AND_MORE))
@@ -244,9 +244,9 @@ def _checked(
             found = {problem.key: problem for problem in _problems(error, name, chosen)}
             problems += found.values()
             # The rules between keys are still worth checking for the keys that are right.
-            sections[name] = kind.model_validate(_without(given, name, sorted(found), chosen))
+            sections[name] = kind.model_validate(_without_wrong_keys(given, name, sorted(found), chosen))
     settings = Settings.model_construct(**sections)
-    problems += [_Problem(key, _wrong(key, _value_of(settings, key), chosen)) for key in unusable(settings)]
+    problems += [_Problem(key, _wrong_value_text(key, _value_of(settings, key), chosen)) for key in unusable(settings)]
     wrong = {key.partition("[")[0] for each in problems for key in (each.key, each.meant) if key}.union(to_come)
     for conflict in rules.conflicts(settings):
         if not any(keys.covers(key, part) for key in wrong for part in (conflict.key, *conflict.others)):
@@ -274,7 +274,7 @@ def _driver_problem(section: str, wrong: Wrong, chosen: Chosen) -> _Problem:
     former = SECTIONS[section].former
     if wrong.kind == "value" and wrong.loc == (former,):
         # The former key takes the same values as the key that replaces it.
-        return _Problem(f"{section}.{former}", _wrong(f"{section}.{DRIVER}", wrong.value, chosen))
+        return _Problem(f"{section}.{former}", _wrong_value_text(f"{section}.{DRIVER}", wrong.value, chosen))
     if wrong.kind == "unknown" and [str(part).lower() for part in wrong.loc] == [former]:
         meant = f"{section}.{DRIVER}"
         reason = f" = {keys.shown(wrong.value)}: there is no such key; did you mean {meant}?"
@@ -284,9 +284,9 @@ def _driver_problem(section: str, wrong: Wrong, chosen: Chosen) -> _Problem:
 
 def _problem(loc: tuple[int | str, ...], value: Any, kind: Literal["unknown", "value"], chosen: Chosen) -> _Problem:
     if kind == "unknown":
-        return _unknown(_path(loc[:-1], chosen), str(loc[-1]), value, chosen)
+        return _unknown_key_problem(_path(loc[:-1], chosen), str(loc[-1]), value, chosen)
     path = _path(loc, chosen)
-    return _Problem(path, _wrong(path, value, chosen))
+    return _Problem(path, _wrong_value_text(path, value, chosen))
 
 
 def _path(loc: tuple[int | str, ...], chosen: Chosen) -> str:
@@ -299,7 +299,7 @@ def _path(loc: tuple[int | str, ...], chosen: Chosen) -> str:
     return path
 
 
-def _wrong(path: str, value: Any, chosen: Chosen) -> str:
+def _wrong_value_text(path: str, value: Any, chosen: Chosen) -> str:
     key = keys.keys(chosen).get(path.partition("[")[0])
     if key is None:
         return f" = {keys.shown(value)}: must be a section of its own, [{path}]"
@@ -329,7 +329,7 @@ def _joined(section: str, name: str) -> str:
     return f"{section}.{written}" if section else written
 
 
-def _unknown(section: str, name: str, value: Any, chosen: Chosen) -> _Problem:
+def _unknown_key_problem(section: str, name: str, value: Any, chosen: Chosen) -> _Problem:
     if not section and name == "trackers":
         return _Problem(name, ": there is no such key; did you mean [[tracker]], once for each?")
     what = "there is no such section" if isinstance(value, dict) else "there is no such key"
@@ -347,7 +347,7 @@ def _unknown(section: str, name: str, value: Any, chosen: Chosen) -> _Problem:
     return _Problem(_joined(section, name), f"{shown}: {what}; {remedy}", meant)
 
 
-def _without(given: Any, section: str, wrong: Sequence[str], chosen: Chosen) -> dict[str, Any]:
+def _without_wrong_keys(given: Any, section: str, wrong: Sequence[str], chosen: Chosen) -> dict[str, Any]:
     """Return what is right in a section of the file; `wrong` is sorted, as both may have thousands of keys."""
     if not isinstance(given, dict) or section in wrong:
         return {}
@@ -355,7 +355,7 @@ def _without(given: Any, section: str, wrong: Sequence[str], chosen: Chosen) -> 
     for name, value in given.items():
         path = _joined(section, name)
         if isinstance(value, dict) and path in keys.tables(chosen):
-            kept[name] = _without(value, path, wrong, chosen)
+            kept[name] = _without_wrong_keys(value, path, wrong, chosen)
         elif not keys.covers_any(path, wrong):
             kept[name] = value
     return kept
@@ -383,7 +383,7 @@ def _paths_in(raw: dict[str, Any], section: str) -> list[str]:
     return paths
 
 
-def _resolved(settings: Settings, folder: Path, source: str) -> Settings:
+def _with_whole_paths(settings: Settings, folder: Path, source: str) -> Settings:
     changed: dict[str, Section] = {}
     problems = []
     for section, name in _PATHS:

@@ -65,8 +65,8 @@ _MAGNITUDES = {
     "mv": ("voltage", 1e-3),
     "uv": ("voltage", 1e-6),
 }
-_LONGEST_FIRST = sorted({*_UNITS, *_MAGNITUDES}, key=len, reverse=True)
-_FORMS = {
+_UNITS_LONGEST_FIRST = sorted({*_UNITS, *_MAGNITUDES}, key=len, reverse=True)
+_FORMAT_WORDS = {
     "path": "a path in quotes",
     "date-time": "a date and time with its UTC offset, without quotes, such as 2022-10-14T06:00:00Z",
     "name": "1 to 32 letters, digits, dots, dashes or underscores, a letter or digit first",
@@ -231,7 +231,7 @@ def toml_name(name: str) -> str:
 
 def split_unit(name: str) -> tuple[str, str]:
     """Return the stem and the unit that a key's name ends in, a right or a mistaken one: ``("mean", "min")``."""
-    for unit in _LONGEST_FIRST:
+    for unit in _UNITS_LONGEST_FIRST:
         if name.endswith(f"_{unit}"):
             return name[: -len(unit) - 1], unit
     return name, ""
@@ -355,15 +355,15 @@ def _expected(part: dict[str, Any], unit: str) -> str:
     kind = part["type"]
     if kind in ("number", "integer"):
         noun = "a whole number" if kind == "integer" else "a number"
-        return f"{noun}{_range(part)} {unit}".rstrip()
+        return f"{noun}{_range_words(part)} {unit}".rstrip()
     if kind == "boolean":
         return "true or false"
     if kind == "array":
         return f"a list in brackets, each item {_expected(part['items'], unit)}"
-    return _FORMS.get(part.get("format", ""), "text in quotes")
+    return _FORMAT_WORDS.get(part.get("format", ""), "text in quotes")
 
 
-def _range(part: dict[str, Any]) -> str:
+def _range_words(part: dict[str, Any]) -> str:
     low, high = part.get("minimum"), part.get("maximum")
     above, below = part.get("exclusiveMinimum"), part.get("exclusiveMaximum")
     start = f" from {low:g}" if low is not None else f" above {above:g}" if above is not None else ""

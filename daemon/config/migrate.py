@@ -51,7 +51,7 @@ def migrate(path: Path, *, keys_only: bool = False) -> str:
         raise UserError(f"mqtt.name = {names[0]!a}: a tracker's name is {NAME_IN_WORDS}; change it and try again")
     if not renamed and not names:
         return f"{path} is up to date: nothing was changed"
-    wanted = _renamed(before, "") | ({"tracker": [{"name": name} for name in names]} if names else {})
+    wanted = _with_keys_renamed(before, "") | ({"tracker": [{"name": name} for name in names]} if names else {})
     found = "".join(_lines(text))
     for name in names:
         found = f"{found.rstrip()}\n\n[[tracker]]\n{tomli_w.dumps({'name': name})}"
@@ -103,13 +103,13 @@ def _has(values: Mapping[str, Any], path: str) -> bool:
     return key in found or any(_has(table, path) for table in tables if isinstance(table, Mapping))
 
 
-def _renamed(values: Any, section: str) -> Any:
+def _with_keys_renamed(values: Any, section: str) -> Any:
     if isinstance(values, list):
-        return [_renamed(value, section) for value in values]
+        return [_with_keys_renamed(value, section) for value in values]
     if not isinstance(values, Mapping):
         return values
     return {
-        RENAMED.get(_place(section, name), name): _renamed(value, _place(section, name))
+        RENAMED.get(_place(section, name), name): _with_keys_renamed(value, _place(section, name))
         for name, value in values.items()
     }
 

@@ -258,15 +258,15 @@ def _open(kind: type[BaseModel]) -> type[BaseModel]:
         __cls_kwargs__={"extra": "allow"},
     )
     # Another process that unpickles the class by its name would find the class that it was made from.
-    setattr(opened, "__reduce__", _reduced)  # noqa: B010
+    setattr(opened, "__reduce__", _reduce_for_pickle)  # noqa: B010
     return opened
 
 
-def _reduced(settings: BaseModel) -> tuple[Any, ...]:
-    return _blank, (type(settings).__bases__[0],), settings.__getstate__()
+def _reduce_for_pickle(settings: BaseModel) -> tuple[Any, ...]:
+    return _blank_settings, (type(settings).__bases__[0],), settings.__getstate__()
 
 
-def _blank(kind: type[BaseModel]) -> BaseModel:
+def _blank_settings(kind: type[BaseModel]) -> BaseModel:
     opened = _open(kind)
     return opened.__new__(opened)
 

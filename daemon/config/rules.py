@@ -30,7 +30,7 @@ SELF_TESTS = ("self_test_channel", "second_self_test_channel")
 def conflicts(settings: Sections) -> list[Conflict]:
     """Return every breach of a rule; empty when the settings are consistent."""
     multiplexed = has_multiplexer(settings)
-    rules = [rule for rule in RULES if multiplexed or rule not in _OF_MULTIPLEXED]
+    rules = [rule for rule in RULES if multiplexed or rule not in _MULTIPLEXER_RULES]
     return [conflict for rule in rules for conflict in rule(settings)]
 
 
@@ -318,7 +318,7 @@ def the_law_in_the_shadow_is_another(settings: Sections) -> Iterator[Conflict]:
         yield Conflict("law.shadow", f"is not a law that can run beside {law.driver}; those are {', '.join(names)}")
 
 
-_OF_MULTIPLEXED = (
+_MULTIPLEXER_RULES = (
     each_face_has_its_channel,
     each_channel_has_an_address,
     the_enable_line_is_free,
@@ -326,7 +326,7 @@ _OF_MULTIPLEXED = (
     the_range_reaches_bright_sun,
 )
 RULES = (
-    *_OF_MULTIPLEXED,
+    *_MULTIPLEXER_RULES,
     each_instrument_has_a_way_of_its_own,
     the_faces_can_be_told_apart,
     windows_hold_scans,

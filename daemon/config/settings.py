@@ -60,9 +60,9 @@ class Settings(Sections):
         if not self.tracker:
             return (NamedSettings(self.mqtt.name or "tracker", self),)
         values = values_of(self)
-        return tuple(NamedSettings(table.name, self._of(table, values)) for table in self.tracker)
+        return tuple(NamedSettings(table.name, self._settings_of(table, values)) for table in self.tracker)
 
-    def _of(self, table: TrackerTable, values: Mapping[str, Any]) -> "Settings":
+    def _settings_of(self, table: TrackerTable, values: Mapping[str, Any]) -> "Settings":
         # Two connections with one name keep disconnecting each other.
         client_id = None if self.mqtt.client_id is None else f"{self.mqtt.client_id}-{table.name}"
         directory = None if self.store.directory is None else self.store.directory / table.name

@@ -35,7 +35,7 @@ class TrackerTable(Section):
 
 PARTS = tuple(name for name in TrackerTable.model_fields if name != "name")
 # The path in the file of a section that is elsewhere in a tracker's table.
-_AT_HOME = {"positioner": "instruments.positioner"}
+_PATHS_IN_FILE = {"positioner": "instruments.positioner"}
 # Sections that all trackers of a process share; a newcomer may look for them in the trackers' tables.
 _SHARED = ("cube", "bridge")
 
@@ -66,7 +66,7 @@ def without(table: dict[str, Any], path: str, values: Mapping[str, Any]) -> None
     section = place_in_table(path)
     own = table.get(section)
     if isinstance(own, dict):
-        gone = _with_former(path, values)
+        gone = _with_former_name(path, values)
         table[section] = {name: value for name, value in own.items() if name not in gone}
 
 
@@ -75,12 +75,12 @@ def merged(raw: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
     found = dict(raw)
     for section in PARTS:
         if section in table:
-            home = _AT_HOME.get(section, section)
-            _lay_over(found, home.split("."), table[section], _with_former(home, table[section]))
+            home = _PATHS_IN_FILE.get(section, section)
+            _lay_over(found, home.split("."), table[section], _with_former_name(home, table[section]))
     return found
 
 
-def _with_former(path: str, values: Any) -> frozenset[str]:
+def _with_former_name(path: str, values: Any) -> frozenset[str]:
     """Return the names of the keys that a section's values decide; `driver` and its former name decide each other."""
     names = frozenset(values) if isinstance(values, Mapping) else frozenset()
     aliases = {DRIVER, SECTIONS[path].former} if path in SECTIONS else set()
@@ -89,7 +89,7 @@ def _with_former(path: str, values: Any) -> frozenset[str]:
 
 def place_in_table(path: str) -> str:
     """Return the path of a key in a tracker's table: ``positioner.port`` for ``instruments.positioner.port``."""
-    for section, home in _AT_HOME.items():
+    for section, home in _PATHS_IN_FILE.items():
         if path == home or path.startswith(f"{home}."):
             return section + path[len(home) :]
     return path

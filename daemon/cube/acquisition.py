@@ -21,7 +21,7 @@ from drivers.interfaces import Cube, CubeReading, FaceFlaw, FaceSample
 
 log = logging.getLogger("heliocube.acquisition")
 
-_OF_FLAW: dict[FaceFlaw, Quality] = {
+_QUALITY_OF_FLAW: dict[FaceFlaw, Quality] = {
     "over-range": Quality.OVER_RANGE,
     "late": Quality.LATE,
     "missing": Quality.MISSING,
@@ -82,7 +82,7 @@ class Acquisition:
         self._session = f"{random.getrandbits(64):016x}"
         self._sequence = 0
         self._faces = tuple(getattr(settings, name) for name in FACES)
-        self._dark = DarkOffsets(sun_elevation_deg) if settings.dark_correction else None
+        self._dark_offsets = DarkOffsets(sun_elevation_deg) if settings.dark_correction else None
         self._repeats = Repeats(settings.scan_every_s)
         # As read in the present scan, for `FaceWatch`.
         self._read_mv = [math.nan] * len(FACES)
@@ -138,7 +138,7 @@ class Acquisition:
         if self._told_sensors is not None:
             self._told_sensors.note(reading)
         faces = [self._face(index, sample, reading) for index, sample in enumerate(reading.faces)]
-        east, south, west, zenith = self._believed(faces, reading.proven)
+        east, south, west, zenith = self._mark_implausible(faces, reading.proven)
         scan = Scan(
             source=self._settings.name,
             session=self._session,
@@ -159,7 +159,7 @@ class Acquisition:
         irradiance = math.nan
         self._read_mv[index] = self._read_w_m2[index] = math.nan
         if sample.flaw is not None:
-            quality = _OF_FLAW[sample.flaw]
+            quality = _QUALITY_OF_FLAW[sample.flaw]
         elif math.isnan(sample.value):
             quality = Quality.MISSING
         else:
@@ -177,10 +177,10 @@ class Acquisition:
             return value
         read_mv = value * 1e3
         self._read_mv[index] = read_mv
-        dark_mv = self._dark.learn(index, read_mv, sample.time_utc_s) if self._dark else 0.0
+        dark_mv = self._dark_offsets.learn(index, read_mv, sample.time_utc_s) if self._dark_offsets else 0.0
         return calibrated(read_mv - dark_mv, self._faces[index])
 
-    def _believed(self, faces: list[FaceReading], proven: bool) -> list[FaceReading]:
+    def _mark_implausible(self, faces: list[FaceReading], proven: bool) -> list[FaceReading]:
         watch = self._face_watch
         if watch is None:
             return faces

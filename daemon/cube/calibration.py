@@ -81,7 +81,7 @@ def new_calibration(values: dict[str, Any]) -> CubeCalibration:
 def write_calibration(calibration: CubeCalibration, path: Path, notes: list[str]) -> None:
     """Write a calibration to a file that must not be there yet, `notes` as comments above; raises `UserError`."""
     comments = "".join(f"# {line}".rstrip() + "\n" for note in notes for line in note.split("\n"))
-    contents = tomli_w.dumps(calibration.model_dump(exclude_none=True, exclude=_unsaid(calibration)))
+    contents = tomli_w.dumps(calibration.model_dump(exclude_none=True, exclude=_omitted_keys(calibration)))
     try:
         write_new(path, f"{comments}\n{contents}")
     except FileExistsError:
@@ -184,13 +184,13 @@ class ExpiryWatch:
 
 
 def _identifier(calibration: CubeCalibration) -> str:
-    shown = calibration.model_dump(mode="json", exclude={"identifier"} | _unsaid(calibration))
+    shown = calibration.model_dump(mode="json", exclude={"identifier"} | _omitted_keys(calibration))
     contents = json.dumps(shown, sort_keys=True)
     day = f"{calibration.calibrated_utc.astimezone(UTC):%Y%m%d}"
     return f"{day}-{hashlib.sha256(contents.encode()).hexdigest()[:8]}"
 
 
-def _unsaid(calibration: CubeCalibration) -> set[str]:
+def _omitted_keys(calibration: CubeCalibration) -> set[str]:
     """Return the keys that a real cube's file leaves out, as do files from before there was a mark for simulation."""
     return set() if calibration.simulated else {"simulated"}
 

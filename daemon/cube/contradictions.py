@@ -11,11 +11,11 @@ from solar.frames import Array
 MINUTES = 30
 _EVERY_MINUTES = 5
 _PUZZLED_LOOKS = 2
-_OF_MISFITS = (Doubt.ODD, Doubt.SWAPPED, Doubt.TORN)
+_MISFIT_DOUBTS = (Doubt.ODD, Doubt.SWAPPED, Doubt.TORN)
 # These doubts about one face leave the others open: they may contradict each other for a reason of their own.
-_OPEN = (Doubt.NONE, Doubt.OVER, *_OF_MISFITS)
+_DOUBTS_OF_ONE_FACE = (Doubt.NONE, Doubt.OVER, *_MISFIT_DOUBTS)
 # This doubt comes from what the other faces predict, and one of those may be the wrong one.
-_BY_THE_OTHERS = Doubt.FROZEN
+_DOUBT_BY_PREDICTION = Doubt.FROZEN
 
 
 class Contradictions:
@@ -32,9 +32,9 @@ class Contradictions:
 
     def _forget(self) -> None:
         self._minutes = self._puzzled = 0
-        self._fit: Misfits | None = None
+        self._misfits: Misfits | None = None
         self.acquitted: int | None = None
-        self._found = [Doubt.NONE] * len(FACES)
+        self._found_doubts = [Doubt.NONE] * len(FACES)
 
     def look(self, faces_w_m2: Array, sun: Array, whys: Sequence[Doubt]) -> list[Doubt]:
         """Return the doubt that each of the four faces raises by contradicting others.
@@ -46,41 +46,45 @@ class Contradictions:
         whys
             The doubt that each face is already under.
         """
-        frozen = [face for face, why in enumerate(whys) if why is _BY_THE_OTHERS]
-        if len(faces_w_m2) < MINUTES or any(why not in (*_OPEN, _BY_THE_OTHERS) for why in whys):
+        frozen = [face for face, why in enumerate(whys) if why is _DOUBT_BY_PREDICTION]
+        if len(faces_w_m2) < MINUTES or any(why not in (*_DOUBTS_OF_ONE_FACE, _DOUBT_BY_PREDICTION) for why in whys):
             self._forget()
         elif self._minutes % _EVERY_MINUTES == 0:
-            self._fit = misfits(faces_w_m2, sun)
-            self._found = self._judged_beside(frozen) if frozen else self._judged(whys, changes(faces_w_m2, sun))
+            self._misfits = misfits(faces_w_m2, sun)
+            self._found_doubts = (
+                self._judged_beside(frozen) if frozen else self._judge_faces(whys, changes(faces_w_m2, sun))
+            )
         self._minutes += 1
-        return self._found
+        return self._found_doubts
 
     def agrees(self, face: int, whys: Sequence[Doubt]) -> bool:
         """Tell whether the last look allows a face to be used again, given the doubt that it is under."""
-        if whys[face] not in (*_OF_MISFITS, _BY_THE_OTHERS):
+        if whys[face] not in (*_MISFIT_DOUBTS, _DOUBT_BY_PREDICTION):
             return True
-        if self._fit is None:
+        if self._misfits is None:
             return False
         if whys[face] is Doubt.SWAPPED:
-            return self._fit.in_order([place for place, why in enumerate(whys) if why is Doubt.SWAPPED])
+            return self._misfits.in_order([place for place, why in enumerate(whys) if why is Doubt.SWAPPED])
         # All four faces are needed again soon, whatever ground explains them; one face alone can be done without.
-        return self._fit.whole < AGREEMENT if whys[face] is Doubt.TORN else self._fit.in_full(face)
+        return self._misfits.whole < AGREEMENT if whys[face] is Doubt.TORN else self._misfits.in_full(face)
 
     def _judged_beside(self, frozen: Sequence[int]) -> list[Doubt]:
         """Accuse another face than the frozen one only if the others contradict each other even without that one."""
         self._puzzled = 0
         found = [Doubt.NONE] * len(FACES)
-        other = self._fit.instead_of(frozen[0]) if self._fit is not None and len(frozen) == 1 else None
+        other = self._misfits.instead_of(frozen[0]) if self._misfits is not None and len(frozen) == 1 else None
         self.acquitted = None if other is None else frozen[0]
         if other is not None:
             found[other] = Doubt.ODD
         return found
 
-    def _judged(self, whys: Sequence[Doubt], change: Changes | None) -> list[Doubt]:
+    def _judge_faces(self, whys: Sequence[Doubt], change: Changes | None) -> list[Doubt]:
         found = [Doubt.NONE] * len(FACES)
         self.acquitted = None
-        contradict = self._fit is not None and self._fit.contradict
-        accused = _agreed(() if self._fit is None else self._fit.accused, () if change is None else change.accused)
+        contradict = self._misfits is not None and self._misfits.contradict
+        accused = _agreed_faces(
+            () if self._misfits is None else self._misfits.accused, () if change is None else change.accused
+        )
         self._puzzled = 0 if accused or not contradict else self._puzzled + 1
         if accused:
             for face in accused:
@@ -90,7 +94,7 @@ class Contradictions:
         return found
 
 
-def _agreed(by_readings: tuple[int, ...], by_changes: tuple[int, ...]) -> tuple[int, ...]:
+def _agreed_faces(by_readings: tuple[int, ...], by_changes: tuple[int, ...]) -> tuple[int, ...]:
     """Return the faces that readings or changes accuse; none if the two accuse different faces."""
     differ = bool(by_readings and by_changes) and by_readings != by_changes
     return () if differ else by_readings or by_changes

@@ -46,14 +46,14 @@ _WHY = {
     Doubt.TORN: "what no light explains, and it is not known which of them is wrong",
     Doubt.LOOSE: "for a minute now and then what the others do not",
 }
-_STUCK = "whether the sensor or the channel of {} is stuck"
-_CHECK = {
+_STUCK_CHECK = "whether the sensor or the channel of {} is stuck"
+_WHAT_TO_CHECK = {
     Doubt.DEAD: "sensor, cable and multiplexer input of {}",
     Doubt.DARK: "the multiplexer's supply and its address lines",
     Doubt.SAME: "whether an address line of the multiplexer is stuck, or its port is dead",
-    Doubt.FROZEN: _STUCK,
+    Doubt.FROZEN: _STUCK_CHECK,
     Doubt.OVER: "the gain of {}, and whether faces are interchanged",
-    Doubt.NIGHT: _STUCK,
+    Doubt.NIGHT: _STUCK_CHECK,
     Doubt.ODD: "{} for shade, dirt, reflections, a stuck sensor or a turned mount",
     Doubt.SWAPPED: "whether the cables of {} are swapped",
     Doubt.TORN: "all four, and the clock",
@@ -83,7 +83,7 @@ def _means(sums: Array) -> Array:
     return means
 
 
-def _followed_by(kept: Array, newest: Array, most: int) -> Array:
+def _append_row(kept: Array, newest: Array, most: int) -> Array:
     """Return the kept rows with the newest one behind them: of all, the last `most`."""
     return np.concatenate([kept[1 - most :], newest[None]])
 
@@ -148,7 +148,7 @@ class FaceWatch:
             self._blocks = _NO_BLOCKS
             self._forget_minutes()
         else:
-            self._blocks = _followed_by(self._blocks, np.array([self._w_m2, self._mv, self._counts]), BLOCKS)
+            self._blocks = _append_row(self._blocks, np.array([self._w_m2, self._mv, self._counts]), BLOCKS)
         self._begin()
         self._clock_watch.step_s()
         if self._clock_watch.corrections != self._corrections:
@@ -161,7 +161,7 @@ class FaceWatch:
     def _forget(self) -> None:
         """Judge from the beginning: the findings until now assumed a sun that stood elsewhere."""
         self._corrections = self._clock_watch.corrections
-        self._bad, self._good = [0] * len(FACES), [0] * len(FACES)
+        self._bad_looks, self._good_looks = [0] * len(FACES), [0] * len(FACES)
         self._good_needed, self._forgiven_s = [_GOOD_LOOKS] * len(FACES), [-math.inf] * len(FACES)
         self._whys: list[Doubt] = [Doubt.NONE] * len(FACES)
         self._forget_minutes()
@@ -200,7 +200,7 @@ class FaceWatch:
         # `settled` still has some jumps that were close together: so a face that jumps is no witness against others.
         jumping = np.logical_or.reduce(jumped.sure, axis=0).tolist()
         followed = self._responses(jumped.settled, jumping)
-        against = self._contradicted(jumped.settled, jumping)
+        against = self._contradiction_doubts(jumped.settled, jumping)
         loose = [False] * len(FACES)
         if self._is_upright and len(self._suns) == MINUTES and any(jumping):
             loose = jumped.repeated(self._suns, [why in _SHOW_CLOUDS for why in self._whys]).tolist()
@@ -214,7 +214,7 @@ class FaceWatch:
             known = light and not math.isnan(faces[face])
             sound = known and doubt is Doubt.NONE and self._agrees(face, followed[face])
             self._count(face, doubt, sound=sound)
-        self._narrow()
+        self._clear_torn_faces()
         self._acquit()
 
     def _agrees(self, face: int, response: Response) -> bool:
@@ -223,7 +223,7 @@ class FaceWatch:
         followed = why not in _MUST_FOLLOW or response is Response.FOLLOWS
         return followed and self._contradictions.agrees(face, self._whys)
 
-    def _narrow(self) -> None:
+    def _clear_torn_faces(self) -> None:
         """Believe the others again once it is known which face they contradicted."""
         if Doubt.TORN in self._whys and any(why not in (Doubt.NONE, Doubt.TORN) for why in self._whys):
             self._whys = [Doubt.NONE if why is Doubt.TORN else why for why in self._whys]
@@ -233,14 +233,14 @@ class FaceWatch:
         face = self._contradictions.acquitted
         if face is not None and self._whys[face] is Doubt.FROZEN and Doubt.ODD in self._whys:
             self._whys[face] = Doubt.NONE
-            self._bad[face] = 0
+            self._bad_looks[face] = 0
 
     def _add_minute(self) -> None:
         sun = self._sun_direction(self._clock.utc() - _BLOCK_S / 2)
-        self._faces = _followed_by(self._faces, _means(self._blocks[-1])[0], MINUTES)
-        self._suns = _followed_by(self._suns, sun, MINUTES)
+        self._faces = _append_row(self._faces, _means(self._blocks[-1])[0], MINUTES)
+        self._suns = _append_row(self._suns, sun, MINUTES)
 
-    def _contradicted(self, faces: Array, jumping: Sequence[bool]) -> list[Doubt]:
+    def _contradiction_doubts(self, faces: Array, jumping: Sequence[bool]) -> list[Doubt]:
         """Tell of each face whether it contradicts the others over the last half hour."""
         if not self._is_upright:
             return [Doubt.NONE] * len(FACES)
@@ -270,18 +270,18 @@ class FaceWatch:
 
     def _count(self, face: int, doubt: Doubt, *, sound: bool) -> None:
         if doubt is not Doubt.NONE:
-            self._bad[face] += 1
-            self._good[face] = 0
+            self._bad_looks[face] += 1
+            self._good_looks[face] = 0
             # A face that must follow the light or be in order again has to do so whatever else is found meanwhile.
             stands = self._whys[face] in _HARD_TO_FORGIVE and doubt not in _HARD_TO_FORGIVE
-            if self._bad[face] >= BAD_LOOKS and not stands:
+            if self._bad_looks[face] >= BAD_LOOKS and not stands:
                 if self._whys[face] is Doubt.NONE:
                     self._note_relapse(face)
                 self._whys[face] = doubt
         elif sound:
-            self._bad[face] = 0
-            self._good[face] += 1
-            if self._good[face] >= self._good_needed[face] and self._whys[face] is not Doubt.NONE:
+            self._bad_looks[face] = 0
+            self._good_looks[face] += 1
+            if self._good_looks[face] >= self._good_needed[face] and self._whys[face] is not Doubt.NONE:
                 self._whys[face] = Doubt.NONE
                 self._forgiven_s[face] = self._clock.monotonic()
 
@@ -296,9 +296,9 @@ class FaceWatch:
             # Do not end the alarm: a fault that was acknowledged before a restart takes its time to be found again.
             return
         self._since = kept_since(self._since, whys, self._clock)
-        self._alarms.set("cube-face", self._told(whys) if whys else None, of=whys)
+        self._alarms.set("cube-face", self._alarm_text(whys) if whys else None, of=whys)
 
-    def _told(self, whys: Mapping[str, Doubt]) -> str:
+    def _alarm_text(self, whys: Mapping[str, Doubt]) -> str:
         """Say what is wrong with each face before what to do: where a display cuts the text, no face is missing."""
         found: list[str] = []
         checks: list[str] = []
@@ -306,6 +306,6 @@ class FaceWatch:
             names = [name for name, why in whys.items() if why is doubt]
             since = since_each({name: self._since[name] for name in names})
             found.append(f"the {in_a_row(names)} {reads(names)} {_WHY[doubt]}; not used since {since}")
-            checks.append(f"check {_CHECK[doubt].format(in_a_row(names))}")
+            checks.append(f"check {_WHAT_TO_CHECK[doubt].format(in_a_row(names))}")
         until = "each agrees" if len(whys) > 1 else "it agrees"
         return f"{'; '.join(found)}, until {until} with the others again: {'; '.join(checks)}"

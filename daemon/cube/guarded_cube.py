@@ -32,7 +32,7 @@ class GuardedCube:
 
     def __init__(self, cube: Cube) -> None:
         self._cube = cube
-        self._told: set[tuple[str, str]] = set()
+        self._logged_errors: set[tuple[str, str]] = set()
 
     async def open(self) -> str:
         """Connect, identify and configure; return a sentence that identifies the instruments."""
@@ -64,8 +64,8 @@ class GuardedCube:
     def _describe(self, error: Exception) -> str:
         """Return an error in words, with the line that raised it; log its traceback the first time."""
         kind, place = type(error).__name__, raised_at(error)
-        if (kind, place) not in self._told:
-            self._told.add((kind, place))
+        if (kind, place) not in self._logged_errors:
+            self._logged_errors.add((kind, place))
             log.error("the driver of the cube has failed", exc_info=error)
         return f"its driver has failed with {kind}: {error} ({place})"
 

@@ -11,7 +11,7 @@ from daemon.base.records import FACES, Quality, Scan
 from drivers.interfaces import CubeReading
 
 # Not quite a minute at 5 s a scan: a reading out of range now and then does not show a wrong or lost sensor.
-_SCANS = 10
+_ALARM_SCANS = 10
 
 
 def in_a_row(names: Sequence[str]) -> str:
@@ -62,9 +62,11 @@ class _FaceAlarm(ABC):
         # Nearly every scan of a year names no face and follows others that named none: it needs no counting.
         if any(named) or any(self._counts):
             steps = zip(self._counts, named, strict=True)
-            self._counts = [min(count + 1, _SCANS) if is_named else max(count - 1, 0) for count, is_named in steps]
+            self._counts = [
+                min(count + 1, _ALARM_SCANS) if is_named else max(count - 1, 0) for count, is_named in steps
+            ]
             counts = zip(FACES, self._counts, strict=True)
-            faces = [name for name, count in counts if count == _SCANS or (count > 0 and name in self._since)]
+            faces = [name for name, count in counts if count == _ALARM_SCANS or (count > 0 and name in self._since)]
             if faces or self._since:
                 self._since = kept_since(self._since, faces, self._clock)
         self._tell(scan)
@@ -104,7 +106,7 @@ class ToldSensors:
         self._clock = clock
         self._since: dict[str, str] = {}
         self._notes = [""] * len(FACES)
-        self._quiet = [0] * len(FACES)
+        self._quiet_scans = [0] * len(FACES)
         self._told_unread = [False] * len(FACES)
 
     def note(self, reading: CubeReading) -> None:
@@ -117,11 +119,11 @@ class ToldSensors:
             return
         worse = False
         for place, sample in enumerate(reading.faces):
-            self._quiet[place] = 0 if sample.note else self._quiet[place] + 1
+            self._quiet_scans[place] = 0 if sample.note else self._quiet_scans[place] + 1
             if sample.note and math.isnan(sample.value) and sample.note != self._notes[place]:
                 worse = worse or not self._told_unread[place]
                 self._told_unread[place] = True
-            if sample.note or self._quiet[place] >= _SCANS:
+            if sample.note or self._quiet_scans[place] >= _ALARM_SCANS:
                 self._notes[place] = sample.note
             if not self._notes[place]:
                 self._told_unread[place] = False
@@ -141,7 +143,7 @@ class UnreadFaces(_FaceAlarm):
     _qualities = (Quality.OVER_RANGE, Quality.STALE, Quality.MISSING, Quality.LATE)
 
     def _tell(self, scan: Scan) -> None:
-        faces = [name for name in self._since if not tells(self._said_by_sensors(), (name,))]
+        faces = [name for name in self._since if not tells(self._sensor_alarm_text(), (name,))]
         if not faces or len(self._since) == len(FACES):
             self._alarms.set("face-unread", None)
             return
@@ -150,5 +152,5 @@ class UnreadFaces(_FaceAlarm):
             each = in_a_row([f"{name} ({read[name].quality} since {self._since[name]})" for name in faces])
             self._alarms.set("face-unread", f"no reading of {each} while other faces are read", of=faces)
 
-    def _said_by_sensors(self) -> str:
+    def _sensor_alarm_text(self) -> str:
         return next((alarm.text for alarm in self._alarms.active if alarm.name == "cube-sensor"), "")

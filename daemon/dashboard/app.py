@@ -47,14 +47,14 @@ _MOST_READERS = 128
 # The service waits up to 6 s for a command's effect before it answers.
 _COMMAND_S = 15.0
 # By then the page that gave an order no longer waits for it, and says so.
-_OLD_S = 40.0
+_OLDEST_S = 40.0
 _KINDS = ("scans", "poses", "decisions", "curves", "modes", "moves", "events")
 _READABLE = ("sun", "days", *(f"history/{kind}" for kind in _KINDS))
 _READ_S = 30.0
 _ANSWER_S = 5.0
 # Less than the server's grace, after which it would cut requests off with a traceback each.
 _END_WITHIN_S = 0.5
-_ENDS = "the dashboard was told to end before the service answered: look at the tracker"
+_ENDING_TEXT = "the dashboard was told to end before the service answered: look at the tracker"
 
 
 class Dashboard:
@@ -92,8 +92,8 @@ class Dashboard:
                 Route("/login", self._login, methods=["POST"]),
                 Route("/logout", self._logout, methods=["POST"]),
                 Route("/command", self._command, methods=["POST"]),
-                Route("/stow-all", partial(self._for_all, "stow"), methods=["POST"]),
-                Route("/stop-all", partial(self._for_all, "stop"), methods=["POST"]),
+                Route("/stow-all", partial(self._order_all, "stow"), methods=["POST"]),
+                Route("/stop-all", partial(self._order_all, "stop"), methods=["POST"]),
                 Route("/healthz", self._health),
                 Mount("/static", StaticFiles(directory=STATIC)),
             ],
@@ -155,7 +155,7 @@ class Dashboard:
         response = JSONResponse(_session_json(session))
         if session is not None and name is not None:
             # The days until the cookie expires begin anew, as those of the session do.
-            _keep(request, response, name)
+            _set_session_cookie(request, response, name)
         return response
 
     async def _login(self, request: Request) -> Response:
@@ -182,7 +182,7 @@ class Dashboard:
         name = self._sessions.open(by, silent | (known.tokens if known else {}) | tokens)
         self._sessions.close(before)
         response = JSONResponse(_session_json(self._sessions.find(name)))
-        _keep(request, response, name)
+        _set_session_cookie(request, response, name)
         return response
 
     async def _accepts(self, service: Upstream, token: str) -> bool | None:
@@ -210,24 +210,24 @@ class Dashboard:
             raise HTTPException(404, "the dashboard has no such service")
         self._refuse_old(str(name), given)
         status, content = await self._order(session, service, str(name), given)
-        _said(content)
+        _sentence_of_answer(content)
         return Response(content, status_code=status, media_type="application/json")
 
-    async def _for_all(self, name: str, request: Request) -> Response:
+    async def _order_all(self, name: str, request: Request) -> Response:
         given = await _body(request)
         session = self._require(request)
         self._refuse_old(name, given)
         # The refusal of a cube's process would look like that of a tracker that does not stow or stop.
         services = [service for service in self._fleet.services.values() if not service.is_cube]
-        found = await asyncio.gather(*(self._one_of_all(session, service, name, given) for service in services))
+        found = await asyncio.gather(*(self._order_one_service(session, service, name, given) for service in services))
         return JSONResponse({"results": found})
 
-    async def _one_of_all(
+    async def _order_one_service(
         self, session: Session, service: Upstream, name: str, given: Mapping[str, Any]
     ) -> dict[str, Any]:
         try:
             status, content = await self._order(session, service, name, given)
-            text = _said(content)
+            text = _sentence_of_answer(content)
         except HTTPException as error:
             status, text = error.status_code, error.detail
         except httpx.HTTPError:
@@ -277,7 +277,7 @@ class Dashboard:
                     self._waits.discard(wait)
         except TimeoutError:
             if self._closing.is_set():
-                raise HTTPException(503, _ENDS) from None
+                raise HTTPException(503, _ENDING_TEXT) from None
             raise httpx.ReadTimeout(f"no whole answer in {within_s:g} s") from None
 
     def _end_soon(self, wait: asyncio.Timeout) -> None:
@@ -288,8 +288,8 @@ class Dashboard:
     def _refuse_old(self, name: str, given: dict[str, Any]) -> None:
         """Refuse an order that was under way for too long, if it says when it was given; never refuse a stop."""
         given_s = given.pop("given_s", None)
-        if name != "stop" and isinstance(given_s, int | float) and not given_s >= self._monotonic() - _OLD_S:
-            late = f"the order came more than {_OLD_S:g} s after it was given, and is not carried out: give it again"
+        if name != "stop" and isinstance(given_s, int | float) and not given_s >= self._monotonic() - _OLDEST_S:
+            late = f"the order came more than {_OLDEST_S:g} s after it was given, and is not carried out: give it again"
             raise HTTPException(409, late)
 
     def _require(self, request: Request) -> Session:
@@ -312,7 +312,7 @@ def _cookie(request: Request) -> str:
     return f"heliocube-{port}" if port.isdecimal() else "heliocube"
 
 
-def _keep(request: Request, response: Response, name: str) -> None:
+def _set_session_cookie(request: Request, response: Response, name: str) -> None:
     """Have the browser keep the name of a session for as long as the session is kept without use."""
     secure = request.url.scheme == "https"
     age_s = int(LONGEST_IDLE_S)
@@ -336,7 +336,7 @@ async def _raw(reply: httpx.Response, longest: int) -> bytes:
     return bytes(content)
 
 
-def _said(content: bytes) -> str:
+def _sentence_of_answer(content: bytes) -> str:
     """Return the sentence of a service's answer."""
     try:
         found = json.loads(content)

@@ -57,7 +57,7 @@ class _Connection(PiecewiseProtocol):
     one on which no request or answer has begun or ended for longest is closed.
     """
 
-    _limit: asyncio.TimerHandle | None = None
+    _wait_timer: asyncio.TimerHandle | None = None
     _reading: asyncio.TimerHandle | None = None
     _since_s = 0.0
 
@@ -129,16 +129,18 @@ class _Connection(PiecewiseProtocol):
     def _wait(self) -> None:
         self._end_wait()
         self._since_s = self.loop.time()
-        self._limit = self.loop.call_later(_REQUEST_WITHIN_S, self._look, self.transport.get_write_buffer_size())
+        self._wait_timer = self.loop.call_later(
+            _REQUEST_WITHIN_S, self._check_progress, self.transport.get_write_buffer_size()
+        )
 
     def _end_wait(self) -> None:
-        if self._limit is not None:
-            self._limit.cancel()
+        if self._wait_timer is not None:
+            self._wait_timer.cancel()
 
-    def _look(self, unread_before: int) -> None:
+    def _check_progress(self, unread_before: int) -> None:
         unread = self.transport.get_write_buffer_size()
         if 0 < unread < unread_before:
-            self._limit = self.loop.call_later(_REQUEST_WITHIN_S, self._look, unread)
+            self._wait_timer = self.loop.call_later(_REQUEST_WITHIN_S, self._check_progress, unread)
         elif self.is_waited_for:
             self.transport.abort()
 

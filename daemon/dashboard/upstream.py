@@ -18,7 +18,7 @@ log = logging.getLogger("heliocube.dashboard")
 
 # The service sends its state once a second.
 _SILENT_S = 5.0
-_AGAIN_S = 1.0
+_RETRY_AFTER_S = 1.0
 _BEAT_S = 2.0
 _LONGEST_EVENT = 16 << 20
 
@@ -94,7 +94,7 @@ class Upstream:
                 reason = _reason(error)
             self._outage.down(self._clock.monotonic(), reason)
             self._tell(False, reason)
-            await asyncio.sleep(_AGAIN_S)
+            await asyncio.sleep(_RETRY_AFTER_S)
 
     async def _states(self) -> AsyncIterator[str]:
         timeout = httpx.Timeout(_SILENT_S)
@@ -144,7 +144,9 @@ class Fleet:
         self._listeners: list[Listener] = []
         self.client = client
         self.orders = client if orders is None else orders
-        self.services = {str(address): Upstream(address, client, clock, self._hand_on) for address in addresses}
+        self.services = {
+            str(address): Upstream(address, client, clock, self._pass_to_listeners) for address in addresses
+        }
 
     @property
     def listeners(self) -> int:
@@ -169,7 +171,7 @@ class Fleet:
         finally:
             self._listeners.remove(listener)
 
-    def _hand_on(self, service: Upstream) -> None:
+    def _pass_to_listeners(self, service: Upstream) -> None:
         for listener in self._listeners:
             listener.put(service.name, service.message)
 

@@ -49,9 +49,13 @@ class Currents:
         """Take in the newest telemetry; `told` keeps what is wrong until an hour has passed without it, or `forget`."""
         now_s = telemetry.time_monotonic_s
         standing = stands_since_s is not None and now_s - stands_since_s > _RUN_OUT_S
-        driven = standing and any(current_a > _AT_REST_A for _, current_a in _by_name(telemetry))
+        driven = standing and any(current_a > _AT_REST_A for _, current_a in _currents_by_axis(telemetry))
         self._judge_stop(telemetry, driven=driven)
-        wrong = [text for text in (self._wrong(*each, standing=standing) for each in _by_name(telemetry)) if text]
+        wrong = [
+            text
+            for text in (self._current_fault(*each, standing=standing) for each in _currents_by_axis(telemetry))
+            if text
+        ]
         self._since_s = {text: self._since_s.get(text, now_s) for text in wrong}
         told = self.told | {text: now_s for text, since_s in self._since_s.items() if now_s - since_s >= _LASTS_S}
         self.told = {text: last_s for text, last_s in told.items() if now_s - last_s <= _OVER_AFTER_S}
@@ -86,7 +90,7 @@ class Currents:
             self._driven_since_s = now_s
         self.wants_stop = now_s >= max(self._driven_since_s + _STARTS_WITHIN_S, self._next_stop_s)
 
-    def _wrong(self, name: str, current_a: float, *, standing: bool) -> str | None:
+    def _current_fault(self, name: str, current_a: float, *, standing: bool) -> str | None:
         if current_a > self._alarm_a:
             return (
                 f"axis {name} draws more than {self._alarm_a:g} A: something is in its way, iced up or worn;"
@@ -123,7 +127,7 @@ class OwnMode:
             self.text = f"{OWN_MODE}; it cannot be switched off from here, and nothing is moved: do it at the unit"
 
 
-def _by_name(telemetry: Telemetry) -> tuple[tuple[str, float], tuple[str, float]]:
+def _currents_by_axis(telemetry: Telemetry) -> tuple[tuple[str, float], tuple[str, float]]:
     return ("A", telemetry.a_motor_current_a), ("B", telemetry.b_motor_current_a)
 
 

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 from drivers.interfaces import Telemetry
 
-_AFTER_S = 5.0
+_DEAF_AFTER_S = 5.0
 # A computer that was busy for seconds saw nothing meanwhile: so several looks in a row have to show motion.
-_LOOKS = 2
+_LOOKS_IN_A_ROW = 2
 _STILL_S = 3.0
 
 
@@ -28,15 +28,15 @@ class Deafness:
         self._same_place = same_place
         self._still_s = max(still_s, _STILL_S)
         self._place: Telemetry | None = None
-        self._looks = 0
+        self._moving_looks = 0
 
     def shows(self, seen: Telemetry, stop_s: float) -> bool:
         """Take in a look; return whether the axes have moved on for more than 5 s after the monotonic time `stop_s`."""
         place = self._place
-        if place is None or place.time_monotonic_s <= stop_s + _AFTER_S:
-            self._place, self._looks = seen, 0
+        if place is None or place.time_monotonic_s <= stop_s + _DEAF_AFTER_S:
+            self._place, self._moving_looks = seen, 0
         elif not self._same_place(place, seen):
-            self._place, self._looks = seen, self._looks + 1
+            self._place, self._moving_looks = seen, self._moving_looks + 1
         elif seen.time_monotonic_s - place.time_monotonic_s > self._still_s:
-            self._looks = 0
-        return self._looks >= _LOOKS
+            self._moving_looks = 0
+        return self._moving_looks >= _LOOKS_IN_A_ROW

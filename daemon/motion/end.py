@@ -33,7 +33,7 @@ async def finish(motion: Motion, clock: Clock, within_s: float) -> str | None:
                 if motion.pose is None or motion.was_at_rest:
                     return _last_known(motion, clock, unsent)
                 # A move that was on goes on, and is stopped as soon as the link is back.
-            while not _stands(motion, start_s):  # noqa: ASYNC110 - telemetry is polled, and no event announces it
+            while not _is_standing(motion, start_s):  # noqa: ASYNC110 - telemetry is polled, and no event announces it
                 await asyncio.sleep(_LOOK_EVERY_S)
     except TimeoutError:
         sent = "stop was sent, and no telemetry has shown the axes standing since"
@@ -41,7 +41,7 @@ async def finish(motion: Motion, clock: Clock, within_s: float) -> str | None:
     return None
 
 
-def _stands(motion: Motion, start_s: float) -> bool:
+def _is_standing(motion: Motion, start_s: float) -> bool:
     telemetry = motion.telemetry
     if telemetry is None or telemetry.time_monotonic_s < start_s or not motion.resting:
         return False

@@ -105,18 +105,18 @@ class Guard:
         self._reported_pose: Pose | None = None
         self._pressed_s = self._reported_buttons_s = self._judged_s = float("-inf")
         self._sleeps = SleepGauge(clock)
-        self._strayed_at: Telemetry | None = None
+        self._stray_telemetry: Telemetry | None = None
         self._reset_before = False
-        self._under_inquiry: str | None = None
-        self._halted_for: tuple[str, ...] = ()
-        self._alarmed: tuple[object, ...] = ()
+        self._motion_under_inquiry: str | None = None
+        self._halted_faults: tuple[str, ...] = ()
+        self._alarmed_state: tuple[object, ...] = ()
         self._telemetry: Telemetry | None = None
         self._read: Telemetry | None = None
         self._pose: Pose | None = None
         # Target of a move, until the axes rest again.
         self._target: Target | None = None
         # Time of the last glance, monotonic and UTC [s].
-        self._repeated: tuple[float, float] | None = None
+        self._last_glance_s: tuple[float, float] | None = None
         self.rested: Pose | None = None
         self.identity: PositionerIdentity | None = None
         self.frozen: str | None = None
@@ -128,7 +128,7 @@ class Guard:
     @property
     def telemetry(self) -> Telemetry | None:
         """The newest look; None while the link is down."""
-        self._take_over()
+        self._apply_glance_time()
         return self._telemetry
 
     @property
@@ -139,7 +139,7 @@ class Guard:
     @property
     def pose(self) -> Pose | None:
         """Where the tracker was seen last."""
-        self._take_over()
+        self._apply_glance_time()
         return self._pose
 
     def glance(self) -> bool:
@@ -155,15 +155,15 @@ class Guard:
         again_s = self._repeats.repeated_s(self._read) if self._repeats and self._read else None
         if again_s is None:
             return False
-        self._repeated = again_s, self._clock.utc()
+        self._last_glance_s = again_s, self._clock.utc()
         return True
 
-    def _take_over(self) -> None:
+    def _apply_glance_time(self) -> None:
         """Give the last look the time of the last glance, so that its age shows that the positioner is watched."""
-        repeated, telemetry, pose = self._repeated, self._telemetry, self._pose
+        repeated, telemetry, pose = self._last_glance_s, self._telemetry, self._pose
         if repeated is None or telemetry is None or pose is None:
             return
-        self._repeated, (at_s, utc_s) = None, repeated
+        self._last_glance_s, (at_s, utc_s) = None, repeated
         self._telemetry = telemetry.again(at_s)
         self._pose = replace(pose, time_monotonic_s=at_s, time_utc_s=utc_s)
         self.watch.repeated(self._telemetry)
@@ -171,7 +171,7 @@ class Guard:
     @property
     def unexplained(self) -> str | None:
         """What moved without an order or did not stop, or None."""
-        return self.doubts.incident or self._under_inquiry
+        return self.doubts.incident or self._motion_under_inquiry
 
     @property
     def must_halt(self) -> bool:
@@ -180,7 +180,7 @@ class Guard:
         With a fault on one axis the other may be moving, or about to.
         """
         faults = self._telemetry.faults if self._telemetry else ()
-        new_fault = any(name not in self._halted_for for name in faults)
+        new_fault = any(name not in self._halted_faults for name in faults)
         return self.halt_wanted or new_fault or self._currents.wants_stop
 
     @property
@@ -211,8 +211,8 @@ class Guard:
         """Read and judge telemetry; `moving` says whether something was ordered to move."""
         before, telemetry = self.telemetry, await self._positioner.read_telemetry()
         self._telemetry = self._read = telemetry
-        if self._halted_for:
-            self._halted_for = tuple(name for name in self._halted_for if name in telemetry.faults)
+        if self._halted_faults:
+            self._halted_faults = tuple(name for name in self._halted_faults if name in telemetry.faults)
         self._note_own_moves(telemetry)
         if telemetry.button_pressed:
             self._pressed_s = telemetry.status_monotonic_s
@@ -227,8 +227,8 @@ class Guard:
 
     def _raise_alarms(self, telemetry: Telemetry) -> None:
         alarmed = self.doubts.changes, telemetry.faults, self.identity, self._currents.text, self.own_mode.text
-        if alarmed != self._alarmed:
-            self._alarmed = alarmed
+        if alarmed != self._alarmed_state:
+            self._alarmed_state = alarmed
             show(self._alarms, self.doubts, self.identity, telemetry, self._currents, self.own_mode)
 
     async def expect_move(self) -> None:
@@ -241,7 +241,7 @@ class Guard:
         start_s, pause_s = self._clock.monotonic(), _FIRST_PAUSE_S
         while True:
             try:
-                await self._beside(self._positioner.halt(), lambda: self._poll_halt(start_s))
+                await self._poll_during(self._positioner.halt(), lambda: self._poll_halt(start_s))
                 break
             except StillMovingError:
                 await self._poll_halt(start_s)
@@ -253,25 +253,25 @@ class Guard:
         self._judged_s = self._clock.monotonic()
         telemetry = await self.poll(moving=False)
         self.watch.rest(telemetry)
-        self._halted_for = telemetry.faults
+        self._halted_faults = telemetry.faults
 
     async def quell(self) -> bool:
         """Stop stray motion until the axes stand; return whether a person or a restart explains it.
 
         Motion that nothing explains is reported and blocks every move.
         """
-        stray, seen = self.stray, self._strayed_at
+        stray, seen = self.stray, self._stray_telemetry
         assert stray is not None and seen is not None  # noqa: S101, PT018 - narrowing for the type checker
         text = stray.incident(self.frozen)
         if self._pressed_s <= stray.seen_s - _STATUS_WITHIN_S:
-            self._under_inquiry = text
+            self._motion_under_inquiry = text
         explained = False
         try:
             await self.halt()
             self.stray = None
-            explained = await self._explained(stray, seen)
+            explained = await self._wait_for_explanation(stray, seen)
         finally:
-            self._under_inquiry = None
+            self._motion_under_inquiry = None
             if not explained:
                 self.doubts.note("motion", text)
         return explained
@@ -296,9 +296,9 @@ class Guard:
             elif ends():
                 await self._positioner.stop()
 
-        return await self._beside(call, poll_and_quell)
+        return await self._poll_during(call, poll_and_quell)
 
-    async def _beside(self, call: Coroutine[Any, Any, T], poll: Callable[[], Coroutine[Any, Any, None]]) -> T:
+    async def _poll_during(self, call: Coroutine[Any, Any, T], poll: Callable[[], Coroutine[Any, Any, None]]) -> T:
         task = asyncio.ensure_future(call)
         try:
             while True:
@@ -331,10 +331,10 @@ class Guard:
             self.halt_wanted |= self.rested is None
         elif self.stray is None:
             self.stray = stray
-            self._strayed_at = telemetry
+            self._stray_telemetry = telemetry
             self._reset_before = before is not None and before.was_reset
 
-    async def _explained(self, stray: Stray, seen: Telemetry) -> bool:
+    async def _wait_for_explanation(self, stray: Stray, seen: Telemetry) -> bool:
         """Wait for a status that is younger than the motion; tell whether a person or a restart explains it."""
         deadline_s = self._clock.monotonic() + _STATUS_WITHIN_S
         while True:

@@ -84,7 +84,7 @@ class Motion(MotionState):
         self._limits = limits
         self._settings = settings
         self._publish = publish
-        self._changed = changed
+        self._on_change = changed
         self._polling = polling
         doubts = Doubts(folder, remedy_of(has_reference_run=expected.has_reference_run))
         place = KeptPlace(folder, positioner, doubts.reference, begins_anew=begins_anew)
@@ -100,10 +100,10 @@ class Motion(MotionState):
             self.outage, random, clock.monotonic, self._notify, lost=DeviceError, hopeless=(DriverHungError,)
         )
         # Where to, and whether it is a stow.
-        self._wanted: tuple[Target, bool] | None = None
+        self._wanted_order: tuple[Target, bool] | None = None
         self._home_wanted = False
         self._clear_wanted: tuple[str, ...] | None = None
-        self._before_loss: Pose | None = None
+        self._pose_before_loss: Pose | None = None
         self._was_connected = self._moved_at_loss = False
         self._was_ready = (False, False)
         self._ended = False
@@ -117,7 +117,7 @@ class Motion(MotionState):
     @property
     def resting(self) -> bool:
         """Whether nothing moves and nothing that was asked for waits to be taken up."""
-        asked = self._wanted or self._home_wanted or self._clear_wanted is not None or self._guard.must_halt
+        asked = self._wanted_order or self._home_wanted or self._clear_wanted is not None or self._guard.must_halt
         return not (self.moving or asked) and self.connected
 
     @property
@@ -154,7 +154,7 @@ class Motion(MotionState):
         if self.homing and not stow:
             raise RefusedError("positioner", "cannot move while homing")
         self._home_wanted = False
-        self._wanted = target, stow
+        self._wanted_order = target, stow
         self._runs.interrupt()
         self._wake.set()
 
@@ -176,7 +176,7 @@ class Motion(MotionState):
             wait = "; give 'heliocube hold' first, so that the tracker waits to be homed" if self.unexplained else ""
             raise RefusedError("positioner", f"cannot be homed: {obstacle}{wait}")
         self._home_wanted = True
-        self._wanted = None
+        self._wanted_order = None
         self._runs.interrupt()
         self._wake.set()
 
@@ -195,18 +195,18 @@ class Motion(MotionState):
         """Drop an order that has not begun: it comes next, or waits for the pause after a failure."""
         if (order := self._due_order()) is not None:
             self._tell_obstacle(stow=order[1])
-        self._wanted = None
+        self._wanted_order = None
 
     def forget_order(self) -> None:
         """Drop the last order, and stop the move to its target; a reference run goes on."""
-        self._wanted = None
+        self._wanted_order = None
         if self.target is not None:
             self._runs.interrupt()
             self._wake.set()
 
     def rest(self) -> None:
         """Ask for whatever moves to be stopped, by the task that moves it."""
-        self._wanted = None
+        self._wanted_order = None
         self._home_wanted = False
         self._runs.interrupt()
         self._wake.set()
@@ -246,7 +246,7 @@ class Motion(MotionState):
         try:
             await self._reconnection.run(self._serve, self._close, self._forget)
         finally:
-            await self._leave()
+            await self._halt_and_close()
 
     def give_up(self, why: str) -> None:
         """Know nothing any more of a positioner that `run` has left for good."""
@@ -254,7 +254,7 @@ class Motion(MotionState):
         self.outage.down(self._clock.monotonic(), why)
         self._note_readiness()
 
-    async def _leave(self) -> None:
+    async def _halt_and_close(self) -> None:
         """Whatever ended this task, a cancellation or a defect, must not leave an axis running."""
         try:
             # A move has forgotten its target by now, and an axis just sent off seems to stand until a look shows it.
@@ -267,14 +267,14 @@ class Motion(MotionState):
         guard = self._guard
         guard.identity = identity = await self._positioner.open()
         # If the link is lost again before the comparison below, the next connection makes it.
-        self._before_loss = guard.rested or self._before_loss
+        self._pose_before_loss = guard.rested or self._pose_before_loss
         # A move ordered before the loss, by us or by a program before us, may still be on.
         await guard.halt()
         pose, telemetry = guard.pose, guard.telemetry
         assert pose is not None and telemetry is not None  # noqa: S101, PT018 - narrowing; halt has just looked
         serial = f", serial {identity.serial}" if identity.serial else ""
         told = self._note_link(f"{identity.board}, firmware {identity.firmware}{serial}")
-        before, self._before_loss = self._before_loss, None
+        before, self._pose_before_loss = self._pose_before_loss, None
         tolerance_deg = self._settings.tolerance_deg
         off_its_way = guard.watch.off_its_way(telemetry, tolerance_deg)
         text = (before and elsewhere(before, pose, tolerance_deg)) or off_its_way
@@ -296,7 +296,7 @@ class Motion(MotionState):
     def _forget(self) -> None:
         self._moved_at_loss = self.connected and self._guard.rested is None
         self._guard.lost()
-        self._wanted = None
+        self._wanted_order = None
         self._home_wanted = False
         self._drop_clear("the positioner was lost")
 
@@ -318,9 +318,9 @@ class Motion(MotionState):
             await self._guard.poll(moving=False)
             self._note_link()
             if not await self._do_what_is_asked():
-                await look_until(self._wake, self._polling.idle_s, self._may_be_new)
+                await look_until(self._wake, self._polling.idle_s, self._needs_look)
 
-    def _may_be_new(self) -> bool:
+    def _needs_look(self) -> bool:
         """Glance at a unit that rests; tell whether it has to be looked at, or a pause is over."""
         waits = self._retries.text is not None or self._guard.doubts.reference is not None
         over = waits and (self._due_order() is not None or self._must_rehome() or self._readiness() != self._was_ready)
@@ -328,7 +328,7 @@ class Motion(MotionState):
 
     def _due_order(self) -> tuple[Target, bool] | None:
         # An order waits only for the pause after a failure.
-        wanted = self._wanted
+        wanted = self._wanted_order
         is_due = wanted is not None and self._retries.due_s(stow=wanted[1]) <= self._clock.monotonic()
         return wanted if is_due else None
 
@@ -339,7 +339,7 @@ class Motion(MotionState):
         assert telemetry is not None  # noqa: S101 - narrowing for the type checker; there was a look just now
         if guard.stray is not None:
             await guard.quell()
-            self._changed()
+            self._on_change()
         elif guard.must_halt:
             await guard.halt()
         elif self._clear_wanted is not None and not self._stow_can_go():
@@ -355,7 +355,7 @@ class Motion(MotionState):
             self._home_wanted = False
             await self._runs.home()
         elif (order := self._due_order()) is not None:
-            (target, stow), self._wanted = order, None
+            (target, stow), self._wanted_order = order, None
             self._drop_clear("a stow came")
             if not self._tell_obstacle(stow=stow):
                 await self._runs.move(target, stow=stow)
@@ -390,7 +390,7 @@ class Motion(MotionState):
         ready = self._readiness()
         if ready != self._was_ready:
             self._was_ready = ready
-            self._changed()
+            self._on_change()
 
     def _report(self, text: str) -> None:
         log.info(text)

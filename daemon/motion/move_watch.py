@@ -59,15 +59,15 @@ class MoveWatch:
         self._tolerance_deg = settings.tolerance_deg
         self._slowest_deg_per_s = expected.slowest_deg_per_s
         # If the drive's axes are not A and B, their ways are known only with the first look.
-        self._ways: tuple[_Way, _Way] | None = None
+        self._axis_paths: tuple[_AxisPath, _AxisPath] | None = None
         self._by_angles, self._axis_names = expected.axes_are_angles, expected.axis_names
         if self._by_angles:
-            self._ways = (
-                _Way("A", start.a_deg, target.a_deg, limits.a_min_deg, limits.a_max_deg, settings.tolerance_deg),
-                _Way("B", start.b_deg, target.b_deg, limits.b_min_deg, limits.b_max_deg, settings.tolerance_deg),
+            self._axis_paths = (
+                _AxisPath("A", start.a_deg, target.a_deg, limits.a_min_deg, limits.a_max_deg, settings.tolerance_deg),
+                _AxisPath("B", start.b_deg, target.b_deg, limits.b_min_deg, limits.b_max_deg, settings.tolerance_deg),
             )
         self._start_s = now_s
-        self._jitter, self._elsewhere = jitter(expected), elsewhere(expected)
+        self._jitter, self._elsewhere_distance = jitter(expected), elsewhere(expected)
         step_s = expected.resolution() / expected.slowest_deg_per_s
         self._stands_after_s = max(_STANDS_AFTER_S, _STANDS_STEPS * step_s)
         self._stalled_after_s = max(_STALLED_AFTER_S, _STALLED_STEPS * step_s)
@@ -86,13 +86,13 @@ class MoveWatch:
             self._moved_s = now_s
         if telemetry.faults:
             return Progress.STALLED, f"the positioner reports {', '.join(telemetry.faults)}"
-        ways = self._ways
+        ways = self._axis_paths
         if ways is None:
-            ways = self._ways = _ways_of_positions(telemetry, self._axis_names, self._tolerance_deg)
+            ways = self._axis_paths = _paths_of_positions(telemetry, self._axis_names, self._tolerance_deg)
         for way, place in zip(ways, angles if self._by_angles else positions, strict=True):
             if way.overshot(place):
                 return Progress.OVERSHOT, f"{way.name} stands at {place:z.1f} deg, beyond its target {way.target:z.1f}"
-        if self._there(angles):
+        if self._is_at_target(angles):
             after_s = max(self._stands_after_s, _TAKES_UP_S if self._aims_elsewhere(telemetry) else 0.0)
             if still and now_s - self._moved_s >= after_s:
                 return Progress.ARRIVED, ""
@@ -102,20 +102,20 @@ class MoveWatch:
             return Progress.STALLED, "; ".join((text, *_hints(telemetry)))
         budget_s = sum(way.length for way in ways) / self._slowest_deg_per_s + _SPARE_S
         if now_s - self._start_s > budget_s:
-            missing = "at rest" if self._there(angles) else "there"
+            missing = "at rest" if self._is_at_target(angles) else "there"
             return Progress.TIMED_OUT, f"not {missing} after {now_s - self._start_s:.0f} s, at {where}"
         return Progress.GOING, ""
 
     def _aims_elsewhere(self, telemetry: Telemetry) -> bool:
         left = telemetry.destination_a - telemetry.position_a, telemetry.destination_b - telemetry.position_b
-        return not all(abs(way) <= self._elsewhere for way in left)
+        return not all(abs(way) <= self._elsewhere_distance for way in left)
 
-    def _there(self, angles: tuple[float, float]) -> bool:
+    def _is_at_target(self, angles: tuple[float, float]) -> bool:
         wanted = (self._target.a_deg, self._target.b_deg)
         return all(abs(here - there) <= self._tolerance_deg for here, there in zip(angles, wanted, strict=True))
 
 
-class _Way:
+class _AxisPath:
     """What one axis may pass on its way."""
 
     def __init__(self, name: str, start: float, target: float, low: float, high: float, tolerance: float) -> None:
@@ -136,12 +136,12 @@ class _Way:
         return not (self._lowest <= angle <= self._highest)
 
 
-def _ways_of_positions(first: Telemetry, names: tuple[str, str], tolerance_deg: float) -> tuple[_Way, _Way]:
+def _paths_of_positions(first: Telemetry, names: tuple[str, str], tolerance_deg: float) -> tuple[_AxisPath, _AxisPath]:
     """Return the ways from where the axes are to where they are sent; the drive's own range is its driver's matter."""
     start_a, start_b, aim_a, aim_b = first.position_a, first.position_b, first.destination_a, first.destination_b
     return (
-        _Way(names[0], start_a, aim_a, min(start_a, aim_a), max(start_a, aim_a), tolerance_deg),
-        _Way(names[1], start_b, aim_b, min(start_b, aim_b), max(start_b, aim_b), tolerance_deg),
+        _AxisPath(names[0], start_a, aim_a, min(start_a, aim_a), max(start_a, aim_a), tolerance_deg),
+        _AxisPath(names[1], start_b, aim_b, min(start_b, aim_b), max(start_b, aim_b), tolerance_deg),
     )
 
 

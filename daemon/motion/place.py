@@ -22,7 +22,7 @@ _CHANGED_DEG = 0.2
 _STAYS_DEG = 1.0
 
 
-class _Kept(BaseModel):
+class _KeptPositions(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     a: FiniteFloat | None = None
@@ -45,10 +45,10 @@ class KeptPlace:
     """
 
     def __init__(self, folder: StateFolder, positioner: Positioner, doubt: str | None, *, begins_anew: bool) -> None:
-        self._file = StateFile(folder, FILE_NAME, _Kept, log, "where the axes stand")
+        self._file = StateFile(folder, FILE_NAME, _KeptPositions, log, "where the axes stand")
         self._positioner = positioner if isinstance(positioner, Recalling) and not begins_anew else None
         self._rested: Pose | None = None
-        self._kept = _Kept()
+        self._kept = _KeptPositions()
         if self._positioner is not None:
             kept = self._load()
             self._positioner.recall(kept.a, kept.b, doubt or "")
@@ -62,7 +62,7 @@ class KeptPlace:
         b_stays = to is not None and abs(to.b_deg - rested.b_deg) <= _STAYS_DEG
         if not (a_stays or b_stays):
             self._rested = None
-        left = _Kept(a=self._kept.a if a_stays else None, b=self._kept.b if b_stays else None)
+        left = _KeptPositions(a=self._kept.a if a_stays else None, b=self._kept.b if b_stays else None)
         if left != self._kept:
             self._keep(left)
 
@@ -75,18 +75,18 @@ class KeptPlace:
         if known == kept and self._rested and not elsewhere(self._rested, pose, _CHANGED_DEG):
             return
         self._rested = pose
-        self._keep(_Kept(a=a, b=b))
+        self._keep(_KeptPositions(a=a, b=b))
 
-    def _keep(self, kept: _Kept) -> None:
+    def _keep(self, kept: _KeptPositions) -> None:
         self._kept = kept
         self._file.save(kept)
 
-    def _load(self) -> _Kept:
+    def _load(self) -> _KeptPositions:
         try:
-            return self._file.load() or _Kept()
+            return self._file.load() or _KeptPositions()
         except UnreadableStateError as error:
             log.warning("%s: if the positioner has lost its count since, a stuck end switch may not be noticed", error)
-            return _Kept()
+            return _KeptPositions()
 
 
 def elsewhere(before: Pose, now: Pose, tolerance_deg: float) -> str:

@@ -14,7 +14,7 @@ from drivers.interfaces import Telemetry
 log = logging.getLogger("heliocube.motion")
 
 FILE_NAME = "motion.json"
-_FAULT = "fault "
+_FAULT_PREFIX = "fault "
 NOT_FINISHED = "homing was not finished, the reference is in doubt: home it"
 RESET = "the positioner has restarted and may have lost its reference: home it, or clear the mark"
 
@@ -29,7 +29,7 @@ def fault_text(name: str) -> str:
     return f"the positioner reports {name}"
 
 
-class _Kept(BaseModel):
+class _KeptDoubts(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     doubts: dict[str, str] = Field(default_factory=dict)
@@ -38,23 +38,23 @@ class _Kept(BaseModel):
     homing: bool = False
 
 
-def _said_once(texts: Iterable[str]) -> str:
+def _join_without_repeats(texts: Iterable[str]) -> str:
     """Return the sentences joined into one, without those that another one contains."""
     parts = list(dict.fromkeys(part for text in texts for part in text.split("; ")))
     return "; ".join(part for part in parts if not any(part in other for other in parts if other != part))
 
 
-def _file_in(folder: StateFolder) -> StateFile[_Kept]:
-    return StateFile(folder, FILE_NAME, _Kept, log, "what is in doubt")
+def _file_in(folder: StateFolder) -> StateFile[_KeptDoubts]:
+    return StateFile(folder, FILE_NAME, _KeptDoubts, log, "what is in doubt")
 
 
-def _load(file: StateFile[_Kept], remedy: str) -> _Kept:
+def _load(file: StateFile[_KeptDoubts], remedy: str) -> _KeptDoubts:
     try:
-        return file.load() or _Kept()
+        return file.load() or _KeptDoubts()
     except UnreadableStateError as error:
         text = f"{error}, so it is not known what was in doubt before the restart: {remedy}"
         log.warning("%s", text)
-        return _Kept(doubts={"unreadable": text})
+        return _KeptDoubts(doubts={"unreadable": text})
 
 
 def kept_doubts(folder: StateFolder, seen: Telemetry | None = None) -> tuple[str, ...]:
@@ -65,11 +65,15 @@ def kept_doubts(folder: StateFolder, seen: Telemetry | None = None) -> tuple[str
     # It is not known which drive it was, and whether that one can be homed.
     remedy = "compare the angles with where the tracker points"
     kept = _load(_file_in(folder), remedy)
-    gone = () if seen is None else tuple(_vanished(name, remedy) for name in kept.faults if name not in seen.faults)
+    gone = (
+        ()
+        if seen is None
+        else tuple(_vanished_fault_text(name, remedy) for name in kept.faults if name not in seen.faults)
+    )
     return (*kept.incidents.values(), *kept.doubts.values(), *gone, *((NOT_FINISHED,) if kept.homing else ()))
 
 
-def _vanished(fault: str, remedy: str) -> str:
+def _vanished_fault_text(fault: str, remedy: str) -> str:
     return f"{fault} cleared by itself, the reference may be lost: {remedy}"
 
 
@@ -115,7 +119,11 @@ class Doubts:
     @property
     def vanished(self) -> dict[str, str]:
         """The doubts about faults that went away by themselves, by the names of the faults."""
-        return {kind.removeprefix(_FAULT): text for kind, text in self._doubts.items() if kind.startswith(_FAULT)}
+        return {
+            kind.removeprefix(_FAULT_PREFIX): text
+            for kind, text in self._doubts.items()
+            if kind.startswith(_FAULT_PREFIX)
+        }
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -145,7 +153,7 @@ class Doubts:
             return
         for name in self._faults:
             if name not in telemetry.faults:
-                self.doubt(f"{_FAULT}{name}", _vanished(name, self.remedy))
+                self.doubt(f"{_FAULT_PREFIX}{name}", _vanished_fault_text(name, self.remedy))
         self._faults = telemetry.faults
         self._save()
 
@@ -162,7 +170,7 @@ class Doubts:
         self.see(before, clearing=True)
         for name in before.faults:
             if fault_text(name) not in shown:
-                self.doubt(f"{_FAULT}{name}", f"{name} was cleared before anybody had seen it: {self.remedy}")
+                self.doubt(f"{_FAULT_PREFIX}{name}", f"{name} was cleared before anybody had seen it: {self.remedy}")
         for texts in (self._doubts, self._incidents):
             for kind in [kind for kind, text in texts.items() if text in shown]:
                 del texts[kind]
@@ -199,12 +207,15 @@ class Doubts:
 
     def _sum_up(self) -> None:
         # These are read at every look at the positioner, some 200,000 times a day, and seldom change.
-        self.reference = _said_once(self._doubts.values()) or None
-        self.lost = _said_once(text for kind, text in self._doubts.items() if not kind.startswith(_FAULT)) or None
+        self.reference = _join_without_repeats(self._doubts.values()) or None
+        self.lost = (
+            _join_without_repeats(text for kind, text in self._doubts.items() if not kind.startswith(_FAULT_PREFIX))
+            or None
+        )
         self.incident = "; ".join(self._incidents.values()) or None
         self.changes += 1
 
     def _save(self) -> None:
         self._sum_up()
         faults = list(self._faults)
-        self._file.save(_Kept(doubts=self._doubts, incidents=self._incidents, faults=faults, homing=self._homing))
+        self._file.save(_KeptDoubts(doubts=self._doubts, incidents=self._incidents, faults=faults, homing=self._homing))

@@ -17,7 +17,7 @@ class Rehoming:
     def __init__(self, *, enabled: bool) -> None:
         self.enabled = enabled
         self._runs = 0
-        self._settled = False
+        self._last_run_was_good = False
         self._due_s = -math.inf
 
     def due(self, doubt: str | None, now_s: float) -> bool:
@@ -28,15 +28,15 @@ class Rehoming:
             return False
         # A new doubt after a first run that ended the last one has a cause of its own. Still more doubts mean that the
         # unit cannot keep its count.
-        another = self._settled and self._runs == 1
+        another = self._last_run_was_good and self._runs == 1
         return self.enabled and (now_s >= self._due_s or another)
 
     def began(self, now_s: float) -> None:
         """Take note that a run begins."""
-        self._settled = False
+        self._last_run_was_good = False
         self._due_s = now_s + _PAUSES_S[min(self._runs, len(_PAUSES_S) - 1)]
         self._runs += 1
 
     def ended(self, *, good: bool) -> None:
         """Take note of how the run ended: `good` where it left no doubt."""
-        self._settled = good
+        self._last_run_was_good = good

@@ -5,9 +5,9 @@ import math
 from daemon.base.alarms.alarms import Alarms
 
 _STOW_PAUSES_S = (60.0, 120.0, 300.0, 600.0)
-_OTHER_FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0)
+_PAUSE_FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0)
 # So many moves in a row have to end by a loss of the link: a cable pulled once or twice is no failure of the move.
-_LOSSES = 3
+_LOSSES_TOLD_FROM = 3
 
 
 class Retries:
@@ -38,17 +38,17 @@ class Retries:
         else:
             self._others += 1
             self._other_failed_s = now_s
-        self._tell(text, stow=stow)
+        self._raise_alarm(text, stow=stow)
         count = self._stows + self._others
         return count & (count - 1) == 0
 
     def lost(self, text: str, *, stow: bool) -> None:
         """Take note of a move that ended because the link was lost; the third in a row is told. No pause follows."""
         self._losses += 1
-        if self._losses >= _LOSSES:
-            self._tell(text, stow=stow)
+        if self._losses >= _LOSSES_TOLD_FROM:
+            self._raise_alarm(text, stow=stow)
 
-    def _tell(self, text: str, *, stow: bool) -> None:
+    def _raise_alarm(self, text: str, *, stow: bool) -> None:
         self.text = text
         what = "the stow" if stow else "a move"
         self._alarms.set("move-failed", f"{what} failed and waits to be tried again: {text}")
@@ -65,5 +65,5 @@ class Retries:
         if stow:
             pause_s = _STOW_PAUSES_S[min(self._stows, len(_STOW_PAUSES_S)) - 1] if self._stows else 0.0
             return self._stow_failed_s + pause_s
-        factor = _OTHER_FACTORS[min(self._others, len(_OTHER_FACTORS)) - 1] if self._others else 0.0
+        factor = _PAUSE_FACTORS[min(self._others, len(_PAUSE_FACTORS)) - 1] if self._others else 0.0
         return self._other_failed_s + factor * self._first_pause_s

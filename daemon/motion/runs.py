@@ -81,13 +81,13 @@ class Runs:
         self._retries = retries
         self._clock = clock
         self._publish = publish
-        self._changed = changed
+        self._on_change = changed
         self._wake = wake
         self._poll_every_s = poll_every_s
         self._interrupted = False
         self._stow = False
         self._sleeps = SleepGauge(clock)
-        self._slept = False
+        self._slept_while_homing = False
         self.target: Target | None = None
         self.last_move: Move | None = None
         self.last_move_started_s = -math.inf
@@ -104,7 +104,7 @@ class Runs:
         Hours later the person who asked for it may no longer be there.
         """
         if self._guard.homing and self._sleeps.take_s() > _SLEPT_S:
-            self._interrupted = self._slept = True
+            self._interrupted = self._slept_while_homing = True
         return self._interrupted
 
     async def move(self, target: Target, *, stow: bool) -> None:
@@ -118,7 +118,7 @@ class Runs:
         try:
             outcome, why = await self._attempt(target, start)
         except DeviceError as error:
-            self._count(outcome, error.message)
+            self._note_outcome(outcome, error.message)
             raise
         except BaseException:
             outcome = MoveOutcome.INTERRUPTED
@@ -141,10 +141,10 @@ class Runs:
                 why=why,
             )
             self._publish(self.last_move)
-        self._count(outcome, why)
-        self._changed()
+        self._note_outcome(outcome, why)
+        self._on_change()
 
-    def _count(self, outcome: MoveOutcome, why: str) -> None:
+    def _note_outcome(self, outcome: MoveOutcome, why: str) -> None:
         if outcome is MoveOutcome.ARRIVED:
             self._retries.forget()
         elif outcome is not MoveOutcome.INTERRUPTED:
@@ -191,14 +191,14 @@ class Runs:
                 guard.watch.pardon()
                 await guard.halt()
                 outcome, why = MoveOutcome.REFUSED, error.message
-                await self._wake_up()
+                await self._clear_restart_mark()
                 if self.is_interrupted():
                     outcome, why = MoveOutcome.INTERRUPTED, target.why
-            if outcome in (MoveOutcome.ARRIVED, MoveOutcome.INTERRUPTED) or self._hopeless():
+            if outcome in (MoveOutcome.ARRIVED, MoveOutcome.INTERRUPTED) or self._is_hopeless():
                 break
         return outcome, why
 
-    async def _wake_up(self) -> None:
+    async def _clear_restart_mark(self) -> None:
         """Clear the mark of a restart for a stow that was refused: until then a unit may take no target at all."""
         telemetry = self._guard.telemetry
         if self._stow and telemetry is not None and telemetry.was_reset:
@@ -218,12 +218,12 @@ class Runs:
         assert stray is not None  # noqa: S101 - narrowing for the type checker
         return MoveOutcome.INTERRUPTED if await self._guard.quell() else MoveOutcome.OVERSHOT, stray.text
 
-    def _hopeless(self) -> bool:
+    def _is_hopeless(self) -> bool:
         telemetry = self._guard.telemetry
         faulty = telemetry is not None and bool(telemetry.faults or telemetry.autonomous)
-        return faulty or bool(self._guard.unexplained or self._doubt())
+        return faulty or bool(self._guard.unexplained or self._doubt_why())
 
-    def _doubt(self) -> str | None:
+    def _doubt_why(self) -> str | None:
         """Return why the move must not go on: a reference lost on the way ends all moves but a stow."""
         return None if self._stow else self._guard.doubts.reference
 
@@ -235,13 +235,13 @@ class Runs:
             telemetry = await guard.poll(moving=True)
             if sleeps.take_s() > _SLEPT_S:
                 # After a sleep control may not want the move any more.
-                self._changed()
+                self._on_change()
             if self._interrupted or telemetry.button_pressed:
                 await guard.halt()
                 return MoveOutcome.INTERRUPTED, target.why
             if guard.stray is not None:
                 return await self._quell()
-            if (doubt := self._doubt()) is not None:
+            if (doubt := self._doubt_why()) is not None:
                 await guard.halt()
                 return MoveOutcome.STALLED, doubt
             progress, why = watch.judge(telemetry, self._clock.monotonic())
@@ -282,7 +282,7 @@ class Runs:
         if self._retries.text in shown:
             self._retries.forget()
         guard.forget()
-        self._changed()
+        self._on_change()
 
     async def home(self, *, anew: bool = False) -> None:
         """Make a reference run of both axes; only a good run of each ends the doubts about the reference.
@@ -294,7 +294,7 @@ class Runs:
         faulty = guard.telemetry is not None and bool(guard.telemetry.faults)
         doubted = faulty or doubts.reference is not None
         started_s = self._clock.monotonic()
-        self._interrupted = self._slept = False
+        self._interrupted = self._slept_while_homing = False
         if anew:
             self._sleeps = SleepGauge(self._clock)
         guard.homing = True
@@ -302,7 +302,7 @@ class Runs:
         doubts.homing_begins()
         left: str | None = NOT_FINISHED
         self._report("homing")
-        self._changed()
+        self._on_change()
         try:
             await self._home_both()
             self.last_homed_started_s = started_s
@@ -315,14 +315,14 @@ class Runs:
             await guard.halt()
             if self.is_interrupted():
                 left = NOT_FINISHED if doubted else None
-                remedy = ": the machine slept; give 'heliocube home' again" if self._slept else ""
+                remedy = ": the machine slept; give 'heliocube home' again" if self._slept_while_homing else ""
                 self._report(f"homing was stopped before its end{remedy}")
             else:
                 self._report(f"homing refused: {error.message}")
         finally:
             guard.homing = False
             doubts.homing_ends(left)
-            self._changed()
+            self._on_change()
 
     async def _clear_marks(self) -> None:
         """Clear what the unit shows, and forgive nothing: only a reference run or a person may end a doubt."""

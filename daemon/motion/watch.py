@@ -9,9 +9,9 @@ from drivers.settings import PositionerSettings
 # In the drive's own unit. Two counts, or a shake by the wind, are no motion; a distance above the second
 # number from where an axis came to rest is motion, however slow.
 _JITTER = {"mm": 0.15, "deg": 0.035, "impulse": 2.0}
-_STRAY = {"mm": 0.4, "deg": 0.1, "impulse": 6.0}
+_STRAY_DISTANCE = {"mm": 0.4, "deg": 0.1, "impulse": 6.0}
 # In steps of a position that is coarsely rounded: one step is no motion, and two are not elsewhere yet.
-_FLICKER, _STEPS = 1.2, 2.5
+_JITTER_STEPS, _STRAY_STEPS = 1.2, 2.5
 # A second look at the same place, at least this much later, shows a standstill.
 _SHOWN_AFTER_S = 0.25
 # The positioner may start the second axis so long after the first one stands near enough to count as arrived.
@@ -27,12 +27,12 @@ CLEAR = "nothing moves until a person has looked and given 'heliocube clear'"
 
 def jitter(expected: PositionerSettings) -> float:
     """Return how far a position, in its unit, may differ from the last one while the axis stands."""
-    return max(_JITTER[expected.position_unit], _FLICKER * expected.resolution())
+    return max(_JITTER[expected.position_unit], _JITTER_STEPS * expected.resolution())
 
 
 def elsewhere(expected: PositionerSettings) -> float:
     """Return from what distance to a place, in its unit, a position counts as elsewhere."""
-    return max(_STRAY[expected.position_unit], _STEPS * expected.resolution())
+    return max(_STRAY_DISTANCE[expected.position_unit], _STRAY_STEPS * expected.resolution())
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class Watch:
 
     def __init__(self, expected: PositionerSettings) -> None:
         self._jitter = jitter(expected)
-        self._stray = elsewhere(expected)
+        self._stray_distance = elsewhere(expected)
         self._axes_are_angles = expected.axes_are_angles
         self._names = expected.axis_names
         # A drive with a reference run tells by itself that it may have lost its count.
@@ -87,8 +87,8 @@ class Watch:
         self._last = None
         self._anchor: tuple[float, float] | None = None
         self._since_s = 0.0
-        self._shown = False
-        self._rest: Telemetry | None = None
+        self._standstill_shown = False
+        self._rest_look: Telemetry | None = None
         # Where the axes were sent, and until when (`_settled_s`) they may still get there: for ever during the move.
         self._aim = None
         self._gaps = [0.0, 0.0]
@@ -103,7 +103,7 @@ class Watch:
         lost, self._lost_way = self._lost_way, None
         if lost is None:
             return ""
-        within = tolerance_deg + self._stray
+        within = tolerance_deg + self._stray_distance
         on_it = (
             (here - min(ends) + within) % _TURN_DEG <= abs(ends[1] - ends[0]) + 2.0 * within
             for here, ends in zip(_positions(telemetry), zip(*lost, strict=True), strict=True)
@@ -118,19 +118,19 @@ class Watch:
     @property
     def stands_since_s(self) -> float | None:
         """Monotonic time since which both axes have been seen unmoved, or None."""
-        return self._since_s if self._shown else None
+        return self._since_s if self._standstill_shown else None
 
     def pardon(self) -> None:
         """Judge nothing until the next rest: an order may have been taken in part."""
-        self._rest = None
+        self._rest_look = None
 
     def rest(self, telemetry: Telemetry) -> None:
         """Take this look for the place of rest: from now on nothing explains any motion."""
-        self._rest = self._last = telemetry
+        self._rest_look = self._last = telemetry
         self._aim, self._settled_s, self._homing = None, -math.inf, frozenset()
         here, anchor = _positions(telemetry), self._anchor
-        if not (self._shown and anchor is not None and _near(here, anchor, self._jitter)):
-            self._anchor, self._since_s, self._shown = here, telemetry.time_monotonic_s, True
+        if not (self._standstill_shown and anchor is not None and _near(here, anchor, self._jitter)):
+            self._anchor, self._since_s, self._standstill_shown = here, telemetry.time_monotonic_s, True
 
     def repeated(self, telemetry: Telemetry) -> None:
         """Take this for the last look: it shows the same at a later time."""
@@ -145,21 +145,21 @@ class Watch:
         # The axes may have moved for a second already: their way is judged from where they stood before.
         # Motion since the last arrival was allowed, and is no part of this way.
         settling = self._aim is not None and self._settled_s != math.inf
-        self._rest = (self._last if settling else self._rest) or telemetry
+        self._rest_look = (self._last if settling else self._rest_look) or telemetry
         self._last = telemetry
         self._aim = aim = (telemetry.destination_a, telemetry.destination_b)
-        self._gaps = [abs(start - there) for start, there in zip(_positions(self._rest), aim, strict=True)]
+        self._gaps = [abs(start - there) for start, there in zip(_positions(self._rest_look), aim, strict=True)]
         self._settled_s = math.inf
 
     def arrived(self, telemetry: Telemetry) -> None:
         """End the move; for a few seconds the axes may still go the rest of the way to their destinations."""
-        self._rest = telemetry
+        self._rest_look = telemetry
         self._settled_s = telemetry.time_monotonic_s + _SETTLES_S
 
     @property
     def settled(self) -> bool:
         """Whether both axes stand, and no order explains any further motion."""
-        return self._shown and self._aim is None and not self._homing
+        return self._standstill_shown and self._aim is None and not self._homing
 
     @property
     def on_its_way(self) -> bool:
@@ -169,7 +169,7 @@ class Watch:
     def expect_homing(self, axis: AxisName, telemetry: Telemetry) -> None:
         """Let one axis make a reference run while the other stands."""
         self.rest(telemetry)
-        self._homing, self._shown = frozenset((axis,)), False
+        self._homing, self._standstill_shown = frozenset((axis,)), False
 
     def update(self, telemetry: Telemetry, known_s: float | None = None) -> Stray | None:
         """Take in the newest telemetry; return what it shows that no order explains.
@@ -178,58 +178,58 @@ class Watch:
         """
         self._note_standstill(telemetry)
         before, self._last = self._last, telemetry
-        if self._rest is None or before is None:
+        if self._rest_look is None or before is None:
             return None
         took_s = (telemetry.time_monotonic_s if known_s is None else known_s) - before.time_monotonic_s
-        if not self._homing and (leap := _leap(before, telemetry, took_s, by_angles=self._axes_are_angles)):
+        if not self._homing and (leap := _jump_text(before, telemetry, took_s, by_angles=self._axes_are_angles)):
             self._gaps = [math.inf, math.inf]
-            self._rest = telemetry
+            self._rest_look = telemetry
             return Stray(leap, telemetry.time_monotonic_s, jump=True)
-        text = self._elsewhere(telemetry) if self._settled_s == math.inf else self._off(telemetry)
+        text = self._wrong_way_text(telemetry) if self._settled_s == math.inf else self._departure_text(telemetry)
         return None if text is None else Stray(text, telemetry.time_monotonic_s)
 
     def _note_standstill(self, telemetry: Telemetry) -> None:
         here, now_s = _positions(telemetry), telemetry.time_monotonic_s
         anchor = self._anchor
         if anchor is None or not _near(here, anchor, self._jitter):
-            self._anchor, self._since_s, self._shown = here, now_s, False
+            self._anchor, self._since_s, self._standstill_shown = here, now_s, False
         elif now_s - self._since_s >= _SHOWN_AFTER_S:
-            self._shown = True
+            self._standstill_shown = True
 
-    def _elsewhere(self, telemetry: Telemetry) -> str | None:
+    def _wrong_way_text(self, telemetry: Telemetry) -> str | None:
         """Say what is wrong with a move in progress: a destination that is not ours, or the wrong way."""
         assert self._aim is not None  # noqa: S101 - narrowing for the type checker
-        assert self._rest is not None  # noqa: S101
+        assert self._rest_look is not None  # noqa: S101
         destinations = (telemetry.destination_a, telemetry.destination_b)
-        starts = _positions(self._rest)
+        starts = _positions(self._rest_look)
         for at, (name, here, start) in enumerate(zip(self._names, _positions(telemetry), starts, strict=True)):
             aim, to = self._aim[at], destinations[at]
             if not (abs(to - aim) <= 1.0 or abs(to - here) <= 1.0):
                 return f"{name} heads for position {to:g}, but was sent to {aim:g}"
             gap = abs(here - aim)
-            if gap > self._gaps[at] + self._stray and (start - aim) * (here - aim) >= 0.0:
-                return f"{name} moves away from where it was sent, {self._moved(at, self._rest, telemetry)}"
+            if gap > self._gaps[at] + self._stray_distance and (start - aim) * (here - aim) >= 0.0:
+                return f"{name} moves away from where it was sent, {self._motion_text(at, self._rest_look, telemetry)}"
             self._gaps[at] = min(self._gaps[at], gap)
         return None
 
-    def _off(self, telemetry: Telemetry) -> str | None:
+    def _departure_text(self, telemetry: Telemetry) -> str | None:
         """Say which axis has left the place where it came to rest."""
-        rest = self._rest
+        rest = self._rest_look
         assert rest is not None  # noqa: S101 - narrowing for the type checker
         if self._aim is not None and telemetry.time_monotonic_s > self._settled_s:
-            self._aim, self._rest = None, telemetry
+            self._aim, self._rest_look = None, telemetry
             return None
         now, before = _positions(telemetry), _positions(rest)
         if now == before:
             return None
         ways = zip(_AXES, now, before, self._aim or before, strict=True)
         for at, (axis, here, start, aim) in enumerate(ways):
-            low, high = min(start, aim) - self._stray, max(start, aim) + self._stray
+            low, high = min(start, aim) - self._stray_distance, max(start, aim) + self._stray_distance
             if axis not in self._homing and not (low <= here <= high):
-                return self._moved(at, rest, telemetry)
+                return self._motion_text(at, rest, telemetry)
         return None
 
-    def _moved(self, at: int, before: Telemetry, after: Telemetry) -> str:
+    def _motion_text(self, at: int, before: Telemetry, after: Telemetry) -> str:
         see = _angles if self._axes_are_angles else _positions
         return f"{self._names[at]} moved from {see(before)[at]:+z.1f} to {see(after)[at]:+z.1f} deg"
 
@@ -246,7 +246,7 @@ def _near(here: tuple[float, float], there: tuple[float, float], within: float) 
     return abs(here[0] - there[0]) <= within and abs(here[1] - there[1]) <= within
 
 
-def _leap(before: Telemetry, after: Telemetry, took_s: float, *, by_angles: bool) -> str | None:
+def _jump_text(before: Telemetry, after: Telemetry, took_s: float, *, by_angles: bool) -> str | None:
     most_deg = _JUMP_DEG_PER_S * max(took_s, _SHORTEST_LOOK_S)
     see = _angles if by_angles else _positions
     if _near(see(before), see(after), most_deg):

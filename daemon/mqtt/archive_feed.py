@@ -38,7 +38,7 @@ _TROUBLE_AFTER_S = 600.0
 _ALARM_AFTER_S = 3600.0
 _SAVE_EVERY_S = 60.0
 # Of all runs but the last eight, one that had nothing more to send is finished for good.
-_ALIVE = 8
+_RUNS_NEVER_FINISHED = 8
 
 
 class Archived(BaseModel):
@@ -104,19 +104,19 @@ class ArchiveFeed:
         name = CUBE_STATE_NAME if self._of_cube else STATE_NAME
         folder = StateFolder(directory, behind=True)
         self._file = StateFile(folder, name, Archived, log, "how far the archive has the records")
-        self._through: dict[str, int] = {}
+        self._confirmed_through: dict[str, int] = {}
         self._finished: set[str] = set()
-        self._asked: Batch | None = None
-        self._refused = ""
+        self._sent_batch: Batch | None = None
+        self._refusal_why = ""
         self._is_kept = False
         self._answered = asyncio.Event()
-        self._aside, self._aside_s = 0, math.inf
+        self._aside_count, self._last_aside_s = 0, math.inf
         self._damaged = 0
         self._unsound: list[int] = []
         self._saved_s = clock.monotonic()
         self._confirmed_s = clock.monotonic()
         self._alarm: Callable[[str, str | None], None] = lambda _name, _text: None
-        link.listen(topics.records_kept, self._take)
+        link.listen(topics.records_kept, self._take_answer)
 
     def alarm_by(self, alarm: Callable[[str, str | None], None]) -> None:
         """Call `alarm` from now on with the name of an alarm and its text, None at its end."""
@@ -125,19 +125,21 @@ class ArchiveFeed:
     async def run(self) -> None:
         """Send until cancelled."""
         try:
-            self._through = (self._file.load() or Archived()).through
+            self._confirmed_through = (self._file.load() or Archived()).through
         except UnreadableStateError as error:
             log.warning("%s: the archive gets all records of the store again, and keeps each once", error)
         try:
             while True:
                 try:
-                    page = await asyncio.to_thread(self._next)
+                    page = await asyncio.to_thread(self._next_page)
                 except Exception as error:  # noqa: BLE001 - nothing in a damaged store may end the service; it is shown
                     # A store that cannot be read for a moment needs no sentence here: the store itself reports it.
-                    self._complain(str(unreadable(self._path, error) if isinstance(error, sqlite3.Error) else error))
+                    self._report_unconfirmed(
+                        str(unreadable(self._path, error) if isinstance(error, sqlite3.Error) else error)
+                    )
                     await asyncio.sleep(self._every_s)
                     continue
-                self._tell_unsound()
+                self._report_unsound_runs()
                 if page is None:
                     self._confirmed_s = self._clock.monotonic()
                     await asyncio.sleep(self._every_s)
@@ -146,7 +148,7 @@ class ArchiveFeed:
         finally:
             self._save()
 
-    def _next(self) -> tuple[Batch, bytes] | None:
+    def _next_page(self) -> tuple[Batch, bytes] | None:
         """Return the next page and its message, of the oldest run first, None if all is confirmed.
 
         The message is no longer than the broker takes, except for a single record. Raises if the store cannot be read.
@@ -158,24 +160,24 @@ class ArchiveFeed:
             ordered, most = sorted(runs, key=lambda each: each.run), MOST_ROWS
             while batch := self._page_of(connection, ordered, most):
                 payload = encoded(batch)
-                if self._fits(batch, payload):
+                if self._is_short_enough(batch, payload):
                     return batch, payload
                 most = batch.count // 2
         return None
 
-    def _fits(self, batch: Batch, payload: bytes) -> bool:
+    def _is_short_enough(self, batch: Batch, payload: bytes) -> bool:
         return batch.count == 1 or len(payload) <= self._link.most_bytes
 
     def _page_of(self, connection: sqlite3.Connection, runs: list[StoredRun], most: int) -> Batch | None:
         origins = {run: identified(run, stored) for run, stored in runs}
-        self._through = {origin.id: self._through.get(origin.id, -1) for origin in origins.values()}
+        self._confirmed_through = {origin.id: self._confirmed_through.get(origin.id, -1) for origin in origins.values()}
         for place, (run, origin) in enumerate(origins.items()):
             if origin.id in self._finished:
                 continue
-            batch = next_batch(connection, run, origin, self._through[origin.id], most)
+            batch = next_batch(connection, run, origin, self._confirmed_through[origin.id], most)
             if batch is not None:
                 return batch
-            if place < len(runs) - _ALIVE:
+            if place < len(runs) - _RUNS_NEVER_FINISHED:
                 # By the identifier, not the number: a store that begins anew counts its runs from one again.
                 self._finished.add(origin.id)
         return None
@@ -183,19 +185,19 @@ class ArchiveFeed:
     async def _deliver(self, batch: Batch, payload: bytes) -> None:
         """Send one page until it is confirmed, or until it is too long for another broker that is connected by then."""
         message = Message(self._topic, payload, 1)
-        self._asked, self._is_kept, self._refused = batch, False, ""
+        self._sent_batch, self._is_kept, self._refusal_why = batch, False, ""
         self._answered.clear()
         self._backoff.reset()
-        while self._fits(batch, payload):
+        while self._is_short_enough(batch, payload):
             self._link.send_now(message)
             await wait_at_most(self._answered, self._backoff.next_s() * self._speed)
             if self._is_kept:
-                self._confirmed(batch)
+                self._note_confirmed(batch)
                 return
-            self._complain(self._refused)
+            self._report_unconfirmed(self._refusal_why)
 
-    def _confirmed(self, batch: Batch) -> None:
-        self._through[batch.origin.id] = batch.through
+    def _note_confirmed(self, batch: Batch) -> None:
+        self._confirmed_through[batch.origin.id] = batch.through
         self._confirmed_s = now_s = self._clock.monotonic()
         self._link.trouble("archive", None)
         self._alarm("archive-behind", None)
@@ -208,13 +210,13 @@ class ArchiveFeed:
         if now_s - self._saved_s >= _SAVE_EVERY_S:
             self._save()
 
-    def _tell_unsound(self) -> None:
+    def _report_unsound_runs(self) -> None:
         if self._unsound:
             runs = ", ".join(map(str, self._unsound))
             what = f"the entry of run {runs} in the store {self._path} is damaged"
             self._link.trouble("archive runs", f"{what}: the run's records stay there, and no archive gets them")
 
-    def _complain(self, why: str = "") -> None:
+    def _report_unconfirmed(self, why: str = "") -> None:
         """Report that nothing is confirmed, once that has lasted, with the reason unless no archive is there at all."""
         because = f" ({why})" if why else ""
         waited_s = (self._clock.monotonic() - self._confirmed_s) / self._speed
@@ -232,19 +234,19 @@ class ArchiveFeed:
         """Raise an alarm if the archive's database does not take records; end it once it has taken all for an hour."""
         now_s = self._clock.monotonic()
         if answer.aside > 0:
-            self._aside += answer.aside
-            self._aside_s = now_s
-            what = f"the archive's database does not take {counted(self._aside, 'record')} of {self._topic}"
+            self._aside_count += answer.aside
+            self._last_aside_s = now_s
+            what = f"the archive's database does not take {counted(self._aside_count, 'record')} of {self._topic}"
             self._alarm("archive-set-aside", f"{what}: {answer.why}")
-        elif now_s - self._aside_s >= _ALARM_AFTER_S * self._speed:
-            self._aside, self._aside_s = 0, math.inf
+        elif now_s - self._last_aside_s >= _ALARM_AFTER_S * self._speed:
+            self._aside_count, self._last_aside_s = 0, math.inf
             self._alarm("archive-set-aside", None)
 
     def _save(self) -> None:
         self._saved_s = self._clock.monotonic()
-        self._file.save(Archived(through=self._through))
+        self._file.save(Archived(through=self._confirmed_through))
 
-    def _take(self, message: Incoming) -> None:
+    def _take_answer(self, message: Incoming) -> None:
         if message.retained:
             return
         try:
@@ -253,12 +255,12 @@ class ArchiveFeed:
             self._link.trouble("archive answer", f"the message on {message.topic} is not an answer of an archive")
             return
         self._link.trouble("archive answer", None)
-        if self._asked is None or answer.run != self._asked.origin.id:
+        if self._sent_batch is None or answer.run != self._sent_batch.origin.id:
             return
         if answer.refused:
-            self._refused = answer.refused
+            self._refusal_why = answer.refused
             self._link.trouble("archive", f"the archive refuses records of {self._topic}: {answer.refused}")
-        elif answer.through == self._asked.through:
+        elif answer.through == self._sent_batch.through:
             # An answer with another last number is for a page that was confirmed before, or never sent.
             self._note_aside(answer)
             self._is_kept = True

@@ -56,7 +56,7 @@ class Commands:
         self._dates = Dates(settings, clock)
         self._budget = LogBudget("commands over MQTT are refused")
         # A limit for each kind, so that a person who stops the tracker in a flood of wishes reads that it stands.
-        self._replies = {kind: RateLimit(_REPLIES_PER_S / speed, _REPLIES_AT_ONCE) for kind in _AT_ONCE}
+        self._reply_limits = {kind: RateLimit(_REPLIES_PER_S / speed, _REPLIES_AT_ONCE) for kind in _AT_ONCE}
         self._running: set[asyncio.Task[None]] = set()
         # How many of each kind wait for their effect. Counted here, as a count of all tasks at each command of a flood
         # would take too long.
@@ -77,7 +77,7 @@ class Commands:
         except CommandError as error:
             self._refuse(name, None if command is None else command.identifier, error)
             return
-        work = self._carry_out(command) if room else self._stop_in_a_crowd(command)
+        work = self._carry_out(command) if room else self._stop_unless_stopped(command)
         task = asyncio.create_task(work, name=f"mqtt command {command.wanted}")
         self._running.add(task)
         task.add_done_callback(self._running.discard)
@@ -106,7 +106,7 @@ class Commands:
             raise CommandError(f"{len(self._running)} commands are being carried out already; ask again")
         return room
 
-    async def _stop_in_a_crowd(self, command: Command) -> None:
+    async def _stop_unless_stopped(self, command: Command) -> None:
         """Carry out a stop if a tracker is not stopped yet; otherwise other commands wait for the same effect already.
 
         This is looked at when its turn comes, so that an `auto` before it has ended the stop that was in force.
@@ -136,7 +136,7 @@ class Commands:
         self._answer(refusal_json(name, identifier, str(error)), _kind(name))
 
     def _answer(self, found: dict[str, Any], kind: str) -> None:
-        if self._replies[kind].admit(self._clock.monotonic()):
+        if self._reply_limits[kind].admit(self._clock.monotonic()):
             self._reply(found)
 
     def _log(self, line: str) -> None:

@@ -62,9 +62,9 @@ class Mqtt:
         self._speed = speed
         mqtt = settings.mqtt
         name = role.known_as(mqtt.name)
-        self._tracker = "" if role is Role.CUBE else name
+        self._tracker_name = "" if role is Role.CUBE else name
         self._topics = Topics(mqtt.prefix, name)
-        publish = stamped(publish, self._tracker)
+        publish = stamped(publish, self._tracker_name)
         self._log_name = ""
         self._unusable = unusable(settings)
         self._inputs: list[Callable[[float], InputStatus]] = []
@@ -122,13 +122,13 @@ class Mqtt:
     def attach(self, service: Service, see: Callable[[], Snapshot]) -> None:
         """Connect with a service, of which `see` takes snapshots; call it once, before `run`."""
         mqtt, simulated = self._settings.mqtt, service.rig.simulated
-        own = [tracker for tracker in service.trackers if tracker.name == self._tracker]
+        own = [tracker for tracker in service.trackers if tracker.name == self._tracker_name]
         for tracker in own:
             self._decide_again, self._log_name = tracker.control.decide_again, tracker.log_name
         self._telemetry = TelemetryPublisher(
-            self.link, self._topics, see, mqtt.state_every_s * self._speed, self._tracker, simulated=simulated
+            self.link, self._topics, see, mqtt.state_every_s * self._speed, self._tracker_name, simulated=simulated
         )
-        service.bus.subscribe(self._telemetry.note, self._tracker)
+        service.bus.subscribe(self._telemetry.note, self._tracker_name)
         if self._feed is not None:
             self._feed.alarm_by(service.cube_alarms.set)
         if own and own[0] is service.trackers[0]:
@@ -137,7 +137,7 @@ class Mqtt:
         # A cube alone moves nothing, but its alarms can be acknowledged.
         names = NAMES if own else ("acknowledge",) if self._role is Role.CUBE else ()
         if mqtt.commands and names:
-            beside = [tracker for tracker in service.trackers if tracker.name != self._tracker]
+            beside = [tracker for tracker in service.trackers if tracker.name != self._tracker_name]
             operators = Operators(own, self._speed, service.cube_alarms, beside)
             self._commands = Commands(
                 operators, partial(self._reply, simulated=simulated), mqtt, self._clock, self._speed

@@ -29,7 +29,7 @@ _CONFIRM_S = 5.0
 _LEAVE_S = 1.0
 # A name server that does not answer holds up a look-up for longer than a service may take to end.
 _DIAL_ENDS_WITHIN_S = 5.0
-_FAILURES = 128
+_FIRST_FAILURE_CODE = 128
 _OTHER_VERSION = 132
 # The library drops messages above this number. A TLS record, which is read at one go, holds some hundreds of the
 # shortest ones.
@@ -38,7 +38,7 @@ _MOST_INCOMING = 4096
 # packet of 256 MiB would hold everything up for seconds.
 _LONGEST_INCOMING_BYTES = 1 << 20
 # Room for the topic, and for what else a packet has besides the payload.
-_AROUND_BYTES = 512
+_OVERHEAD_BYTES = 512
 
 # Our own sentences report what the library would log.
 _library_log = logging.getLogger("heliocube.mqtt.library")
@@ -96,7 +96,7 @@ class Connection:
     def __init__(
         self, settings: MqttSettings, client_id: str, will: Message | None, speed: float, *, modern: bool = True
     ) -> None:
-        self._modern = modern
+        self._is_mqtt5 = modern
         self._client = _Client(
             settings.host,
             settings.port,
@@ -107,7 +107,7 @@ class Connection:
             protocol=aiomqtt.ProtocolVersion.V5 if modern else aiomqtt.ProtocolVersion.V311,
             # With MQTT 5 the library begins a new session at a client's first connection, and this client has no other.
             clean_session=None if modern else True,
-            properties=_announced() if modern else None,
+            properties=_connect_properties() if modern else None,
             max_queued_incoming_messages=_MOST_INCOMING,
             logger=_library_log,
         )
@@ -130,7 +130,7 @@ class Connection:
             await asyncio.shield(opening)
         except BaseException as error:
             await self._client.abandon(opening)
-            if isinstance(error, aiomqtt.MqttCodeError) and _code(error.rc) == _OTHER_VERSION and self._modern:
+            if isinstance(error, aiomqtt.MqttCodeError) and _code(error.rc) == _OTHER_VERSION and self._is_mqtt5:
                 raise VersionRefusedError(f"{self._place} does not speak MQTT 5") from None
             if isinstance(error, aiomqtt.MqttError):
                 raise ConnectionLostError(self._reason(error)) from None
@@ -139,7 +139,7 @@ class Connection:
     @property
     def most_bytes(self) -> float:
         """How long a payload may be, as far as the broker says."""
-        return self._client.most_bytes - _AROUND_BYTES
+        return self._client.most_bytes - _OVERHEAD_BYTES
 
     async def publish(self, message: Message) -> None:
         """Send a message and wait until it is on its way (QoS 0) or confirmed (QoS 1)."""
@@ -154,14 +154,14 @@ class Connection:
         With `as_published` a message that is published as retained from now on comes marked so, if this is MQTT 5.
         """
         try:
-            if self._modern:
+            if self._is_mqtt5:
                 options = SubscribeOptions(qos=1, retainAsPublished=as_published)
                 granted = await self._client.subscribe(topic, options=options)
             else:
                 granted = await self._client.subscribe(topic, qos=1)
         except aiomqtt.MqttError as error:
             raise ConnectionLostError(self._reason(error)) from None
-        return all(_code(code) < _FAILURES for code in granted)
+        return all(_code(code) < _FIRST_FAILURE_CODE for code in granted)
 
     async def incoming(self) -> AsyncIterator[Incoming]:
         """Yield what comes in, until the connection is lost."""
@@ -196,7 +196,7 @@ class Connection:
         return f"{self._place} {_REFUSALS.get(_code(getattr(cause, 'rc', None)), ended)}"
 
 
-def _announced() -> Properties:
+def _connect_properties() -> Properties:
     """Return what a broker of MQTT 5 is told about the longest packet: it leaves out longer ones by itself."""
     told = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
     told.MaximumPacketSize = _LONGEST_INCOMING_BYTES
@@ -254,7 +254,7 @@ class _Client(aiomqtt.Client):
 
     def __init__(self, *args: Any, **keys: Any) -> None:
         super().__init__(*args, **keys)
-        self._receive = self._client._sock_recv  # noqa: SLF001 - the library asks here for what is left of a packet
+        self._library_recv = self._client._sock_recv  # noqa: SLF001 - the library asks here for what is left of a packet
         self._client._sock_recv = self._receive_short  # type: ignore[assignment,method-assign]  # noqa: SLF001
 
     def _receive_short(self, left_bytes: int) -> bytes:
@@ -264,7 +264,7 @@ class _Client(aiomqtt.Client):
             longer = f"none of more than {_LONGEST_INCOMING_BYTES} is read: who publishes it?"
             self.refusal = f"{place} sends a message of {left_bytes} bytes, and {longer}"
             raise OSError(self.refusal)
-        return self._receive(left_bytes)
+        return self._library_recv(left_bytes)
 
     def _on_connect(self, client: Any, userdata: Any, flags: Any, reason_code: Any, properties: Any = None) -> None:
         # A broker of MQTT 3.1.1 sends no properties, and most others do not send this one.

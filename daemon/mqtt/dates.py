@@ -30,7 +30,7 @@ class Dates:
         self._clock = clock
         self._began_s = clock.monotonic()
         # By whether it is urgent: a flood of wishes must not fill the memory for commands that make things safe.
-        self._given: dict[bool, _Given] = {False: {}, True: {}}
+        self._given_by_urgency: dict[bool, _Given] = {False: {}, True: {}}
 
     def check(self, command: Command) -> None:
         """Refuse a command that is old, has been given before, or lacks a required date; never refuse a stop.
@@ -61,13 +61,13 @@ class Dates:
             raise CommandError("it was given before this service began to listen: give it again")
         # The time alone is not enough: two programs, or one, may give two commands in one second.
         date = repr(command) if command.identifier is None else (command.identifier, command.time_utc_s)
-        self._refuse_again(date, now_s, urgent=command.wanted in URGENT)
+        self._refuse_repeated(date, now_s, urgent=command.wanted in URGENT)
 
-    def _refuse_again(self, date: _Date, now_s: float, *, urgent: bool) -> None:
-        if any(date in given for given in self._given.values()):
+    def _refuse_repeated(self, date: _Date, now_s: float, *, urgent: bool) -> None:
+        if any(date in given for given in self._given_by_urgency.values()):
             what = "of this time" if isinstance(date, str) else "with this id and time"
             raise CommandError(f"the same command, {what}, has been given before")
-        given = self._given[urgent]
+        given = self._given_by_urgency[urgent]
         if len(given) >= _MOST_REMEMBERED:
             self._forget_oldest(given, now_s)
         given[date] = now_s

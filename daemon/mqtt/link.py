@@ -74,7 +74,7 @@ class Link:
         self._outage = Outage(log, "the MQTT broker")
         self._handlers: dict[str, list[Handler]] = {topics.status: [self._receive_status]}
         self._as_published: set[str] = set()
-        self._modern = True
+        self._is_mqtt5 = True
         self._births: list[Callable[[], list[Message]]] = []
         self._troubles: dict[str, str] = {}
         self._reported_s: dict[str, float] = {}
@@ -83,8 +83,8 @@ class Link:
         self._reported_back_s = -math.inf
         self._unsteady = False
         self._renounced = False
-        self._most_bytes = self._unsaid_most_bytes = math.inf
-        self._ended_at = b""
+        self._most_bytes = self._observed_most_bytes = math.inf
+        self._last_failed_payload = b""
         self._reported_dropped = 0
         self._since_utc_s = clock.utc()
         self._dropped_since_utc_s: float | None = None
@@ -98,7 +98,7 @@ class Link:
     @property
     def most_bytes(self) -> float:
         """How long a payload may be, as far as the broker of the last connection has said, or shown."""
-        return min(self._most_bytes, self._unsaid_most_bytes)
+        return min(self._most_bytes, self._observed_most_bytes)
 
     @property
     def status(self) -> LinkStatus:
@@ -173,30 +173,30 @@ class Link:
             try:
                 await self._connect_and_serve()
             except VersionRefusedError:
-                self._modern = False
+                self._is_mqtt5 = False
                 log.info(
                     "the MQTT broker speaks 3.1.1 and not 5, so it does not show which messages were published retained"
                 )
                 continue
             except (ConnectionLostError, UserError) as error:
-                self._lost(str(error))
+                self._note_loss(str(error))
             except Exception as error:  # noqa: BLE001 - nothing about a broker may end the service; it is logged
-                self._lost(f"{self.status.broker} cannot be used: {ascii(error)[:200]}")
+                self._note_loss(f"{self.status.broker} cannot be used: {ascii(error)[:200]}")
             await asyncio.sleep(self._backoff.next_s() * self._speed)
 
     async def _connect_and_serve(self) -> None:
         will = Message(self._topics.status, OFFLINE, 1, retain=True)
-        connection = Connection(self._settings, self._client_id, will, self._speed, modern=self._modern)
+        connection = Connection(self._settings, self._client_id, will, self._speed, modern=self._is_mqtt5)
         await connection.open()
         self._most_bytes = connection.most_bytes
         timers: list[asyncio.TimerHandle] = []
         try:
             try:
-                await self._be_born(connection)
+                await self._subscribe_and_announce(connection)
             except ConnectionLostError as error:
                 rights = f"does it let this user read and write {self._topics.base}/#?"
                 raise ConnectionLostError(f"{error} as soon as it was used: {rights}") from None
-            timers = self._watch()
+            timers = self._start_timers()
             await at_once(self._send_all(connection), self._receive_all(connection))
         except asyncio.CancelledError:
             with contextlib.suppress(ConnectionLostError, TimeoutError):
@@ -215,7 +215,7 @@ class Link:
             self._outbox.forget_urgent()
             await connection.close()
 
-    async def _be_born(self, connection: Connection) -> None:
+    async def _subscribe_and_announce(self, connection: Connection) -> None:
         for topic in self._handlers:
             granted = await connection.subscribe(topic, as_published=topic in self._as_published)
             self.trouble(topic, None if granted else f"the broker does not let {self._client_id} listen to {topic}")
@@ -227,14 +227,14 @@ class Link:
         self._connections += 1
         self._down_why = None
 
-    def _watch(self) -> list[asyncio.TimerHandle]:
+    def _start_timers(self) -> list[asyncio.TimerHandle]:
         loop = asyncio.get_running_loop()
-        self._echo_missing = loop.call_later(_ECHO_WITHIN_S * self._speed, self._no_echo)
+        self._echo_timer = loop.call_later(_ECHO_WITHIN_S * self._speed, self._report_missing_echo)
         back_after_s = _STEADY_S if self._unsteady else 0.0
         return [
-            self._echo_missing,
+            self._echo_timer,
             loop.call_later(_PROVEN_S * self._speed, self._backoff.reset),
-            loop.call_later(back_after_s * self._speed, self._back),
+            loop.call_later(back_after_s * self._speed, self._count_as_back),
         ]
 
     async def _send_all(self, connection: Connection) -> None:
@@ -246,16 +246,16 @@ class Link:
                 if message.qos:
                     self._outbox.put_back(message)
                     self._date_the_first_loss()
-                    self._note_end_at(message)
+                    self._suspect_message_length(message)
                 raise
             if not self._outage.is_down:
-                self._works()
+                self._note_working()
 
-    def _note_end_at(self, message: Message) -> None:
+    def _suspect_message_length(self, message: Message) -> None:
         """If the connection ends twice at the same message, take its length to be above a limit that was not told."""
-        if message.payload == self._ended_at and len(message.payload) > _NEVER_TOO_LONG_BYTES:
-            self._unsaid_most_bytes = min(self._unsaid_most_bytes, len(message.payload) - 1)
-        self._ended_at = message.payload
+        if message.payload == self._last_failed_payload and len(message.payload) > _NEVER_TOO_LONG_BYTES:
+            self._observed_most_bytes = min(self._observed_most_bytes, len(message.payload) - 1)
+        self._last_failed_payload = message.payload
 
     async def _publish_on(self, connection: Connection, message: Message) -> bool:
         """Publish a message unless the broker would end the connection at its length; return whether it is sent."""
@@ -271,9 +271,9 @@ class Link:
     async def _receive_all(self, connection: Connection) -> None:
         async for message in connection.incoming():
             self._received += 1
-            self._hand_over(message)
+            self._call_handlers(message)
 
-    def _hand_over(self, message: Incoming) -> None:
+    def _call_handlers(self, message: Incoming) -> None:
         subject, wrong = f"a message on {message.topic}", None
         for handler in self._handlers.get(message.topic, ()):
             try:
@@ -286,29 +286,29 @@ class Link:
         if message.retained:
             return
         if message.payload == ONLINE:
-            self._echo_missing.cancel()
+            self._echo_timer.cancel()
             self.trouble(self._topics.status, None)
         else:
             # The will of an earlier connection, or somebody else's message: it is not true.
             self._outbox.put(Message(self._topics.status, ONLINE, 1, retain=True), Lane.URGENT)
 
-    def _no_echo(self) -> None:
+    def _report_missing_echo(self) -> None:
         self.trouble(
             self._topics.status,
             f"what is published on {self._topics.status} does not come back: the broker must let this user read and"
             f" write {self._topics.base}/#",
         )
 
-    def _back(self) -> None:
+    def _count_as_back(self) -> None:
         now_s = self._clock.monotonic()
         self._unsteady = False
         if self._reported_back_s == -math.inf and not self._outage.is_down:
             log.info("connected to the MQTT broker at %s:%d", self._settings.host, self._settings.port)
         if self._outage.is_down:
             self._reported_back_s = now_s
-        self._works()
+        self._note_working()
 
-    def _works(self) -> None:
+    def _note_working(self) -> None:
         text = self._outage.up(self._clock.monotonic())
         if text:
             lost = self._outbox.dropped - self._reported_dropped
@@ -316,7 +316,7 @@ class Link:
             dropped = f"; {counted(lost, 'message was', 'messages were')} dropped during the outage, the oldest first"
             self._report(f"{text}{dropped if lost else ''}")
 
-    def _lost(self, why: str) -> None:
+    def _note_loss(self, why: str) -> None:
         self._down_why = why
         now_s = self._clock.monotonic()
         self._unsteady = self._unsteady or now_s - self._reported_back_s < _STEADY_S * self._speed

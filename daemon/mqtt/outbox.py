@@ -31,7 +31,7 @@ class Lane(Enum):
     ANSWERS = auto()
 
 
-_MOST = {Lane.URGENT: 64, Lane.ANSWERS: 256}
+_DEFAULT_MOST = {Lane.URGENT: 64, Lane.ANSWERS: 256}
 
 
 class Outbox:
@@ -44,10 +44,10 @@ class Outbox:
     """
 
     def __init__(self, most: int) -> None:
-        self._most = {**_MOST, Lane.TELEMETRY: most}
+        self._most_by_lane = {**_DEFAULT_MOST, Lane.TELEMETRY: most}
         self._lanes: dict[Lane, deque[tuple[int, Message]]] = {lane: deque() for lane in Lane}
         self._numbers = count()
-        self._taken = Lane.TELEMETRY, 0
+        self._last_taken = Lane.TELEMETRY, 0
         self._filled = asyncio.Event()
         self.dropped = 0
 
@@ -63,15 +63,15 @@ class Outbox:
         """Append a message; never waits."""
         queue = self._lanes[lane]
         queue.append((next(self._numbers), message))
-        if len(queue) > self._most[lane]:
+        if len(queue) > self._most_by_lane[lane]:
             queue.popleft()
             self.dropped += 1
         self._filled.set()
 
     def put_back(self, message: Message) -> None:
         """Return the message that was taken last to its place; it is dropped if there is no room any more."""
-        lane, number = self._taken
-        if len(self._lanes[lane]) < self._most[lane]:
+        lane, number = self._last_taken
+        if len(self._lanes[lane]) < self._most_by_lane[lane]:
             self._lanes[lane].appendleft((number, message))
             self._filled.set()
         else:
@@ -90,5 +90,5 @@ class Outbox:
         if not self._lanes[lane]:
             lane = min((one for one in Lane if self._lanes[one]), key=lambda one: self._lanes[one][0][0])
         number, message = self._lanes[lane].popleft()
-        self._taken = lane, number
+        self._last_taken = lane, number
         return message

@@ -12,7 +12,7 @@ from daemon.tracker.stow import StowStatus, release_in_s
 from drivers.numbers import read_number
 
 _LONGEST = 65536
-_M_S = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600, "kt": 1852 / 3600}
+_M_S_PER_UNIT = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600, "kt": 1852 / 3600}
 _STRONGEST_M_S = 150.0
 
 # Called with what the sentence is about, and the sentence, or None when it is no longer true.
@@ -48,7 +48,7 @@ class WindReadings:
         self._settings = settings
         self._clock_s = clock_s
         self._threshold_m_s = threshold_m_s
-        self._strong = strong
+        self._on_strong_wind = strong
         self._trouble = trouble
         self._strongest_m_s: float | None = None
 
@@ -67,7 +67,7 @@ class WindReadings:
             return
         self._strongest_m_s = max(speed_m_s, self._strongest_m_s or 0.0)
         if speed_m_s >= self._threshold_m_s:
-            self._strong()
+            self._on_strong_wind()
 
     def strongest_since_last_read(self) -> float | None:
         """Return the strongest wind [m/s] since the last call, or None if there was no reading."""
@@ -83,7 +83,7 @@ class WindReadings:
                 speed = math.nan if isinstance(value, bool) else float(value)
         except (TypeError, ValueError, OverflowError):
             speed = math.nan
-        speed_m_s = speed * _M_S[self._settings.unit]
+        speed_m_s = speed * _M_S_PER_UNIT[self._settings.unit]
         if not 0.0 <= speed_m_s <= _STRONGEST_M_S:
             raise ValueError(f"{ascii(value)[:40]} is not a wind speed in {self._settings.unit}")
         return speed_m_s
@@ -111,13 +111,13 @@ class SafeStow:
         self.heard_s: float | None = None
         self._settings = settings
         self._clock_s = clock_s
-        self._unsafe = unsafe
+        self._on_unsafe = unsafe
         self._trouble = trouble
         self._heard_safe = False
-        self._last_unsafe = False
-        self._safe_s: float | None = None
+        self._unsafe_in_force = False
+        self._last_safe_s: float | None = None
         self._begun_s: float | None = None
-        self._unsafe_s = -math.inf
+        self._last_unsafe_s = -math.inf
         self._why: str | None = None
 
     @property
@@ -138,31 +138,31 @@ class SafeStow:
         if not message.of_unknown_age:
             self.heard_s = self._clock_s()
         if word == settings.unsafe:
-            self._last_unsafe = True
+            self._unsafe_in_force = True
             self._heard_safe = False
-            self._unsafe()
+            self._on_unsafe()
         elif not message.of_unknown_age:
             self._heard_safe = True
 
     def reason(self, now_s: float) -> str | None:
         """Return why the tracker must be stowed at this monotonic time, or None."""
         settings = self._settings
-        if self._safe_s is None:
-            self._safe_s = self._begun_s = now_s
+        if self._last_safe_s is None:
+            self._last_safe_s = self._begun_s = now_s
         if self._heard_safe:
-            self._safe_s = now_s
+            self._last_safe_s = now_s
         elif self.heard_s is None:
             # The time of safety counts from the first safe message, and not from a restart.
-            self._unsafe_s = now_s
-        silent_s = now_s - self._safe_s
-        if self._last_unsafe:
+            self._last_unsafe_s = now_s
+        silent_s = now_s - self._last_safe_s
+        if self._unsafe_in_force:
             self._stow(now_s, f"{settings.topic} says {settings.unsafe}")
         elif silent_s > settings.stale_s:
             self._stow(now_s, f"{settings.topic} has not said {settings.safe} for {silent_s:.0f} s")
-        elif self._heard_safe and now_s - self._unsafe_s >= settings.stow_at_least_s:
+        elif self._heard_safe and now_s - self._last_unsafe_s >= settings.stow_at_least_s:
             self._why = None
         if self._heard_safe:
-            self._last_unsafe = self._heard_safe = False
+            self._unsafe_in_force = self._heard_safe = False
         return self._why
 
     def status(self, now_s: float) -> StowStatus:
@@ -173,7 +173,7 @@ class SafeStow:
             self._why,
             math.inf if self.heard_s is None else now_s - self.heard_s,
             silent=last_s is not None and now_s - last_s > self._settings.stale_s,
-            release_in_s=release_in_s(self._why, now_s - self._unsafe_s, self._settings.stow_at_least_s),
+            release_in_s=release_in_s(self._why, now_s - self._last_unsafe_s, self._settings.stow_at_least_s),
         )
 
     def resume(self, why: str, now_s: float) -> None:
@@ -190,7 +190,7 @@ class SafeStow:
         return word
 
     def _stow(self, now_s: float, why: str) -> None:
-        self._unsafe_s = now_s
+        self._last_unsafe_s = now_s
         self._why = why
 
 

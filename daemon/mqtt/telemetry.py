@@ -54,12 +54,12 @@ class TelemetryPublisher:
     ) -> None:
         self._link = link
         self._topics = topics
-        self._see = see
+        self._take_snapshot = see
         self._tracker = tracker
         self._every_s = every_s
         self._simulated = simulated
         self._wake = asyncio.Event()
-        self._lasting: dict[str, Message] = {}
+        self._retained_messages: dict[str, Message] = {}
         link.at_birth(self._birth_messages)
 
     def note(self, record: Record) -> None:
@@ -73,7 +73,7 @@ class TelemetryPublisher:
         asked = isinstance(record, Event) and record.subject == "operator"
         message = Message(self._topics.of(kind), payload, qos, retain)
         if retain:
-            self._lasting[kind] = message
+            self._retained_messages[kind] = message
         self._link.send(message, answer=asked)
         if isinstance(record, ModeChange) or (isinstance(record, Event) and record.subject == "alarm"):
             self._wake.set()
@@ -89,10 +89,13 @@ class TelemetryPublisher:
 
         A message that still waits is left out: it comes in its turn, behind older ones.
         """
-        return [self._state_message(), *(each for each in self._lasting.values() if not self._link.waits(each))]
+        return [
+            self._state_message(),
+            *(each for each in self._retained_messages.values() if not self._link.waits(each)),
+        ]
 
     def _state_message(self) -> Message:
-        seen = self._see()
+        seen = self._take_snapshot()
         state = tracker_state_json(seen, self._tracker) if self._tracker else state_json(seen)
         return Message(self._topics.state, encoded(state), 0, retain=True)
 

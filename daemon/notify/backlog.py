@@ -6,7 +6,7 @@ from datetime import time
 from daemon.base.recurrence import RateLimit
 from daemon.notify.notices import Notice, gathered
 
-_AGAIN_S = (30.0, 60.0, 300.0, 900.0)
+_RETRY_PAUSES_S = (30.0, 60.0, 300.0, 900.0)
 _MOST_WAITING = 200
 
 
@@ -46,9 +46,9 @@ class Backlog:
         self._quiet = quiet
         self._limit, self._limit_of_urgent = (RateLimit(most_per_hour / 3600.0, most_per_hour) for _ in range(2))
         self._waiting: list[Notice] = []
-        self._lost = self._lost_told = 0
+        self._lost = self._lost_in_message = 0
         self._failures = 0
-        self._short = False
+        self._send_short = False
         self._not_before_s = 0.0
 
     @property
@@ -73,22 +73,24 @@ class Backlog:
         """
         if now_s < self._not_before_s:
             return None
-        chosen = self._admitted([each for each in self._waiting if each.urgent or not self._quiet.holds(local)], now_s)
+        chosen = self._admit_by_rate(
+            [each for each in self._waiting if each.urgent or not self._quiet.holds(local)], now_s
+        )
         if not chosen:
             return None
         # A message that was not taken may have been too long for its way. Urgent notices must not wait with the rest.
         chosen = sorted(chosen, key=lambda notice: not notice.urgent)[: max(len(chosen) >> self._failures, 1)]
-        self._lost_told = self._lost
-        return self._with_lost(gathered(chosen, short=self._short)), chosen
+        self._lost_in_message = self._lost
+        return self._with_loss_note(gathered(chosen, short=self._send_short)), chosen
 
-    def _admitted(self, chosen: list[Notice], now_s: float) -> list[Notice]:
+    def _admit_by_rate(self, chosen: list[Notice], now_s: float) -> list[Notice]:
         """Return the notices for which the rate allows a message: all, the urgent ones or none."""
         if not chosen or self._limit.admit(now_s):
             return chosen
         urgent = [notice for notice in chosen if notice.urgent]
         return urgent if urgent and self._limit_of_urgent.admit(now_s) else []
 
-    def _with_lost(self, notice: Notice) -> Notice:
+    def _with_loss_note(self, notice: Notice) -> Notice:
         if not self._lost:
             return notice
         lost = f"Older changes were lost because more than {_MOST_WAITING} waited: {self._lost}."
@@ -99,16 +101,16 @@ class Backlog:
         self._failures = 0
         # Some of them may have been counted as lost while they were on their way.
         on_the_way = sum(all(notice is not each for each in self._waiting) for notice in notices)
-        self._lost -= self._lost_told + on_the_way
-        self._lost_told = 0
+        self._lost -= self._lost_in_message + on_the_way
+        self._lost_in_message = 0
         self._waiting = [notice for notice in self._waiting if all(notice is not each for each in notices)]
         # The rest of a message that was too long would be too long again.
-        self._short = self._short and bool(self._waiting)
+        self._send_short = self._send_short and bool(self._waiting)
 
     def failed(self, now_s: float) -> float:
         """Note that the message could not be sent, and return the pause [s] until the next try."""
-        pause_s = _AGAIN_S[min(self._failures, len(_AGAIN_S) - 1)]
+        pause_s = _RETRY_PAUSES_S[min(self._failures, len(_RETRY_PAUSES_S) - 1)]
         self._failures += 1
-        self._short = True
+        self._send_short = True
         self._not_before_s = now_s + pause_s
         return pause_s

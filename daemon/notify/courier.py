@@ -115,7 +115,7 @@ class Courier:
         self._settings = settings
         self._clock = clock
         self._client = client
-        self._alive = alive
+        self._on_round = alive
         self._file = file or ToldFile(StateFolder(None))
         now_s, before = clock.monotonic(), self._file.load()
         self._told = before
@@ -126,24 +126,24 @@ class Courier:
         quiet = QuietHours(settings.quiet_from, settings.quiet_until)
         self._backlogs = [(recipient, Backlog(quiet, settings.most_per_hour)) for recipient in people]
         self._outages = {recipient.name: Outage(log, f"the way to {recipient.name}") for recipient in people}
-        self._heart = Outage(log, "the heartbeat")
-        self._beat_s = -settings.heartbeat_every_s
-        self._ways: dict[_Way, Outage] = {self._beat: self._heart} | {
+        self._heartbeat_outage = Outage(log, "the heartbeat")
+        self._last_heartbeat_s = -settings.heartbeat_every_s
+        self._ways: dict[_Way, Outage] = {self._send_heartbeat: self._heartbeat_outage} | {
             partial(self._tell, *one): self._outages[one[0].name] for one in self._backlogs
         }
-        self._under_way: dict[_Way, asyncio.Task[None]] = {}
+        self._running_tasks: dict[_Way, asyncio.Task[None]] = {}
 
     async def run(self) -> None:
         """Ask and tell until cancelled."""
         try:
             while True:
                 await self.step()
-                self._alive()
+                self._on_round()
                 await asyncio.sleep(self._settings.poll_every_s)
         finally:
-            for telling in self._under_way.values():
+            for telling in self._running_tasks.values():
                 telling.cancel()
-            self._keep()
+            self._save_told()
             self._file.close()
 
     async def step(self) -> Collection[asyncio.Task[None]]:
@@ -152,7 +152,7 @@ class Courier:
         A way that is still busy with an earlier notice gets no other, and delays neither the other ways nor the next
         round.
         """
-        self._keep()
+        self._save_told()
         found = await asyncio.gather(*(self._ask(service, watch) for service, watch in self._watches.items()))
         for notice in (notice for notices in found for notice in notices):
             log.info("%s", notice.title)
@@ -160,15 +160,15 @@ class Courier:
                 backlog.put(notice)
         self._told = {str(service): watch.told for service, watch in self._watches.items()}
         for way, outage in self._ways.items():
-            before = self._under_way.get(way)
+            before = self._running_tasks.get(way)
             if before is not None and not before.done():
                 continue
             if before is not None and (error := before.exception()) is not None:
                 outage.down(self._clock.monotonic(), f"it cannot be used: {ascii(error)[:200]}")
-            self._under_way[way] = asyncio.create_task(way())
-        return self._under_way.values()
+            self._running_tasks[way] = asyncio.create_task(way())
+        return self._running_tasks.values()
 
-    def _keep(self) -> None:
+    def _save_told(self) -> None:
         """Save which alarms were told, once everybody has been told: otherwise they are told again after a restart."""
         if all(backlog.is_empty for _, backlog in self._backlogs):
             self._file.save(self._told)
@@ -177,14 +177,14 @@ class Courier:
         try:
             # The client's own limit holds for each piece of an answer, and an answer may have pieces without end.
             async with asyncio.timeout(_ANSWER_WITHIN_S):
-                state = await self._state(service)
+                state = await self._fetch_state(service)
             return watch.answered(state, self._clock.monotonic())
         except (httpx.HTTPError, TimeoutError) as error:
             return watch.failed(_reason(error), self._clock.monotonic())
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return watch.failed("the program that answers there is not heliocube", self._clock.monotonic())
 
-    async def _state(self, service: Address) -> Any:
+    async def _fetch_state(self, service: Address) -> Any:
         # Not compressed: a few compressed bytes may become gigabytes.
         plain, content = {"Accept-Encoding": "identity"}, bytearray()
         url = f"http://{service.reachable}/api/state"
@@ -209,16 +209,16 @@ class Courier:
             pause_s = backlog.failed(self._clock.monotonic())
             outage.down(self._clock.monotonic(), f"a message was not accepted; next try in {pause_s:g} s")
 
-    async def _beat(self) -> None:
+    async def _send_heartbeat(self) -> None:
         settings, now_s = self._settings, self._clock.monotonic()
-        if settings.heartbeat is None or now_s - self._beat_s < settings.heartbeat_every_s:
+        if settings.heartbeat is None or now_s - self._last_heartbeat_s < settings.heartbeat_every_s:
             return
-        self._beat_s = now_s
+        self._last_heartbeat_s = now_s
         trouble = await beat(settings.heartbeat)
         if trouble is None:
-            self._heart.up(now_s)
+            self._heartbeat_outage.up(now_s)
         else:
-            self._heart.down(now_s, trouble)
+            self._heartbeat_outage.down(now_s, trouble)
 
     def _local(self) -> time:
         return local_time(self._clock.utc()).time()

@@ -86,12 +86,12 @@ class ServiceWatch:
     ) -> None:
         self._address = address
         self._silent_after_s = silent_after_s
-        self._at_least = SEVERITIES.index(at_least)
+        self._least_severity_index = SEVERITIES.index(at_least)
         self._link = link
         self._heard_s = now_s
         self._name = address
         self._unit = "heliocube-tracker heliocube-cube"
-        self._heard = self._silent = self._several = False
+        self._has_answered = self._silent = self._has_several_trackers = False
         self._was_silent = before.silent
         self._known: _Shown = {(alarm.tracker or "", alarm.name): alarm.as_shown() for alarm in before.alarms}
         self._told = before
@@ -105,18 +105,18 @@ class ServiceWatch:
         """Take in the JSON of /api/state; anything else raises an error such as `KeyError`, and counts as silence."""
         before, self._name = self._name, f"{state['site']['name']}{' SIMULATED' if state['simulated'] else ''}"
         try:
-            self._several = len(state["trackers"]) > 1
+            self._has_several_trackers = len(state["trackers"]) > 1
             shown = {(alarm["tracker"] or "", alarm["name"]): alarm for alarm in state["alarms"]}
-            shown |= self._hidden(_muted(state), shown)
+            shown |= self._hidden(_muted_trackers(state), shown)
             changes = list(self._changes(shown))
-            on = [alarm for alarm in shown.values() if self._matters(alarm) and alarm["state"] != "cleared"]
+            on = [alarm for alarm in shown.values() if self._is_severe_enough(alarm) and alarm["state"] != "cleared"]
             told = ToldService(alarms=[ToldAlarm.model_validate(alarm) for alarm in on])
         except Exception:
             self._name = before
             raise
-        notices = [self._back(), *changes] if self._silent or self._was_silent else changes
+        notices = [self._back_notice(), *changes] if self._silent or self._was_silent else changes
         self._heard_s, self._silent, self._was_silent, self._known, self._told = now_s, False, False, shown, told
-        self._heard = True
+        self._has_answered = True
         self._unit = _UNITS.get(str(state.get("role")), self._unit)
         return notices
 
@@ -130,7 +130,7 @@ class ServiceWatch:
         remedy = f"Remedy: look at its machine, its network and 'systemctl status {self._unit}'."
         return [self._notice("does not answer", "critical", (body, remedy))]
 
-    def _back(self) -> Notice:
+    def _back_notice(self) -> Notice:
         return self._notice("answers again", "critical", (f"The service at {self._address} answers.",), good=True)
 
     def _hidden(self, muted: Collection[str], shown: _Shown) -> _Shown:
@@ -140,53 +140,53 @@ class ServiceWatch:
 
     def _changes(self, shown: _Shown) -> Iterator[Notice]:
         for key, alarm in shown.items():
-            if self._matters(alarm):
+            if self._is_severe_enough(alarm):
                 yield from self._change(alarm, self._known.get(key))
         for key, alarm in self._known.items():
-            if key not in shown and self._matters(alarm) and alarm["state"] != "cleared":
-                yield self._over(alarm)
+            if key not in shown and self._is_severe_enough(alarm) and alarm["state"] != "cleared":
+                yield self._over_notice(alarm)
 
     def _change(self, alarm: Mapping[str, Any], before: Mapping[str, Any] | None) -> Iterator[Notice]:
         if alarm["state"] == "cleared":
             if before is not None and before["state"] != "cleared":
-                yield self._over(alarm)
-            elif self._heard and (before is None or before["cleared_at"] != alarm["cleared_at"]):
-                yield self._over_already(alarm)
+                yield self._over_notice(alarm)
+            elif self._has_answered and (before is None or before["cleared_at"] != alarm["cleared_at"]):
+                yield self._over_already_notice(alarm)
             return
         # An alarm that lasts through maintenance is raised anew at its end, at another time.
         same = "text" if before is not None and "hidden" in before else "raised_at"
         known = before is not None and before["state"] != "cleared" and before[same] == alarm[same]
         if not known and alarm["state"] == "raised":
-            yield self._raised(alarm)
+            yield self._raised_notice(alarm)
 
-    def _matters(self, alarm: Mapping[str, Any]) -> bool:
-        return SEVERITIES.index(alarm["severity"]) >= self._at_least
+    def _is_severe_enough(self, alarm: Mapping[str, Any]) -> bool:
+        return SEVERITIES.index(alarm["severity"]) >= self._least_severity_index
 
-    def _raised(self, alarm: Mapping[str, Any]) -> Notice:
-        since = _local(alarm["raised_at"])
+    def _raised_notice(self, alarm: Mapping[str, Any]) -> Notice:
+        since = _local_time_text(alarm["raised_at"])
         lines = (f"{alarm['text']}.", f"Effect: {alarm['effect']}.", f"Remedy: {alarm['remedy']}.", f"Since {since}.")
-        found = self._notice(f"{_of(alarm)}{alarm['name']}", alarm["severity"], lines)
+        found = self._notice(f"{_tracker_prefix(alarm)}{alarm['name']}", alarm["severity"], lines)
         brief = f"{alarm['text']}. Remedy: {alarm['remedy']}".replace("`", "'")
         return replace(found, since=f"since {since}", brief=brief)
 
-    def _over_already(self, alarm: Mapping[str, Any]) -> Notice:
-        since = f"was on since {_local(alarm['raised_at'])}"
+    def _over_already_notice(self, alarm: Mapping[str, Any]) -> Notice:
+        since = f"was on since {_local_time_text(alarm['raised_at'])}"
         lines = (
             f"{alarm['text']}.",
             f"Remedy: {alarm['remedy']}.",
             f"It {since}.",
-            _stays(alarm, several=self._several),
+            _stays_shown_text(alarm, several=self._has_several_trackers),
         )
-        found = self._notice(f"{_of(alarm)}{alarm['name']}, over already", alarm["severity"], lines)
+        found = self._notice(f"{_tracker_prefix(alarm)}{alarm['name']}, over already", alarm["severity"], lines)
         brief = f"{alarm['text']}. Remedy: {alarm['remedy']}".replace("`", "'")
         return replace(found, since=f"it {since}", brief=brief)
 
-    def _over(self, alarm: Mapping[str, Any]) -> Notice:
-        since = f"was on since {_local(alarm['raised_at'])}" if alarm["raised_at"] else ""
+    def _over_notice(self, alarm: Mapping[str, Any]) -> Notice:
+        since = f"was on since {_local_time_text(alarm['raised_at'])}" if alarm["raised_at"] else ""
         lines = [f"Was: {alarm['text']}.", *([f"It {since}."] if since else [])]
         if alarm["latched"] and not alarm["acknowledged_at"]:
-            lines.append(_stays(alarm, several=self._several))
-        found = self._notice(f"over: {_of(alarm)}{alarm['name']}", alarm["severity"], lines, good=True)
+            lines.append(_stays_shown_text(alarm, several=self._has_several_trackers))
+        found = self._notice(f"over: {_tracker_prefix(alarm)}{alarm['name']}", alarm["severity"], lines, good=True)
         return replace(found, since=f"it {since}" if since else "", brief=alarm["text"].replace("`", "'"))
 
     def _notice(self, what: str, severity: str, lines: Iterable[str], *, good: bool = False) -> Notice:
@@ -195,23 +195,23 @@ class ServiceWatch:
         return Notice(f"heliocube {self._name}: {urgency}{what}", "\n".join(whole).replace("`", "'"), severity, good)
 
 
-def _muted(state: Mapping[str, Any]) -> set[str]:
+def _muted_trackers(state: Mapping[str, Any]) -> set[str]:
     """Return the trackers in maintenance; if all are, the cube counts too, under an empty name."""
     trackers = state["trackers"]
     muted = {name for name, tracker in trackers.items() if tracker["mode"]["name"] == "maintenance"}
     return muted | {""} if muted and len(muted) == len(trackers) else muted
 
 
-def _of(alarm: Mapping[str, Any]) -> str:
+def _tracker_prefix(alarm: Mapping[str, Any]) -> str:
     return f"{alarm['tracker']} " if alarm["tracker"] not in (None, "tracker") else ""
 
 
-def _stays(alarm: Mapping[str, Any], *, several: bool) -> str:
+def _stays_shown_text(alarm: Mapping[str, Any], *, several: bool) -> str:
     command = as_typed(f"heliocube alarms ack {alarm['name']}", alarm["tracker"] if several else None)
     return f"It stays shown until somebody acknowledges it: '{command}'."
 
 
-def _local(iso_utc: str) -> str:
+def _local_time_text(iso_utc: str) -> str:
     """Return an instant in this machine's local time, and how far that is from UTC."""
     there = local_time(datetime.fromisoformat(iso_utc).timestamp())
     offset = there.strftime("%z")

@@ -46,7 +46,7 @@ class AppriseRecipient:
     """
 
     def __init__(self, address: str) -> None:
-        apprise = _apprise()
+        apprise = _import_apprise()
         # No redirects: if a server has moved, a page would be requested in place of sending the message, and its answer
         # would be taken for an acceptance.
         asset = apprise.AppriseAsset(http_redirects=False)
@@ -119,7 +119,7 @@ def _in_thread(call: Callable[[], object]) -> "Future[bool]":
     return future
 
 
-def _apprise() -> ModuleType:
+def _import_apprise() -> ModuleType:
     try:
         import apprise  # noqa: PLC0415 - an extra, which the service does without
     except ImportError:

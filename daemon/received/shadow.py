@@ -28,9 +28,9 @@ from solar.frames import Angles
 log = logging.getLogger("heliocube.received")
 
 # If the times that the two have counted differ by more than this, there is no comparison.
-_AS_LONG_S = 120.0
+_MOST_TIME_DIFFERENCE_S = 120.0
 # A shorter time of light tells nothing.
-_WORTH_TELLING_S = 600.0
+_LEAST_LIGHT_S = 600.0
 _SAVE_EVERY_S = 900.0
 
 _Degrees = Field(default=0.0, ge=0.0, allow_inf_nan=False)
@@ -110,7 +110,7 @@ class ShadowState:
 
     def gain_over(self, own: Insolation) -> float:
         """Return the share that it would have received more than the tracker; NaN if the two cannot be compared."""
-        alike = own.day == self.received.day and abs(own.known_s - self.received.known_s) <= _AS_LONG_S
+        alike = own.day == self.received.day and abs(own.known_s - self.received.known_s) <= _MOST_TIME_DIFFERENCE_S
         return self.received.actual_kwh_m2 / own.actual_kwh_m2 - 1.0 if alike and own.actual_kwh_m2 > 0.0 else math.nan
 
 
@@ -153,8 +153,8 @@ class Shadow:
         name = law.named.name
         self._file = StateFile(folder, f"shadow-{name}-day.json", Travel, log, f"the day of {name} in the shadow")
         self._travel = self._load() or Travel(day=received.day_of(utc_s))
-        self._later: Travel | None = None
-        self._axes = _Axes()
+        self._later_day: Travel | None = None
+        self._axes = _SimulatedAxes()
         self._due_s = self._moved_s = self._saved_s = self._heard_s = -math.inf
         self._used_before: Used | None = None
         self._mode_before = Mode.STARTING
@@ -212,7 +212,7 @@ class Shadow:
             # If the tracker moved without readings, no law that decides by readings has moved it.
             self._mode_before = Mode.FALLBACK
         self._heard_s = now_s
-        self._turn(scan, active, utc_s)
+        self._turn_day(scan, active, utc_s)
         self._named.law.observe(reading_of(scan, utc_s))
         if active.mode is Mode.TRACKING and active.pose is not None:
             self._axes.go_on(now_s, active.pose)
@@ -224,7 +224,7 @@ class Shadow:
             self._axes.stand(now_s, active.pose)
         self._count_moves(active)
         self._received.add(scan, self._axes.pose(utc_s), utc_s)
-        if now_s >= self._saved_s + _SAVE_EVERY_S and self._later is None:
+        if now_s >= self._saved_s + _SAVE_EVERY_S and self._later_day is None:
             self._saved_s = now_s
             self._file.save(self._travel)
 
@@ -267,25 +267,25 @@ class Shadow:
         more = (used.travelled_deg - before.travelled_deg, used.moves - before.moves)
         self._travel = self._travel.plus(active=more, shadow=more if alike else (0.0, 0))
 
-    def _turn(self, scan: Scan, active: Active, utc_s: float) -> None:
+    def _turn_day(self, scan: Scan, active: Active, utc_s: float) -> None:
         """Report the day that has ended, and begin the next."""
         if self._named.law.turn(utc_s):
             self._keep()
         day = self._received.day_of(utc_s)
         if day == self._travel.day:
             return
-        told = self._told(active.received.today) if day > self._travel.day else None
+        told = self._day_report(active.received.today) if day > self._travel.day else None
         if told:
             log.info("%s", told)
             self._publish(Event(utc_s, scan.time_monotonic_s, "shadow", told))
-        self._travel, self._later = turn_day(day, self._travel, self._later, Travel(day=day))
+        self._travel, self._later_day = turn_day(day, self._travel, self._later_day, Travel(day=day))
         # So that the new day is saved with the next scan.
         self._saved_s = -math.inf
 
-    def _told(self, own: Insolation) -> str | None:
+    def _day_report(self, own: Insolation) -> str | None:
         state = self.state
         other, travel = state.received, state.travel
-        if not own.day == other.day == travel.day or max(own.known_s, other.known_s) < _WORTH_TELLING_S:
+        if not own.day == other.day == travel.day or max(own.known_s, other.known_s) < _LEAST_LIGHT_S:
             return None
         # After an outage the day that has ended is not always the day before.
         more, date = state.gain_over(own), iso_utc(own.day * DAY_S)[:10]
@@ -306,7 +306,7 @@ class Shadow:
             return None
 
 
-class _Axes:
+class _SimulatedAxes:
     """Where a tracker would stand: A turns first, then B, at the speed that the studies reckon with."""
 
     def __init__(self) -> None:

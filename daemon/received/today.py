@@ -27,7 +27,7 @@ _MOST_WAITING = 15
 _LONGEST_S = 90.0
 _J_PER_KWH = 3.6e6
 
-_Energy = Field(default=0.0, ge=0.0, allow_inf_nan=False)
+_NonNegative = Field(default=0.0, ge=0.0, allow_inf_nan=False)
 
 
 class Insolation(BaseModel):
@@ -47,10 +47,10 @@ class Insolation(BaseModel):
 
     day: int
     since_utc_s: float | None = Field(default=None, allow_inf_nan=False, ge=LEAST_SHOWN_UTC_S, le=MOST_SHOWN_UTC_S)
-    known_s: float = _Energy
-    actual_kwh_m2: float = _Energy
-    chronometric_kwh_m2: float = _Energy
-    best_kwh_m2: float = _Energy
+    known_s: float = _NonNegative
+    actual_kwh_m2: float = _NonNegative
+    chronometric_kwh_m2: float = _NonNegative
+    best_kwh_m2: float = _NonNegative
 
     @property
     def gain(self) -> float:
@@ -92,9 +92,9 @@ class ReceivedToday:
         self._file = StateFile(folder, file_name, Insolation, log, "the light received today")
         self._today = self._load() or Insolation(day=self.day_of(utc_s))
         self._day = self._today.day
-        self._later: Insolation | None = None
+        self._later_day: Insolation | None = None
         self._newest_s = -math.inf
-        self._waiting: list[tuple[float, float, list[float]]] = []
+        self._waiting_means: list[tuple[float, float, list[float]]] = []
         self._unsaved = 0
         self._begin_mean()
 
@@ -129,7 +129,7 @@ class ReceivedToday:
     def today(self) -> Insolation:
         """The count so far; a started minute does not count yet."""
         self._end_day()
-        self._take_in()
+        self._add_waiting_means()
         return self._today
 
     def _begin_mean(self) -> None:
@@ -140,10 +140,10 @@ class ReceivedToday:
         self._end_day()
         pairs = zip(self._sums, self._seconds, strict=True)
         means = [total / seconds if seconds > 0.0 else math.nan for total, seconds in pairs]
-        self._waiting.append((utc_s - self._elapsed_s, self._elapsed_s, means))
+        self._waiting_means.append((utc_s - self._elapsed_s, self._elapsed_s, means))
         self._begin_mean()
-        if len(self._waiting) == _MOST_WAITING:
-            self._in_turn(self._take_in)
+        if len(self._waiting_means) == _MOST_WAITING:
+            self._in_turn(self._add_waiting_means)
 
     def _in_turn(self, work: Callable[[], None]) -> None:
         """Work at once or during the next mean: all trackers of a process would do this at the same scan."""
@@ -156,17 +156,17 @@ class ReceivedToday:
         """Take in the means that wait of the day that has ended, and begin the next or go on with a later one."""
         if self._today.day == self._day:
             return
-        self._take_in()
+        self._add_waiting_means()
         # With a clock that was years behind, the sun was reckoned at a wrong place: that count is no part of this day.
         fresh = Insolation(day=self._day)
-        self._today, self._later = turn_day(self._day, self._today, self._later, fresh)
+        self._today, self._later_day = turn_day(self._day, self._today, self._later_day, fresh)
 
-    def _take_in(self) -> None:
+    def _add_waiting_means(self) -> None:
         """Add all means that wait, in one call: it costs little more than a single one."""
-        if not self._waiting:
+        if not self._waiting_means:
             return
-        begun, lasting, means = (np.array(column) for column in zip(*self._waiting, strict=True))
-        self._waiting.clear()
+        begun, lasting, means = (np.array(column) for column in zip(*self._waiting_means, strict=True))
+        self._waiting_means.clear()
         sun = sun_direction(begun + lasting / 2.0, *self._site)
         planes = received(means[:, :4], sun, means[:, 4], means[:, 5], self._limits, self._albedo())
         known = np.isfinite(planes.actual_w_m2)
@@ -185,7 +185,7 @@ class ReceivedToday:
             best_kwh_m2=today.best_kwh_m2 + best,
         )
         self._unsaved += len(lasting_s)
-        if self._unsaved >= _MOST_WAITING and self._later is None:
+        if self._unsaved >= _MOST_WAITING and self._later_day is None:
             self._unsaved = 0
             self._file.save(self._today)
 

@@ -51,7 +51,7 @@ def serve_bench(settings: Settings, directory: Path) -> None:
     if settings.tracker:
         names = ", ".join(table.name for table in settings.tracker)
         raise UserError(f"the bench has one tracker and the configuration names {names}: leave its [[tracker]] out")
-    settings = _on_one_line(settings)
+    settings = _with_distinct_addresses(settings)
     directory = directory.absolute()
     file = _claim(directory)
     process.configure(sys.stderr, journal=False, level=logging.INFO)
@@ -67,7 +67,7 @@ def serve_bench(settings: Settings, directory: Path) -> None:
             log.warning(warning)
 
         def ready(ports: BenchPorts) -> None:
-            served = _served(settings, directory, ports, start, anchor)
+            served = _service_settings(settings, directory, ports, start, anchor)
             chosen = (
                 (CUBE.path, served.instruments.cube.driver),
                 (POSITIONER.path, served.instruments.positioner.driver),
@@ -84,7 +84,7 @@ def serve_bench(settings: Settings, directory: Path) -> None:
             runner.run(run_bench(settings, directory, clock, weather, stop, ready))
 
 
-def _on_one_line(settings: Settings) -> Settings:
+def _with_distinct_addresses(settings: Settings) -> Settings:
     """Return the settings with distinct addresses for Modbus sensors, which on lines of their own may share one."""
     own = settings.instruments.cube
     if not isinstance(own, PyranometersSettings):
@@ -112,7 +112,9 @@ def _claim(directory: Path) -> Path:
     return file
 
 
-def _served(settings: Settings, directory: Path, ports: BenchPorts, start: datetime, anchor: datetime) -> Settings:
+def _service_settings(
+    settings: Settings, directory: Path, ports: BenchPorts, start: datetime, anchor: datetime
+) -> Settings:
     """Return the settings with which a service drives this bench under the same sun."""
     instruments = settings.instruments.model_dump() | {
         "kind": "real",

@@ -146,7 +146,9 @@ async def probe_multiplexer(settings: Settings, tap: Tap, say: Say, *, write: bo
         for channel in range(len(settings.instruments.multiplexer.addresses)):
             await multiplexer.select(channel)
             await asyncio.sleep(settings.instruments.multiplexer.settle_s)
-            reading, mv = ("selected", None) if meter is None else await _measured(meter, settings, wired.get(channel))
+            reading, mv = (
+                ("selected", None) if meter is None else await _measure_input(meter, settings, wired.get(channel))
+            )
             inputs.append({"input": channel, "for": wired.get(channel), "mv": mv, "reading": reading})
             say(f"  input {channel} ({wired.get(channel, 'not used')}): {reading}")
         return {"found": identity, "inputs": inputs}
@@ -156,7 +158,7 @@ async def probe_multiplexer(settings: Settings, tap: Tap, say: Say, *, write: bo
             await meter.close()
 
 
-async def _measured(meter: Keithley2000, settings: Settings, name: str | None) -> tuple[str, float | None]:
+async def _measure_input(meter: Keithley2000, settings: Settings, name: str | None) -> tuple[str, float | None]:
     try:
         voltage_mv = await meter.read_voltage() * 1e3
     except OverRangeError:

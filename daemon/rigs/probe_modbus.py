@@ -22,10 +22,10 @@ Ask = Callable[[str], str]
 
 _SMP_ERROR_CODE, _SMP_CLEAR_ERROR = 26, 10
 _RECOGNISED: tuple[MakeName, ...] = ("smp", "hukseflux", "hukseflux-pv")
-_OF_ITS_OWN: dict[MakeName, int] = {"hukseflux": 0, "hukseflux-pv": 0x1000}
-_ANYTHING = Block(READ_HOLDING, 0, 1)
+_ADDRESS_REGISTERS: dict[MakeName, int] = {"hukseflux": 0, "hukseflux-pv": 0x1000}
+_ANY_REGISTER = Block(READ_HOLDING, 0, 1)
 _GARBLED = "answers with garbage: are there two sensors of this address?"
-_WITHOUT = {
+_UNCHANGEABLE_WHY = {
     "smp": "an SMP takes its address from the maker's Smart Explorer alone",
     "apogee": "a write to an Apogee may wipe its calibration; use the maker's tool",
 }
@@ -117,7 +117,7 @@ class ModbusProbe:
                 for each in found:
                     self._say(f"  address {each.unit}: {each.text}{self._face_of(line, each)}")
                     if clear and each.make == "smp":
-                        with _silence_in_words(each.unit):
+                        with _naming_silent_address(each.unit):
                             await self._clear(bus, each.unit)
             finally:
                 await bus.close()
@@ -162,16 +162,16 @@ class ModbusProbe:
         self._say(f"  address {sensor.unit}: {sensor.text}")
         if sensor.unit == wanted:
             self._say(f"  it has the address {wanted} already")
-        elif await self._written(bus, sensor, wanted, ask):
+        elif await self._write_address(bus, sensor, wanted, ask):
             await self._confirm(bus, line, sensor, wanted, ask)
         if sensor.serial is not None:
             self._say(f"  pin it: serial = {sensor.serial} in [instruments.cube.{face}]")
 
-    async def _written(self, bus: ModbusBus, sensor: Answering, wanted: int, ask: Ask) -> bool:
+    async def _write_address(self, bus: ModbusBus, sensor: Answering, wanted: int, ask: Ask) -> bool:
         register = self._address_register(sensor)
         if register is None:
             make = sensor.make or self._own.make
-            why = _WITHOUT.get(make, "set instruments.cube.map.address_register, or use the maker's tool")
+            why = _UNCHANGEABLE_WHY.get(make, "set instruments.cube.map.address_register, or use the maker's tool")
             self._say(f"  its address is not changed here: {why}")
             return False
         if ask(f"Give {sensor.text.partition(':')[0]} the address {wanted} instead of {sensor.unit}? yes") != "yes":
@@ -180,7 +180,7 @@ class ModbusProbe:
         if ask(f"Type the new address once more ({wanted}) and it is written") != str(wanted):
             self._say("  that was another number: left as it is")
             return False
-        with _silence_in_words(sensor.unit):
+        with _naming_silent_address(sensor.unit):
             await bus.ask(write_register(sensor.unit, register, wanted), self._within_s)
         return True
 
@@ -196,8 +196,8 @@ class ModbusProbe:
                 return
 
     def _address_register(self, sensor: Answering) -> int | None:
-        if sensor.make in _OF_ITS_OWN:
-            return _OF_ITS_OWN[sensor.make]
+        if sensor.make in _ADDRESS_REGISTERS:
+            return _ADDRESS_REGISTERS[sensor.make]
         unknown = sensor.make is None or sensor.make == "map"
         return self._own.map.address_register if unknown and self._own.make == "map" else None
 
@@ -211,13 +211,13 @@ class ModbusProbe:
                 if error.message and not isinstance(error, UnreachedError):
                     found.append(Answering(unit, _GARBLED))
                 continue
-            found.append(await self._identified(bus, line, unit))
+            found.append(await self._identify_unit(bus, line, unit))
         return found
 
     async def _greet(self, bus: ModbusBus, unit: int, *, twice: bool) -> None:
         """Ask an address for any register, to see whether it answers; raises `DeadlineError` if it is silent."""
         with suppress(RefusedError):
-            await self._read(bus, unit, _ANYTHING, times=2 if twice else 1)
+            await self._read(bus, unit, _ANY_REGISTER, times=2 if twice else 1)
 
     async def _read(self, bus: ModbusBus, unit: int, block: Block, *, times: int = 2) -> tuple[int, ...]:
         """Read a block, up to `times` times if there is no proper answer: one question may be lost, hardly two."""
@@ -226,7 +226,7 @@ class ModbusProbe:
                 return await bus.read(unit, *block, self._within_s)
         return await bus.read(unit, *block, self._within_s)
 
-    async def _identified(self, bus: ModbusBus, line: str, unit: int) -> Answering:
+    async def _identify_unit(self, bus: ModbusBus, line: str, unit: int) -> Answering:
         text = "answers; its make is not known here, see docs/instruments.md for a map"
         for name, make in self._candidates(line, unit):
             try:
@@ -298,7 +298,7 @@ class ModbusProbe:
 
 
 @contextmanager
-def _silence_in_words(unit: int) -> Iterator[None]:
+def _naming_silent_address(unit: int) -> Iterator[None]:
     """Name the address whose answer is missing, in an error that a person reads."""
     try:
         yield

@@ -51,7 +51,7 @@ async def probe_positioner(
     DeviceError
         The positioner cannot be reached, is another board, or does not do as it should.
     """
-    heard = _Heard(tap)
+    heard = _FieldCounter(tap)
     own = pozsol_settings(settings, "heliocube probe positioner speaks to")
     surroundings = positioner_surroundings(settings, clock, heard)
     setups = driver.axis_setups(own, surroundings.limits)
@@ -92,7 +92,7 @@ async def probe_positioner(
         await positioner.close()
 
 
-class _Heard:
+class _FieldCounter:
     """Counts the fields that are received; called in the reader's thread."""
 
     def __init__(self, tap: Tap) -> None:
@@ -203,8 +203,8 @@ async def _time_moves(
         if not (setups[0].allows(start.a_deg) and setups[1].allows(start.b_deg)):
             raise RefusedError("positioner", "stands outside the configured limits, so it is not moved from there")
         axes: tuple[tuple[AxisName, float, float], ...] = (
-            ("a", start.a_deg, _way("a", setups[0], start.a_deg, move_deg)),
-            ("b", start.b_deg, _way("b", setups[1], start.b_deg, move_deg)),
+            ("a", start.a_deg, _offset_deg("a", setups[0], start.a_deg, move_deg)),
+            ("b", start.b_deg, _offset_deg("b", setups[1], start.b_deg, move_deg)),
         )
         for axis, here_deg, way in axes:
             for target_deg in (here_deg + way, here_deg):
@@ -220,7 +220,7 @@ def _refuse_pressed(seen: Telemetry) -> None:
         raise RefusedError("positioner", "is not moved on: a button on its box is pressed, so somebody is there")
 
 
-def _way(axis: AxisName, setup: AxisSetup, here_deg: float, move_deg: float) -> float:
+def _offset_deg(axis: AxisName, setup: AxisSetup, here_deg: float, move_deg: float) -> float:
     """Return how far to move an axis, up or down; `RefusedError` if its limits have no room either way."""
     for way in (move_deg, -move_deg):
         if setup.allows(here_deg + way):

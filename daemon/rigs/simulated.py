@@ -100,10 +100,10 @@ def build_weather(
 def build_simulated_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) -> Rig:
     """Build the simulated instruments that a role needs, under one sky; `UserError` for a real load among them."""
     scene = _build_scene(settings, weather)
-    rig = _under(scene, clock, weather)
+    rig = _bare_rig(scene, clock, weather)
     if role is not Role.TRACKER:
         cube = build_simulated_cube(settings, clock, scene)
-        rig = replace(rig, cube=_in_gaps(cube, settings, clock, weather))
+        rig = replace(rig, cube=_silent_in_gaps(cube, settings, clock, weather))
     if role is not Role.CUBE:
         built = [
             _build_tracker(own, clock, scene, Q_PEAK_G4_1_305, _noise_of_load(settings, number))
@@ -138,7 +138,7 @@ def build_simulated_pair(
 ) -> SimulatedPair:
     """Build the simulated instruments of a cube and two trackers; `UserError` for a real load."""
     scene = _build_scene(settings, weather)
-    cube = _in_gaps(build_simulated_cube(settings, clock, scene), settings, clock, weather)
+    cube = _silent_in_gaps(build_simulated_cube(settings, clock, scene), settings, clock, weather)
     (one, first), (other, second) = (
         _build_tracker(settings, clock, scene, module, np.random.default_rng([settings.simulation.seed, 2, number]))
         for number, module in enumerate(modules)
@@ -154,7 +154,7 @@ def build_simulated_pair(
         sun, extra = sun_direction(utc_s, *settings.site.place()), extraterrestrial_dni(utc_s)
         return sky(settings.simulation.sky, sun, dni, dhi, extra), air, wind
 
-    around = _under(scene, clock, weather)
+    around = _bare_rig(scene, clock, weather)
     rigs = (
         replace(around, cube=cube, trackers=(first,)),
         replace(around, trackers=(second,)),
@@ -162,7 +162,7 @@ def build_simulated_pair(
     return SimulatedPair(rigs, (one, other), overhead)
 
 
-def _in_gaps(cube: Cube, settings: Settings, clock: Clock, weather: Weather) -> Cube:
+def _silent_in_gaps(cube: Cube, settings: Settings, clock: Clock, weather: Weather) -> Cube:
     """Return a cube that does not answer in the gaps of measured weather."""
     return CubeInGaps(cube, weather, settings.site.place(), clock) if isinstance(weather, MeasuredWeather) else cube
 
@@ -173,7 +173,7 @@ def build_weather_in_parts(settings: Settings, parts: Sequence[tuple[float, Weat
     return WeatherInParts([(begin_utc_s, GeneratedWeather(kind, site, seed)) for begin_utc_s, kind in parts])
 
 
-def _under(scene: Scene, clock: Clock, weather: Weather) -> Rig:
+def _bare_rig(scene: Scene, clock: Clock, weather: Weather) -> Rig:
     """Return a rig of no instruments under a sky."""
 
     def wind() -> float | None:

@@ -12,7 +12,7 @@ from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR, Actuator, AxisDrive
 
 _RAMP_S = 0.5
 """How long the simulated motors take to reach full speed."""
-_BEYOND_DEG = 2.0
+_OVERTRAVEL_DEG = 2.0
 """How far the travel goes on beyond the limits."""
 
 
@@ -48,9 +48,9 @@ def _mechanics(settings: Settings, axis: AxisGeometry, usual: Actuator, limits_d
     low_limit_deg, high_limit_deg = limits_deg
     raises = unit != "mm" or axis.sense == "raises"
     if raises:
-        high_deg = max(usual.high_deg, high_limit_deg + _BEYOND_DEG)
+        high_deg = max(usual.high_deg, high_limit_deg + _OVERTRAVEL_DEG)
     else:
-        high_deg = min(usual.low_deg, low_limit_deg - _BEYOND_DEG)
+        high_deg = min(usual.low_deg, low_limit_deg - _OVERTRAVEL_DEG)
     if unit != "mm":
         per_deg = axis.impulses_per_deg if unit == "impulse" else 1.0
         return SlewDrive(per_deg, low_deg=axis.low_deg, high_deg=high_deg, zero_offset_mm=axis.zero_offset)

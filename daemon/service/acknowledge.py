@@ -36,7 +36,7 @@ def acknowledge(alarms: Mapping[str, Alarms], tracker: str | None, name: str | N
         [] if name is None else [(owner, alarm) for owner, own in chosen.items() if (alarm := own.acknowledged(name))]
     )
     if name is not None and name not in shown and not seen:
-        raise CommandError(_unknown(name, sorted(shown)), wrong=name not in KINDS)
+        raise CommandError(_not_shown_text(name, sorted(shown)), wrong=name not in KINDS)
     of = {owner: f"{owner}: " if owner and len(alarms) > 2 else "" for owner in chosen}
     sentences = []
     for owner, own in chosen.items():
@@ -44,7 +44,7 @@ def acknowledge(alarms: Mapping[str, Alarms], tracker: str | None, name: str | N
         sentences += [f"{of[owner]}{_outcome(before[owner][each])}" for each in acknowledged]
     if sentences:
         return Answer(Seen.DONE, f"acknowledged: {'; '.join(sentences)}")
-    told = "; ".join(f"{of[owner]}{_acknowledged(alarm)}" for owner, alarm in seen)
+    told = "; ".join(f"{of[owner]}{_acknowledged_before_text(alarm)}" for owner, alarm in seen)
     return Answer(Seen.DONE, told or "there is nothing to acknowledge")
 
 
@@ -53,12 +53,12 @@ def _outcome(alarm: Alarm) -> str:
     return f"{alarm.name} (over)" if not alarm.on else f"{alarm.name} is still on: {remedy}"
 
 
-def _acknowledged(alarm: Alarm) -> str:
+def _acknowledged_before_text(alarm: Alarm) -> str:
     when = "" if alarm.acknowledged_utc_s is None else f" at {minute_utc(alarm.acknowledged_utc_s)}"
     return f"{alarm.name} was acknowledged before, by {alarm.acknowledged_by}{when}"
 
 
-def _unknown(name: str, shown: list[str]) -> str:
+def _not_shown_text(name: str, shown: list[str]) -> str:
     which = f"shown are {', '.join(shown)}" if shown else "none is shown"
     said = f"the alarm {name} is not on" if name in KINDS else f"there is no alarm {ascii(name)[:40]}"
     return f"{said}: {which}"

@@ -19,7 +19,7 @@ from daemon.service.tracker import Tracker
 log = logging.getLogger("heliocube.watchdog")
 
 _CHECK_EVERY_S = 10.0
-_LATEST_S = 2.0
+_MOST_LATENESS_S = 2.0
 _STUCK_AFTER_S = 30.0
 _MEASURE_EVERY_S = 0.1
 _WORST_OF_S = 60.0
@@ -131,7 +131,7 @@ class Watchdog:
             late_s = (self._clock.monotonic() - due_s) / self._speed
             for tracker in self._trackers:
                 tracker.watch_driver()
-            trouble = f"the event loop runs {late_s:.1f} s late" if late_s > _LATEST_S else self._stuck_part()
+            trouble = f"the event loop runs {late_s:.1f} s late" if late_s > _MOST_LATENESS_S else self._stuck_part()
             if trouble is None:
                 self._notifier.watchdog()
             elif not self._stuck:
@@ -144,7 +144,7 @@ class Watchdog:
         for tracker in self._trackers:
             silent_s = now_s - tracker.control.last_tick_s
             if silent_s > _STUCK_AFTER_S * max(self._speed, 1.0):
-                return f"{self._of(tracker)}control has not run for {silent_s:.0f} s"
+                return f"{self._name_prefix(tracker)}control has not run for {silent_s:.0f} s"
         if self._acquisition is not None and not self._acquisition.outage.is_down:
             silent_s = now_s - self._acquisition.last_scan_s
             if silent_s > (_STUCK_AFTER_S + self._acquisition.scan_every_s) * max(self._speed, 1.0):
@@ -153,10 +153,10 @@ class Watchdog:
 
     def _status(self) -> str:
         if self._trackers:
-            return "; ".join(f"{self._of(one)}{one.control.mode}: {one.control.why}" for one in self._trackers)
+            return "; ".join(f"{self._name_prefix(one)}{one.control.mode}: {one.control.why}" for one in self._trackers)
         if self._acquisition is not None and self._acquisition.outage.is_down:
             return self._acquisition.outage.reason
         return "acquiring"
 
-    def _of(self, tracker: Tracker) -> str:
+    def _name_prefix(self, tracker: Tracker) -> str:
         return f"{tracker.name}: " if len(self._trackers) > 1 else ""

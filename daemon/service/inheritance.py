@@ -44,7 +44,7 @@ class Started(BaseModel):
 # The trackers of one service write their files of the start one after the other, within this time.
 _STARTED_TOGETHER_S = 30.0
 _FILES = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference, budget, law_file, kept, today))
-_IN_FORCE: tuple[str, ...] = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference))
+_FILES_IN_FORCE: tuple[str, ...] = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference))
 _LOOK = "look at the tracker, then 'heliocube auto'"
 _REMEDY = f"give that name back in a table [[tracker]] and restart, or {_LOOK}"
 
@@ -63,10 +63,10 @@ def last_start_utc_s(folder: StateFolder) -> float:
 def next_number(directory: Path | None) -> int:
     """Return the number of a new start, which is higher than any that is kept in a service's folder or below it."""
     paths = () if directory is None else (directory, *directory.glob("*/"))
-    return 1 + max((_number(path) for path in paths), default=0)
+    return 1 + max((_last_start_number(path) for path in paths), default=0)
 
 
-def _number(folder: Path) -> int:
+def _last_start_number(folder: Path) -> int:
     # Nothing will be written there, so no room is kept for it.
     kept = _last_start(StateFolder(folder, reserve=lambda _path: None))
     return 0 if kept is None else kept.number
@@ -126,14 +126,14 @@ def left_behind(directory: Path, trackers: Sequence[str], own: Path) -> str | No
         it is not the same tracker, and the person who started it without an older one knew of that one.
     """
     found = []
-    for folder in sorted({path.parent for name in _IN_FORCE for path in directory.glob(f"*/{name}")}):
+    for folder in sorted({path.parent for name in _FILES_IN_FORCE for path in directory.glob(f"*/{name}")}):
         # A folder here may be that of another service which is at work in it.
         if folder.name not in trackers and _is_newer(folder, own) and not is_claimed(folder, "tracker"):
-            found += _in_force(folder, f"'{folder.name}'")
+            found += _texts_in_force(folder, f"'{folder.name}'")
     told = [f"a tracker is no longer in the configuration, but {'; '.join(found)}: {_REMEDY}"] if found else []
     # Only files that both have: where the tracker has none, `hand_on` gives it a copy.
-    both = [name for name in _IN_FORCE if trackers and (directory / name).exists() and (own / name).exists()]
-    if both and _is_newer(directory, own) and (found := _in_force(directory, "it", both)):
+    both = [name for name in _FILES_IN_FORCE if trackers and (directory / name).exists() and (own / name).exists()]
+    if both and _is_newer(directory, own) and (found := _texts_in_force(directory, "it", both)):
         told.append(f"a tracker without a table [[tracker]] has been started since, and {'; '.join(found)}: {_LOOK}")
     return "; ".join(told) or None
 
@@ -142,16 +142,16 @@ def _is_newer(gone: Path, own: Path) -> bool:
     """Whether a tracker that is gone was started after the last start of the other one."""
     if not (own / STARTED_NAME).exists():
         return True
-    numbers = _number(gone), _number(own)
+    numbers = _last_start_number(gone), _last_start_number(own)
     if all(numbers):
         return numbers[0] > numbers[1]
     # Folders of an older release have no number or no such file: go by times, though these are wrong after a clock was
     # set.
-    lasts = [gone / name for name in (STARTED_NAME, *_IN_FORCE) if (gone / name).exists()]
+    lasts = [gone / name for name in (STARTED_NAME, *_FILES_IN_FORCE) if (gone / name).exists()]
     return lasts[0].stat().st_mtime > (own / STARTED_NAME).stat().st_mtime + _STARTED_TOGETHER_S
 
 
-def _in_force(folder: Path, called: str, names: Sequence[str] = _IN_FORCE) -> list[str]:
+def _texts_in_force(folder: Path, called: str, names: Sequence[str] = _FILES_IN_FORCE) -> list[str]:
     # Nothing will be written there, so no room is kept for it.
     state = StateFolder(folder, reserve=lambda _path: None)
     asked = WishFile(state).load() if wishes.FILE_NAME in names else Wishes()

@@ -33,29 +33,31 @@ class ModeTimes:
 
     def __init__(self, clock: Clock, longitude_deg: float) -> None:
         self._clock = clock
-        self._east_s = longitude_deg * _S_PER_DEG
+        self._solar_time_offset_s = longitude_deg * _S_PER_DEG
         self._mode = Mode.STARTING
         self._entered_s = clock.monotonic()
         self._since_utc_s = clock.utc()
-        self._before: Counter[Mode] = Counter()
+        self._earlier_modes_s: Counter[Mode] = Counter()
 
     def note(self, change: ModeChange) -> None:
         """Take in a change of mode."""
         found = self.today()
-        self._before, self._since_utc_s = Counter(found.lasted_s), found.since_utc_s
+        self._earlier_modes_s, self._since_utc_s = Counter(found.lasted_s), found.since_utc_s
         self._mode, self._entered_s = change.after, self._clock.monotonic()
 
     def today(self) -> ModesOfDay:
         """Return the modes of the day so far; changes nothing."""
         utc_s = self._clock.utc()
         lasted_s = self._clock.monotonic() - self._entered_s
-        midnight_utc_s = math.floor((utc_s + self._east_s) / DAY_S) * DAY_S - self._east_s
+        midnight_utc_s = math.floor((utc_s + self._solar_time_offset_s) / DAY_S) * DAY_S - self._solar_time_offset_s
         since_utc_s = self._since_utc_s
         if since_utc_s > utc_s:
             # The clock was ahead and has been set back: count back from its present time to the beginning.
-            since_utc_s = utc_s - lasted_s - self._before.total()
+            since_utc_s = utc_s - lasted_s - self._earlier_modes_s.total()
         if since_utc_s >= midnight_utc_s:
-            return ModesOfDay(since_utc_s, {**self._before, self._mode: self._before[self._mode] + lasted_s})
+            return ModesOfDay(
+                since_utc_s, {**self._earlier_modes_s, self._mode: self._earlier_modes_s[self._mode] + lasted_s}
+            )
         # The time before midnight is yesterday's.
         today = Counter({self._mode: min(lasted_s, utc_s - midnight_utc_s)})
         return ModesOfDay(midnight_utc_s, today)

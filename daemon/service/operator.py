@@ -29,7 +29,7 @@ _WAIT_FOR_DISK_S = 0.4
 _NEARER_DEG = 0.15
 # A stop that comes so soon after another one, which is in force, has been sent already.
 _SAME_STOP_S = 0.2
-_REASONS = 2
+_MOST_REASONS_SHOWN = 2
 
 
 class CommandError(Exception):
@@ -107,18 +107,18 @@ class Operator:
             before = control.wishes
             if control.join_stop(why, by):
                 self._note("stop", why, by)
-            seen = await self._until(lambda: Seen.DONE if _stands(motion, now_s) else None)
-            return await self._answer(seen, self._seen(), before)
-        return await self._stand_still("stop", control.stop(why, by), motion.target, why, by)
+            seen = await self._wait_until_seen(lambda: Seen.DONE if _is_standing(motion, now_s) else None)
+            return await self._answer(seen, self._describe_tracker(), before)
+        return await self._stop_and_answer("stop", control.stop(why, by), motion.target, why, by)
 
     async def maintenance(self, why: str, by: str = "") -> Answer:
         """Stop the axes, keep them still and the alarms silent until 'auto'."""
         control, motion = self._control, self._motion
-        with _refusals():
+        with _as_command_errors():
             control.refuse_while_still("maintenance")
-        return await self._stand_still("maintenance", control.maintenance(why, by), motion.target, why, by)
+        return await self._stop_and_answer("maintenance", control.maintenance(why, by), motion.target, why, by)
 
-    async def _stand_still(
+    async def _stop_and_answer(
         self, name: str, command: Awaitable[None], heading: Target | None, why: str, by: str
     ) -> Answer:
         """Send the stop first; write and report it afterwards."""
@@ -135,44 +135,44 @@ class Operator:
         if lost is not None:
             noted = "" if name == "stop" else f"{name} is noted, but "
             unsent = f"{noted}stop could not be sent, and is sent as soon as the positioner answers: {lost}"
-            raise CommandError(f"{unsent}{before.told_beside(control.wishes, unsent)}{await self._unsaved()}")
-        seen = await self._until(lambda: Seen.DONE if _stands(motion, asked_s) else None)
+            raise CommandError(f"{unsent}{before.told_beside(control.wishes, unsent)}{await self._unsaved_clause()}")
+        seen = await self._wait_until_seen(lambda: Seen.DONE if _is_standing(motion, asked_s) else None)
         way = ""
         if seen is Seen.DONE and heading is not None:
             way = f"stopped on the way to A {heading.a_deg:+z.1f}, B {heading.b_deg:z.1f} deg; "
-        return await self._answer(seen, f"{way}{self._seen()}", before)
+        return await self._answer(seen, f"{way}{self._describe_tracker()}", before)
 
     async def stow(self, why: str, by: str = "") -> Answer:
         """Go to the stow position and stay; a move to anywhere else is stopped first, before anything else."""
         control, motion = self._control, self._motion
-        with _refusals():
+        with _as_command_errors():
             control.refuse_while_still("stow")
         if motion.moving and control.mode is not Mode.STOW:
             await _try_to_stop(motion)
         safety, before = self._tracker.settings.safety, control.wishes
-        with _refusals():
+        with _as_command_errors():
             control.stow(why, by)
         self._note("stow", why, by)
         control.tick()
-        return await self._on_the_way(safety.stow_a_deg, safety.stow_b_deg, before)
+        return await self._wait_for_approach(safety.stow_a_deg, safety.stow_b_deg, before)
 
     async def snow(self, why: str, by: str = "") -> Answer:
         """Go to the snow position and stay; a stow goes before it."""
         control = self._control
         before = control.wishes
-        with _refusals():
+        with _as_command_errors():
             control.snow(why, by)
         self._note("snow", why, by)
         control.tick()
         settings = self._tracker.settings
         place = settings.limits.limits().clip(settings.safety.snow_a_deg, settings.safety.snow_b_deg)
-        return await self._on_the_way(place.a_deg, place.b_deg, before)
+        return await self._wait_for_approach(place.a_deg, place.b_deg, before)
 
     async def hold(self, why: str, by: str = "") -> Answer:
         """Stay here; a move in progress is stopped."""
         control, motion = self._control, self._motion
         asked_s, before = self._clock.monotonic(), control.wishes
-        with _refusals():
+        with _as_command_errors():
             control.hold(why, by)
         self._note("hold", why, by)
         control.tick()
@@ -183,15 +183,15 @@ class Operator:
         def seen() -> Seen | None:
             if motion.homing:
                 return Seen.UNDER_WAY
-            return Seen.DONE if control.mode is Mode.HOLD and _stands(motion, asked_s) else None
+            return Seen.DONE if control.mode is Mode.HOLD and _is_standing(motion, asked_s) else None
 
-        return await self._answer(await self._until(seen), self._seen(), before)
+        return await self._answer(await self._wait_until_seen(seen), self._describe_tracker(), before)
 
     async def goto(self, a_deg: float, b_deg: float, why: str, by: str = "") -> Answer:
         """Go to a position inside the limits and hold there."""
         control, motion = self._control, self._motion
         before = control.wishes
-        with _refusals():
+        with _as_command_errors():
             control.refuse_goto(a_deg, b_deg)
             if motion.goes_home:
                 raise CommandError(
@@ -202,7 +202,7 @@ class Operator:
             control.goto(a_deg, b_deg, why, by)
         self._note(f"goto A {a_deg:g}, B {b_deg:g} deg", why, by)
         control.tick()
-        return await self._on_the_way(a_deg, b_deg, before)
+        return await self._wait_for_approach(a_deg, b_deg, before)
 
     async def auto(self, why: str, by: str = "", later: Callable[[Wishes], str | None] = lambda _: None) -> Answer:
         """End all that persons asked for: stop, maintenance, stow, snow, hold and goto; nothing if one came later."""
@@ -216,12 +216,12 @@ class Operator:
         self._note("auto", why, by)
         control.tick()
         ended = "; ".join(before.gone_in(control.wishes))
-        return await self._answer(Seen.DONE, f"{self._seen()}{f'; released: {ended}' if ended else ''}")
+        return await self._answer(Seen.DONE, f"{self._describe_tracker()}{f'; released: {ended}' if ended else ''}")
 
     async def home(self, why: str, by: str = "") -> Answer:
         """Start a reference run of both axes."""
         control, motion = self._control, self._motion
-        with _refusals():
+        with _as_command_errors():
             control.refuse_home()
             self._require_telemetry("homed")
             control.home()
@@ -238,10 +238,10 @@ class Operator:
                 begin = pose
                 return None
             # An axis that stands at its end switch first leaves it, which the unit calls a move.
-            moves = begin is not None and _furthest_off(pose, begin) >= _NEARER_DEG
+            moves = begin is not None and _largest_axis_offset_deg(pose, begin) >= _NEARER_DEG
             return Seen.UNDER_WAY if telemetry.homing or moves else None
 
-        return Answer(await self._until(seen, _WAIT_FOR_STATUS_S), self._seen())
+        return Answer(await self._wait_until_seen(seen, _WAIT_FOR_STATUS_S), self._describe_tracker())
 
     async def clear(self, why: str, by: str = "") -> Answer:
         """Clear the faults and doubts that are shown now; what came unseen or comes later stays.
@@ -249,7 +249,7 @@ class Operator:
         A person who clears has looked: the alarms that wait for that are acknowledged.
         """
         control, motion = self._control, self._motion
-        with _refusals():
+        with _as_command_errors():
             control.refuse_while_still("clear")
             self._require_telemetry("cleared of faults")
             shown, asked_s = control.clear_faults(), self._clock.monotonic()
@@ -260,15 +260,15 @@ class Operator:
             looked = motion.telemetry is not None and motion.telemetry.time_monotonic_s >= asked_s
             return Seen.DONE if looked and not set(shown) & set(motion.concerns) else None
 
-        found = await self._until(seen, _WAIT_FOR_STATUS_S)
+        found = await self._wait_until_seen(seen, _WAIT_FOR_STATUS_S)
         control.tick()
         forgiven = f"forgiven: {'; '.join(shown)}" if shown else "nothing was shown that could be cleared"
-        return Answer(found, f"{forgiven if found is Seen.DONE else 'not cleared yet'}; {self._seen()}")
+        return Answer(found, f"{forgiven if found is Seen.DONE else 'not cleared yet'}; {self._describe_tracker()}")
 
     async def relearn(self, why: str, by: str = "") -> Answer:
         """Forget what the law has learned of the site."""
         control, shadow = self._control, self._tracker.shadow
-        with _refusals():
+        with _as_command_errors():
             control.refuse_while_still("relearn")
         if control.pointing.law.learned is None and (shadow is None or shadow.albedo is None):
             raise CommandError(f"there is nothing to forget: the law {control.pointing.chosen.name} learns nothing")
@@ -288,27 +288,27 @@ class Operator:
         if not motion.connected:
             raise CommandError(f"the tracker cannot be {what}: {_obstacle(motion)}")
 
-    async def _on_the_way(self, a_deg: float, b_deg: float, before: Wishes) -> Answer:
+    async def _wait_for_approach(self, a_deg: float, b_deg: float, before: Wishes) -> Answer:
         """Wait until the tracker is seen to stand at a place or to come nearer to it."""
         motion = self._motion
         approach = _Approach(motion, Target(a_deg, b_deg, ""), self._tracker.settings.motion.tolerance_deg)
-        found = await self._until(approach.seen, _WAIT_FOR_MOTION_S)
-        return await self._answer(found, self._seen(), before)
+        found = await self._wait_until_seen(approach.seen, _WAIT_FOR_MOTION_S)
+        return await self._answer(found, self._describe_tracker(), before)
 
     async def _answer(self, seen: Seen, text: str, before: Wishes | None = None) -> Answer:
         """Return what came of a command that changes what is kept, and whether a restart would forget it."""
         beside = "" if before is None else before.told_beside(self._control.wishes, text)
-        return Answer(seen, f"{text}{beside}{await self._unsaved()}")
+        return Answer(seen, f"{text}{beside}{await self._unsaved_clause()}")
 
-    async def _unsaved(self) -> str:
+    async def _unsaved_clause(self) -> str:
         """Give the disk a moment, and return what it has not taken by then, as the end of an answer."""
         folder = self._tracker.folder
-        await self._until(lambda: None if folder.at_work else Seen.DONE, _WAIT_FOR_DISK_S)
+        await self._wait_until_seen(lambda: None if folder.at_work else Seen.DONE, _WAIT_FOR_DISK_S)
         if self._tracker.forgets is not None:
             return f"; not kept: {self._tracker.forgets}"
         return "" if folder.unsaved is None else f"; not kept yet: {folder.unsaved}"
 
-    async def _until(self, seen: Callable[[], Seen | None], within_s: float = _WAIT_S) -> Seen:
+    async def _wait_until_seen(self, seen: Callable[[], Seen | None], within_s: float = _WAIT_S) -> Seen:
         clock = self._clock
         deadline_s = clock.monotonic() + within_s * self._speed
         while (found := seen()) is None:
@@ -317,7 +317,7 @@ class Operator:
             await asyncio.sleep(_LOOK_EVERY_S * self._speed)
         return found
 
-    def _seen(self) -> str:
+    def _describe_tracker(self) -> str:
         """Return where the tracker is, what it does, and in which mode, as telemetry and control have it."""
         control, motion = self._control, self._motion
         mode = f"mode {control.mode}: {control.why}"
@@ -338,7 +338,7 @@ class _Approach:
         self._motion = motion
         self._place = place
         self._tolerance_deg = tolerance_deg
-        self._farthest_deg = self._nearest_seen_deg()
+        self._farthest_deg = self._distance_deg()
 
     def seen(self) -> Seen | None:
         """Return what the latest telemetry shows, or None for nothing yet."""
@@ -346,20 +346,20 @@ class _Approach:
         if motion.pose is None or not motion.connected:
             return None
         if motion.target is None:
-            near = not motion.homing and _furthest_off(motion.pose, self._place) <= self._tolerance_deg
+            near = not motion.homing and _largest_axis_offset_deg(motion.pose, self._place) <= self._tolerance_deg
             return Seen.DONE if near and motion.stands_since_s is not None else None
-        distance_deg = self._nearest_seen_deg()
+        distance_deg = self._distance_deg()
         self._farthest_deg = max(self._farthest_deg, distance_deg)
         heads = (motion.target.a_deg, motion.target.b_deg) == (self._place.a_deg, self._place.b_deg)
         return Seen.UNDER_WAY if heads and distance_deg <= self._farthest_deg - _NEARER_DEG else None
 
-    def _nearest_seen_deg(self) -> float:
+    def _distance_deg(self) -> float:
         pose, place = self._motion.pose, self._place
         return 0.0 if pose is None else abs(pose.a_deg - place.a_deg) + abs(pose.b_deg - place.b_deg)
 
 
 @contextmanager
-def _refusals() -> Iterator[None]:
+def _as_command_errors() -> Iterator[None]:
     """Turn what control refuses into a sentence for the operator."""
     try:
         yield
@@ -377,7 +377,7 @@ async def _try_to_stop(motion: Motion) -> None:
         log.warning("stop could not be sent: %s", error)
 
 
-def _stands(motion: Motion, asked_s: float) -> bool:
+def _is_standing(motion: Motion, asked_s: float) -> bool:
     """Whether telemetry from after a command shows both axes unmoved, and about to stay where they are."""
     telemetry, stands_s = motion.telemetry, motion.stands_since_s
     # A reference run of the unit's own shows in its destinations before an axis has turned by more than its jitter.
@@ -386,7 +386,7 @@ def _stands(motion: Motion, asked_s: float) -> bool:
     return telemetry.time_monotonic_s >= asked_s
 
 
-def _furthest_off(pose: Pose, place: Target | Pose) -> float:
+def _largest_axis_offset_deg(pose: Pose, place: Target | Pose) -> float:
     return max(abs(pose.a_deg - place.a_deg), abs(pose.b_deg - place.b_deg))
 
 
@@ -395,6 +395,6 @@ def _obstacle(motion: Motion) -> str:
     if not motion.connected:
         return motion.outage.reason or "the positioner has not answered yet"
     reasons = (motion.blocked or motion.doubt or "").split("; ")
-    more = len(reasons) - _REASONS
-    shown = "; ".join(reasons[:_REASONS])
+    more = len(reasons) - _MOST_REASONS_SHOWN
+    shown = "; ".join(reasons[:_MOST_REASONS_SHOWN])
     return f"{shown}; and {more} more, which 'heliocube status' shows" if more > 0 else shown

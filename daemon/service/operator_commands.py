@@ -119,11 +119,11 @@ class Command:
         if self.wanted == "goto":
             return await operator.goto(self.a_deg, self.b_deg, self.why, self.by)
         if self.wanted == "auto":
-            return await operator.auto(self.why, self.by, self._later)
+            return await operator.auto(self.why, self.by, self._later_wish_text)
         answer: Answer = await getattr(operator, self.wanted)(self.why, self.by)
         return answer
 
-    def _later(self, wishes: Wishes) -> str | None:
+    def _later_wish_text(self, wishes: Wishes) -> str | None:
         """Return in words a wish that came after this command was given, or that its giver was not shown; or None."""
         later = None if self.time_utc_s is None else wishes.later_than(self.time_utc_s)
         return later or (None if self.shown is None else wishes.not_in(self.shown))
@@ -152,8 +152,8 @@ class Operators:
         beside: Sequence[Tracker] = (),
     ) -> None:
         self._trackers = {tracker.name: tracker for tracker in (*trackers, *beside)}
-        self._of = {tracker.name: Operator(tracker, speed) for tracker in trackers}
-        self._all = self._of | {tracker.name: Operator(tracker, speed) for tracker in beside}
+        self._own_operators = {tracker.name: Operator(tracker, speed) for tracker in trackers}
+        self._all_operators = self._own_operators | {tracker.name: Operator(tracker, speed) for tracker in beside}
         self._alarms = {} if cube_alarms is None else {"": cube_alarms}
         self._alarms |= {tracker.name: tracker.alarms for tracker in trackers}
         self._speed = speed
@@ -170,65 +170,71 @@ class Operators:
             self._refuse_too_many(command)
             answer = acknowledge(self._alarms, command.tracker, command.alarm, command.by, command.why)
             return answer_json(command.name, command.identifier, answer)
-        if self._stops_whom_it_does_not_mean(command):
+        if self._is_stop_for_unknown_tracker(command):
             await self._stop_all(command)
-        chosen = self._meant(command)
+        chosen = self._operators_meant(command)
         self._refuse_too_many(command)
         if len(chosen) == 1:
             ((_, operator),) = chosen.items()
-            return answer_json(command.name, command.identifier, await _by(operator, command))
-        return answer_json(command.name, command.identifier, await self._by_each(self._of, command))
+            return answer_json(command.name, command.identifier, await _carry_out_by(operator, command))
+        return answer_json(
+            command.name, command.identifier, await self._carry_out_by_each(self._own_operators, command)
+        )
 
     def stopped_already(self, command: Command) -> dict[str, Any] | None:
         """Return the answer to a stop for trackers that are all stopped already; None where one is not.
 
         Raises `CommandError` as `carry_out` does.
         """
-        for_all = self._stops_whom_it_does_not_mean(command)
-        chosen = self._all if for_all else self._meant(command)
+        for_all = self._is_stop_for_unknown_tracker(command)
+        chosen = self._all_operators if for_all else self._operators_meant(command)
         stops = [self._trackers[name].control.wishes.describe("stop") for name in chosen]
         if None in stops:
             return None
         if for_all:
             raise CommandError(
-                f"{self._none_of_that_name(command)}; so the stop is for all: all are stopped", wrong=True
+                f"{self._unknown_tracker_text(command)}; so the stop is for all: all are stopped", wrong=True
             )
         text = (
             f"the tracker is {stops[0]}; so many stops wait for their answers that this one does not wait for telemetry"
         )
         return answer_json(command.name, command.identifier, Answer(Seen.NOT_SEEN, text))
 
-    def _stops_whom_it_does_not_mean(self, command: Command) -> bool:
-        return command.wanted == "stop" and bool(self._of) and command.tracker not in (None, *self._of)
+    def _is_stop_for_unknown_tracker(self, command: Command) -> bool:
+        return (
+            command.wanted == "stop"
+            and bool(self._own_operators)
+            and command.tracker not in (None, *self._own_operators)
+        )
 
-    def _meant(self, command: Command) -> dict[str, Operator]:
-        if not self._of:
+    def _operators_meant(self, command: Command) -> dict[str, Operator]:
+        if not self._own_operators:
             raise CommandError("this process reads the cube and has no tracker: ask the tracker's process")
-        names = ", ".join(self._of)
+        names = ", ".join(self._own_operators)
         if command.tracker is None:
-            if len(self._of) == 1 or command.wanted in OF_ALL:
-                return self._of
+            if len(self._own_operators) == 1 or command.wanted in OF_ALL:
+                return self._own_operators
             how = as_typed(f"heliocube {command.wanted}", "NAME")
             raise CommandError(
                 f"'{command.wanted}' needs the name of a tracker: '{how}', where NAME is one of {names}", wrong=True
             )
-        if command.tracker not in self._of:
-            raise CommandError(self._none_of_that_name(command), wrong=True)
-        return {command.tracker: self._of[command.tracker]}
+        if command.tracker not in self._own_operators:
+            raise CommandError(self._unknown_tracker_text(command), wrong=True)
+        return {command.tracker: self._own_operators[command.tracker]}
 
-    def _none_of_that_name(self, command: Command) -> str:
-        names, meant = ", ".join(self._of), ascii(command.tracker)[:40]
-        if command.tracker in self._all:
+    def _unknown_tracker_text(self, command: Command) -> str:
+        names, meant = ", ".join(self._own_operators), ascii(command.tracker)[:40]
+        if command.tracker in self._all_operators:
             return f"this is for {names}, but the body names the tracker {meant}"
-        return f"there is no tracker {meant}; the trackers are {', '.join(self._all)}"
+        return f"there is no tracker {meant}; the trackers are {', '.join(self._all_operators)}"
 
     async def _stop_all(self, command: Command) -> NoReturn:
         """Stop all trackers after a stop for one that is unknown here, and say so: nobody can tell which was meant."""
         try:
-            found = (await self._by_each(self._all, command)).text
+            found = (await self._carry_out_by_each(self._all_operators, command)).text
         except CommandError as error:
             found = str(error)
-        raise CommandError(f"{self._none_of_that_name(command)}; so the stop is for all: {found}", wrong=True)
+        raise CommandError(f"{self._unknown_tracker_text(command)}; so the stop is for all: {found}", wrong=True)
 
     def _refuse_too_many(self, command: Command) -> None:
         if command.wanted == "stop" or self._clock is None:
@@ -239,10 +245,10 @@ class Operators:
         if not limit.admit(self._clock.monotonic()):
             raise TooManyError(f"more than {per_s:g} commands a second came over {command.way}; ask again in a second")
 
-    async def _by_each(self, chosen: Mapping[str, Operator], command: Command) -> Answer:
+    async def _carry_out_by_each(self, chosen: Mapping[str, Operator], command: Command) -> Answer:
         """Return what several trackers did at once; a refusal by one does not keep the others from doing it."""
         outcomes = await asyncio.gather(
-            *(_by(operator, command) for operator in chosen.values()), return_exceptions=True
+            *(_carry_out_by(operator, command) for operator in chosen.values()), return_exceptions=True
         )
         for found in outcomes:
             if isinstance(found, BaseException) and not isinstance(found, CommandError):
@@ -251,7 +257,7 @@ class Operators:
         refusing = [name for name, found in by_name.items() if not isinstance(found, Answer)]
         seen = {name: found.seen for name, found in by_name.items() if isinstance(found, Answer)}
         unseen = [name for name in seen if seen[name] is Seen.NOT_SEEN]
-        lines = _a_line_each(by_name, [*refusing, *unseen])
+        lines = _line_per_tracker(by_name, [*refusing, *unseen])
         if len(refusing) == len(by_name):
             raise CommandError(f"NOT done by any of {len(by_name)} trackers:{lines}")
         if refusing:
@@ -261,7 +267,7 @@ class Operators:
         return Answer(worst, f"all {len(by_name)} trackers{but}:{lines}")
 
 
-async def _by(operator: Operator, command: Command) -> Answer:
+async def _carry_out_by(operator: Operator, command: Command) -> Answer:
     """Let an operator carry out a command; log lines, and commands named in the answer, bear its tracker's name."""
     before, tracker = TRACKER.set(operator.log_name), operator.log_name or None
     try:
@@ -273,7 +279,7 @@ async def _by(operator: Operator, command: Command) -> Answer:
         TRACKER.reset(before)
 
 
-def _a_line_each(by_name: Mapping[str, Answer | BaseException], first: Sequence[str]) -> str:
+def _line_per_tracker(by_name: Mapping[str, Answer | BaseException], first: Sequence[str]) -> str:
     """Return what came of a command, a line for each tracker; `first` are those that somebody has to look at."""
     width = max(map(len, by_name)) + 1
     named = [*first, *(name for name in by_name if name not in first)]
@@ -362,7 +368,7 @@ def _object(name: str, content: bytes) -> dict[str, Any]:
     if name == "mode" and not content.lstrip().startswith(b"{"):
         return {"mode": content.decode("ascii", "replace")}
     try:
-        found = json.loads(content, object_pairs_hook=_as_meant)
+        found = json.loads(content, object_pairs_hook=_object_with_escaped_names)
     except NameTwiceError as error:
         raise BodyError(f"the body has {error.name} twice") from None
     except (ValueError, RecursionError):
@@ -372,7 +378,7 @@ def _object(name: str, content: bytes) -> dict[str, Any]:
     return found
 
 
-def _as_meant(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _object_with_escaped_names(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     # Half a letter (a lone surrogate) has no encoding: escape it, so that no check meets one.
     return once_each([(name.encode("utf-8", "backslashreplace").decode(), value) for name, value in pairs])
 

@@ -27,7 +27,7 @@ class Recent:
     """
 
     def __init__(self, *, several: bool = False) -> None:
-        self._several = several
+        self._has_several_trackers = several
         self._followers: list[Callable[[Record], None]] = []
         self.news: deque[News] = deque(maxlen=_NEWS)
         self.scans = 0
@@ -46,7 +46,7 @@ class Recent:
             self.moves[record.tracker][record.outcome] += 1
         text = _sentence(record)
         if text is not None:
-            if self._several and not isinstance(record, Scan) and record.tracker:
+            if self._has_several_trackers and not isinstance(record, Scan) and record.tracker:
                 text = f"{record.tracker}: {text}"
             # A move is recorded with the time of its beginning, and is news when it has ended.
             lasted_s = record.duration_s if isinstance(record, Move) else 0.0

@@ -101,7 +101,7 @@ class Service:
         self._unread_faces = UnreadFaces(self.cube_alarms, clock)
         self._is_open = False
         self._random = random
-        self._kept_in = kept_in
+        self._make_state_folder = kept_in
         self._hold_why = hold_why
         self._key = key
         self._notifier = notifier
@@ -170,10 +170,10 @@ class Service:
                 sun_elevation_deg=self.sun_elevation_deg if same_place else SunElevation(settings.site.place()),
                 polling=polling,
                 stow_sources=stow_sources.get(name, ()),
-                folder=self._kept_in(settings.store.directory),
+                folder=self._make_state_folder(settings.store.directory),
                 phase=Phase(place, len(wanted)),
                 common=common,
-                unheard=self._unheard,
+                unheard=self._why_unheard,
                 muted=self._mute_cube,
                 hold_why=lefts[place] or self._hold_why,
                 start_number=number,
@@ -194,7 +194,7 @@ class Service:
         if self.receiver is not None:
             self.receiver.take_keys(keys)
 
-    def _unheard(self) -> str:
+    def _why_unheard(self) -> str:
         """Return why the bridge hears nothing, or what it has refused since the last scan, in words."""
         return "" if self.receiver is None else self.receiver.deaf_why or self.receiver.refused_since_accepted
 
@@ -243,13 +243,14 @@ class Service:
             await self.open()
             for tracker in self.trackers:
                 tracker.check()
-            if self._listens and self.receiver is not None:
+            if self._is_udp_listener and self.receiver is not None:
                 # Not earlier: by now those who keep the records listen, too.
                 await self.receiver.open()
             try:
                 async with asyncio.TaskGroup() as group:
                     tasks = [
-                        group.create_task(self._named(name, work), name=name) for name, work in self._work(companions)
+                        group.create_task(self._run_named(name, work), name=name)
+                        for name, work in self._work(companions)
                     ]
                     self._notifier.ready()
                     await stop.wait()
@@ -274,12 +275,12 @@ class Service:
             self._folder.close()
 
     @property
-    def _listens(self) -> bool:
+    def _is_udp_listener(self) -> bool:
         return self.role is Role.BOTH or (self.role is Role.TRACKER and self.settings.bridge.transport != "mqtt")
 
     async def _open_bridge(self) -> None:
         bridge = self.settings.bridge
-        if self._listens and self.receiver is not None:
+        if self._is_udp_listener and self.receiver is not None:
             self.receiver.bind()
         if self.role is Role.TRACKER or (self.role is Role.CUBE and bridge.transport == "mqtt"):
             return
@@ -313,7 +314,7 @@ class Service:
         work += [(getattr(companion, "__name__", "companion"), companion) for companion in companions]
         return work
 
-    async def _named(self, name: str, work: Awaitable[None]) -> None:
+    async def _run_named(self, name: str, work: Awaitable[None]) -> None:
         """Tell which part died before the whole service stops for it."""
         try:
             await work

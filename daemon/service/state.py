@@ -24,14 +24,14 @@ from solar.frames import Limits
 
 _NAMES = {kind: name.removesuffix("s") for kind, (name, _) in COLUMNS.items()}
 # The wishes that lead to a mode, the one that goes first in front.
-_ASKED = {
+_WISHES_BY_MODE = {
     Mode.MAINTENANCE: ("maintenance",),
     Mode.HOLD: ("stop", "buttons", "hold"),
     Mode.STOW: ("stow",),
     Mode.SNOW: ("snow",),
 }
 # The keys of one tracker. A process with one tracker has them at the top too, where scripts and dashboards know them.
-_OF_A_TRACKER = (
+_TRACKER_KEYS = (
     "mode",
     "wishes",
     "at_stow",
@@ -79,14 +79,14 @@ def state_json(seen: Snapshot) -> dict[str, Any]:
     alarms: list[tuple[Alarm, TrackerState | None]] = [(alarm, None) for alarm in seen.cube_alarms]
     alarms += [(alarm, tracker) for tracker in seen.trackers for alarm in tracker.alarms]
     own = {tracker.name: _tracker_json(seen, tracker) for tracker in seen.trackers}
-    return _common(seen, alarms) | _at_the_top(seen, only) | {"trackers": own}
+    return _common(seen, alarms) | _top_level_json(seen, only) | {"trackers": own}
 
 
 def tracker_state_json(seen: Snapshot, name: str) -> dict[str, Any]:
     """Return the state of one tracker, with its cube's and its process' but without other trackers."""
     tracker = next(tracker for tracker in seen.trackers if tracker.name == name)
     alarms = [*((alarm, None) for alarm in seen.cube_alarms), *((alarm, tracker) for alarm in tracker.alarms)]
-    return _common(seen, alarms) | _at_the_top(seen, tracker)
+    return _common(seen, alarms) | _top_level_json(seen, tracker)
 
 
 def _common(seen: Snapshot, alarms: Iterable[tuple[Alarm, TrackerState | None]]) -> dict[str, Any]:
@@ -130,11 +130,11 @@ def _common(seen: Snapshot, alarms: Iterable[tuple[Alarm, TrackerState | None]])
     }
 
 
-def _at_the_top(seen: Snapshot, tracker: TrackerState | None) -> dict[str, Any]:
+def _top_level_json(seen: Snapshot, tracker: TrackerState | None) -> dict[str, Any]:
     if tracker is not None:
         return _tracker_json(seen, tracker)
     process = seen.links.get("")
-    return dict.fromkeys(_OF_A_TRACKER) | {"mqtt": None if process is None else _mqtt(process)}
+    return dict.fromkeys(_TRACKER_KEYS) | {"mqtt": None if process is None else _mqtt(process)}
 
 
 def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
@@ -146,7 +146,7 @@ def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
             "name": control.mode.value,
             "why": as_typed(control.why, tracker.typed_for),
             "since": since,
-            "asked": _asked(control.mode, tracker.wishes),
+            "asked": _wish_behind_mode(control.mode, tracker.wishes),
         },
         "wishes": {name: _wish(wish, tracker.typed_for) for name, wish in tracker.wishes},
         "at_stow": tracker.at_stow,
@@ -168,7 +168,7 @@ def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
         "next_decision_s": number(control.next_decision_s),
         "next_decision": None
         if tracker.next is None
-        else _next(tracker.next, seen.time_utc_s + control.next_decision_s),
+        else _next_decision_json(tracker.next, seen.time_utc_s + control.next_decision_s),
         "tracker": _positioner(tracker.positioner, tracker) | {"limits": _limits(tracker.limits)},
         "load": None if tracker.load is None else _load(tracker.load, tracker.name, seen),
         "wind": [{name: number(value) for name, value in status._asdict().items()} for status in tracker.wind],
@@ -211,7 +211,7 @@ def _shadow(shadow: ShadowState, own: Insolation) -> dict[str, Any]:
     }
 
 
-def _next(foresight: Foresight, due_utc_s: float) -> dict[str, Any]:
+def _next_decision_json(foresight: Foresight, due_utc_s: float) -> dict[str, Any]:
     target = foresight.target
     return {
         "time": iso_utc(due_utc_s),
@@ -261,9 +261,9 @@ def _alarm(alarm: Alarm, tracker: str | None) -> dict[str, Any]:
     }
 
 
-def _asked(mode: Mode, wishes: Wishes) -> str | None:
+def _wish_behind_mode(mode: Mode, wishes: Wishes) -> str | None:
     """Return which wish of a person leads to this mode, or None: a stop and a hold lead to the same mode."""
-    return next((name for name in _ASKED.get(mode, ()) if getattr(wishes, name) is not None), None)
+    return next((name for name in _WISHES_BY_MODE.get(mode, ()) if getattr(wishes, name) is not None), None)
 
 
 def _wish(wish: Wish | None, typed_for: str | None) -> dict[str, Any] | None:

@@ -165,13 +165,13 @@ class Tracker:
             self._clock_watch,
             phase,
         )
-        self.received = self._count(FILE_NAME)
+        self.received = self._build_received_today(FILE_NAME)
         self.shadow = self._build_shadow(common) if settings.law.shadow else None
         self.mode_times = ModeTimes(clock, settings.site.longitude_deg)
         self.left_standing = False
         self._start_number = start_number
         self._commands = LogBudget("commands", _COMMANDS_LOGGED)
-        self._moving: asyncio.Future[None] | None = None
+        self._motion_task: asyncio.Future[None] | None = None
         self._hung_why: str | None = None
         self._seems_hung = False
         self.curves: IvAcquisition | None = None
@@ -208,10 +208,10 @@ class Tracker:
         if self._clock_watch.trusted:
             pose = self.motion.pose if self.motion.connected else None
             if self.shadow is not None:
-                self.shadow.add(scan, self._active(pose), utc_s)
+                self.shadow.add(scan, self._active_state(pose), utc_s)
             self.received.add(scan, pose, utc_s)
 
-    def _active(self, pose: Pose | None) -> Active:
+    def _active_state(self, pose: Pose | None) -> Active:
         control = self.control
         return Active(
             mode=control.mode,
@@ -226,7 +226,7 @@ class Tracker:
             record = replace(record, wind_m_s=self.stow_watch.take_gust(), tracker=self.name)
         self.publish(record)
 
-    def _count(self, file_name: str) -> ReceivedToday:
+    def _build_received_today(self, file_name: str) -> ReceivedToday:
         settings = self.settings
         place, limits, utc_s = settings.site.place(), settings.limits.limits(), self.clock.utc()
         return ReceivedToday(place, limits, self._albedo, self.folder, utc_s, self._phase, file_name)
@@ -234,7 +234,7 @@ class Tracker:
     def _build_shadow(self, common: Common) -> Shadow:
         settings, utc_s = self.settings, self.clock.utc()
         law = build_shadow(settings, utc_s, self.folder, common)
-        received = self._count(f"shadow-{law.named.name}-{FILE_NAME}")
+        received = self._build_received_today(f"shadow-{law.named.name}-{FILE_NAME}")
         return Shadow(law, settings, received, self.folder, self.publish, utc_s, self._phase)
 
     def _albedo(self) -> float:
@@ -256,10 +256,10 @@ class Tracker:
     @property
     def forgets(self) -> str | None:
         """What a restart forgets of a real tracker because no folder is set for it, in a sentence, or None."""
-        return _NOTHING_KEPT if self.folder.directory is None and not self._harmless else None
+        return _NOTHING_KEPT if self.folder.directory is None and not self._is_simulated_here else None
 
     @property
-    def _harmless(self) -> bool:
+    def _is_simulated_here(self) -> bool:
         """Whether this process itself simulates the instruments; not a bench, for that key may be set by mistake."""
         return self._rig.simulated and not self.settings.instruments.bench
 
@@ -284,18 +284,18 @@ class Tracker:
     def _check_wind_source(self) -> None:
         """Raise an alarm where nothing would stow a real tracker in a storm."""
         accepted = self.settings.safety.without_wind_source == "accepted"
-        if not (self.stow_watch.watched or self._harmless or accepted):
+        if not (self.stow_watch.watched or self._is_simulated_here or accepted):
             self.alarms.set("no-wind-source", _NO_WIND_SOURCE)
 
     def work(self) -> Iterator[tuple[str, Awaitable[None]]]:
         """Yield what has to run, each with its name."""
-        yield "motion", self._named(self._move())
-        yield "control", self._named(self.control.run())
-        yield "log of commands", self._named(self._settle_commands())
+        yield "motion", self._run_with_log_name(self._move())
+        yield "control", self._run_with_log_name(self.control.run())
+        yield "log of commands", self._run_with_log_name(self._settle_commands())
         if self.stow_watch.watched:
-            yield "stow", self._named(self.stow_watch.run())
+            yield "stow", self._run_with_log_name(self.stow_watch.run())
         if self.curves is not None:
-            yield "load", self._named(self.curves.run())
+            yield "load", self._run_with_log_name(self.curves.run())
 
     def log_command(self, text: str) -> None:
         """Log a command, whichever way it came; if there are very many, only their number."""
@@ -312,9 +312,9 @@ class Tracker:
 
     async def stop_motion(self) -> None:
         """Stop the axes for good, and say whether telemetry shows them standing."""
-        await self._named(self._stop_motion())
+        await self._run_with_log_name(self._stop_motion())
 
-    async def _named(self, work: Awaitable[None]) -> None:
+    async def _run_with_log_name(self, work: Awaitable[None]) -> None:
         """Do work, in a task of its own, whose lines in the log bear the tracker's name where there are several."""
         if self.log_name:
             TRACKER.set(self.log_name)
@@ -332,8 +332,8 @@ class Tracker:
         try:
             if not self.alone:
                 await asyncio.sleep(self._phase.delay_s(_CONNECT_WITHIN_S))
-            self._moving = asyncio.ensure_future(self.motion.run())
-            await self._until_it_ends(self._moving)
+            self._motion_task = asyncio.ensure_future(self.motion.run())
+            await self._wait_for_motion_end(self._motion_task)
         except Exception as error:
             if self.alone:
                 raise
@@ -342,7 +342,7 @@ class Tracker:
             self._give_up(error)
             await asyncio.Event().wait()
 
-    async def _until_it_ends(self, moving: asyncio.Future[None]) -> None:
+    async def _wait_for_motion_end(self, moving: asyncio.Future[None]) -> None:
         try:
             await moving
         except asyncio.CancelledError:
@@ -353,7 +353,7 @@ class Tracker:
     def watch_driver(self) -> None:
         """Give the positioner up if a call of its driver does not return; called every few seconds."""
         telemetry = self.motion.telemetry
-        if self._moving is None or self._moving.done() or telemetry is None:
+        if self._motion_task is None or self._motion_task.done() or telemetry is None:
             self._seems_hung = False
             return
         silent_s = self.clock.monotonic() - telemetry.time_monotonic_s
@@ -362,7 +362,7 @@ class Tracker:
         # Right after the whole process stood still, this may come before the first look: the next call decides.
         if before and self._seems_hung:
             self._hung_why = f"a call of its driver has not returned for {silent_s:.0f} s"
-            self._moving.cancel()
+            self._motion_task.cancel()
 
     def _give_up(self, error: Exception) -> None:
         """Leave a positioner that only a new process can connect, so that the other trackers go on."""

@@ -62,9 +62,9 @@ def move_aside(path: Path, kind: str, utc_s: float) -> Path:
     """
     if kind == "beside":
         for beside in in_the_way(path):
-            beside.rename(_free(path, kind, utc_s))
+            beside.rename(_unused_path(path, kind, utc_s))
         return stores_aside(path)[-1]
-    aside = _free(path, kind, utc_s)
+    aside = _unused_path(path, kind, utc_s)
     # The files beside it go first: a store that still stood there without them would be used, and lose their records.
     for beside in companions(path):
         beside.rename(f"{aside}{str(beside).removeprefix(str(path))}")
@@ -72,7 +72,7 @@ def move_aside(path: Path, kind: str, utc_s: float) -> Path:
     return aside
 
 
-def _free(path: Path, kind: str, utc_s: float) -> Path:
+def _unused_path(path: Path, kind: str, utc_s: float) -> Path:
     """Return a name that nothing has yet."""
     stamp = datetime.fromtimestamp(utc_s, UTC).strftime("%Y%m%dT%H%M%SZ")
     again, aside = 1, path.with_name(f"{path.stem}.{stamp}.{kind}{path.suffix}")

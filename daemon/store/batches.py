@@ -24,7 +24,7 @@ MOST_NUMBER = 1 << 53
 """The numbers of records are smaller than this."""
 _MOST_ROWS_TAKEN = 5000
 _COLUMNS = dict(COLUMNS.values())
-_ORIGIN = {field.name: field.type for field in fields(Origin)}
+_ORIGIN_TYPES = {field.name: field.type for field in fields(Origin)}
 _KNOWN = {name: {"number", *(column.name for column in columns)} for name, columns in _COLUMNS.items()}
 KINDS = tuple(_COLUMNS)
 
@@ -87,7 +87,7 @@ def next_batch(
     after
         The number of the last record that is not wanted any more, -1 for none.
     """
-    connection.text_factory = _decoded
+    connection.text_factory = _text_or_bytes
     # In one transaction: otherwise a record that a service writes to the first table while the second is read would be
     # missed. The page ends at a later number, so nobody would ask for that record again.
     with connection:
@@ -99,7 +99,7 @@ def next_batch(
     page = found[:most]
     rows: dict[str, list[tuple[Any, ...]]] = {}
     for _, name, row in page:
-        if _is_sound(name, row):
+        if _is_sound_record(name, row):
             rows.setdefault(name, []).append(row)
     return Batch(identified(run, origin), page[-1][0], rows, len(page) - sum(map(len, rows.values())))
 
@@ -113,16 +113,16 @@ def is_sound(origin: Origin) -> bool:
     return True
 
 
-def _is_sound(name: str, row: tuple[Any, ...]) -> bool:
+def _is_sound_record(name: str, row: tuple[Any, ...]) -> bool:
     """Tell whether an archive takes a record."""
     try:
-        values = [_VALUES[column.holds](value) for column, value in zip(_COLUMNS[name], row[1:], strict=True)]
+        values = [_CONVERTERS[column.holds](value) for column, value in zip(_COLUMNS[name], row[1:], strict=True)]
     except ValueError:
         return False
     return values[0] is not None
 
 
-def _decoded(text: bytes) -> str | bytes:
+def _text_or_bytes(text: bytes) -> str | bytes:
     try:
         return text.decode()
     except UnicodeDecodeError:
@@ -172,7 +172,7 @@ def decoded(payload: bytes) -> Batch:
         _check_format(page["format"])
         origin = _origin(page["run"])
         rows = {name: _rows(name, **table) for name, table in page["records"].items()}
-        through = _whole(page["through"])
+        through = _record_number(page["through"])
     except BatchError:
         raise
     except (ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError) as error:
@@ -193,7 +193,7 @@ def _check_format(found: Any) -> None:
 
 
 def _origin(found: dict[str, Any]) -> Origin:
-    values = {name: _ORIGINS[kind](found[name]) for name, kind in _ORIGIN.items()}
+    values = {name: _ORIGIN_CONVERTERS[kind](found[name]) for name, kind in _ORIGIN_TYPES.items()}
     origin = Origin(**values)
     if not 16 <= len(origin.id) <= 64 or not origin.id.isalnum():
         raise BatchError("its run has no identifier")
@@ -205,27 +205,27 @@ def _origin(found: dict[str, Any]) -> Origin:
 
 def _rows(name: str, columns: list[str], rows: list[list[Any]]) -> list[tuple[Any, ...]]:
     if name not in _COLUMNS:
-        raise _unknown(name)
+        raise _unknown_name_error(name)
     places = {column: place for place, column in enumerate(columns)}
     for column in places.keys() - _KNOWN[name]:
         if any(row[places[column]] is not None for row in rows):
-            raise _unknown(column, f"{name} with ")
+            raise _unknown_name_error(column, f"{name} with ")
     number = places["number"]
-    chosen = [(places.get(column.name), _VALUES[column.holds]) for column in _COLUMNS[name]]
+    chosen = [(places.get(column.name), _CONVERTERS[column.holds]) for column in _COLUMNS[name]]
     found = []
     for row in rows:
         values = [None if place is None else value(row[place]) for place, value in chosen]
         if values[0] is None:
             raise BatchError("a record has no time from 1970 to 2200")
-        found.append((_whole(row[number]), *values))
+        found.append((_record_number(row[number]), *values))
     return found
 
 
-def _unknown(found: str, where: str = "") -> BatchError:
+def _unknown_name_error(found: str, where: str = "") -> BatchError:
     return BatchError(f"it has {where}{ascii(found)[:40]}, which this archive does not know: update the archive")
 
 
-def _whole(value: Any) -> int:
+def _record_number(value: Any) -> int:
     if type(value) is not int or not 0 <= value < MOST_NUMBER:
         raise BatchError(f"{ascii(value)[:40]} is not the number of a record")
     return value
@@ -233,7 +233,7 @@ def _whole(value: Any) -> int:
 
 def _float(value: Any) -> float | None:
     if value is None or type(value) not in (float, int):
-        _check_nothing(value, "number")
+        _require_none(value, "number")
         return None
     return float(value) if math.isfinite(value) else None
 
@@ -246,21 +246,21 @@ def _time(value: Any) -> float | None:
 
 def _int(value: Any) -> int | None:
     if type(value) not in (int, bool):
-        _check_nothing(value, "whole number")
+        _require_none(value, "whole number")
         return None
     return int(value) if -MOST_NUMBER < value < MOST_NUMBER else None
 
 
 def _bool(value: Any) -> bool | None:
     if type(value) not in (int, bool):
-        _check_nothing(value, "truth")
+        _require_none(value, "truth")
         return None
     return bool(value)
 
 
 def _text(value: Any) -> str | None:
     if not isinstance(value, str):
-        _check_nothing(value, "text")
+        _require_none(value, "text")
         return None
     # JSON can spell lone surrogates, which cannot be written anywhere; encoding raises a UnicodeEncodeError for them.
     value.encode()
@@ -268,13 +268,19 @@ def _text(value: Any) -> str | None:
     return value.replace("\0", "")
 
 
-def _check_nothing(value: Any, what: str) -> None:
+def _require_none(value: Any, what: str) -> None:
     if value is not None:
         raise BatchError(f"{ascii(value)[:40]} is no {what}")
 
 
-_VALUES: dict[str, Callable[[Any], Any]] = {"time": _time, "float": _float, "int": _int, "bool": _bool, "text": _text}
-_ORIGINS: dict[Any, Callable[[Any], Any]] = {
+_CONVERTERS: dict[str, Callable[[Any], Any]] = {
+    "time": _time,
+    "float": _float,
+    "int": _int,
+    "bool": _bool,
+    "text": _text,
+}
+_ORIGIN_CONVERTERS: dict[Any, Callable[[Any], Any]] = {
     float: lambda value: math.nan if (found := _float(value)) is None else found,
     bool: lambda value: bool(_bool(value)),
     str: lambda value: _text(value) or "",

@@ -45,11 +45,11 @@ def keep_copy(connection: sqlite3.Connection, path: Path, version: int) -> None:
     """
     copy = copy_path(path, version)
     part = copy.with_name(f"{copy.name}.part")
-    size = _bytes(connection)
+    size = _size_bytes(connection)
     try:
         lacking = no_room(path, size)
         if lacking is not None:
-            _went_without(path, version, lacking)
+            _warn_without_copy(path, version, lacking)
             return
         # A process that was killed while it copied has left it.
         part.unlink(missing_ok=True)
@@ -57,7 +57,7 @@ def keep_copy(connection: sqlite3.Connection, path: Path, version: int) -> None:
             connection.backup(target)
         part.replace(copy)
     except (sqlite3.Error, OSError) as error:
-        _went_without(path, version, str(error))
+        _warn_without_copy(path, version, str(error))
     else:
         log.warning(
             "the store %s is of version %d: before it is changed, a copy is kept as %s (%.0f MB)",
@@ -78,7 +78,7 @@ def no_room(path: Path, size: int) -> str | None:
     return f"a copy needs {needed / 1e6:.0f} MB and {free / 1e6:.0f} MB are free"
 
 
-def _went_without(path: Path, version: int, why: str) -> None:
+def _warn_without_copy(path: Path, version: int, why: str) -> None:
     log.warning(
         "the store %s is of version %d and is changed WITHOUT a copy (%s): on a return to the release before,"
         " this store is moved aside and a new store begins",
@@ -88,7 +88,7 @@ def _went_without(path: Path, version: int, why: str) -> None:
     )
 
 
-def _bytes(connection: sqlite3.Connection) -> int:
+def _size_bytes(connection: sqlite3.Connection) -> int:
     pages: int = connection.execute("PRAGMA page_count").fetchone()[0]
     size: int = connection.execute("PRAGMA page_size").fetchone()[0]
     return pages * size

@@ -25,15 +25,15 @@ KINDS = tuple(name for name, _ in COLUMNS.values())
 _ROWS_AT_ONCE = 4096
 
 
-def _added(*names: str) -> list[Column]:
+def _float_columns(*names: str) -> list[Column]:
     return [Column(name, name, "float") for name in names]
 
 
 # These columns follow those of the tables: the same quantities as pvlib names them, then the run they come from.
 _PVLIB = {
-    "scans": _added("ghi"),
-    "decisions": _added("solar_azimuth", "apparent_elevation", "apparent_zenith"),
-    "poses": _added("surface_tilt", "surface_azimuth"),
+    "scans": _float_columns("ghi"),
+    "decisions": _float_columns("solar_azimuth", "apparent_elevation", "apparent_zenith"),
+    "poses": _float_columns("surface_tilt", "surface_azimuth"),
 }
 _RUN = [Column("run", "run", "int")]
 _SIMULATED = [Column("simulated", "simulated", "bool")]
@@ -135,7 +135,7 @@ class _Table:
         own = self._stored.index("simulated") if "simulated" in self._stored else None
         count = 0
         while rows := cursor.fetchmany(_ROWS_AT_ONCE):
-            derived = _derived(self.name, self._stored, rows)
+            derived = _pvlib_values(self.name, self._stored, rows)
             for (*values, run, simulated, name, _), more in zip(rows, derived, strict=True):
                 for place in self._floats:
                     if values[place] is None:
@@ -151,7 +151,7 @@ class _Table:
         return count
 
 
-def _derived(name: str, stored: list[str], rows: list[tuple[Any, ...]]) -> list[tuple[float, ...]]:
+def _pvlib_values(name: str, stored: list[str], rows: list[tuple[Any, ...]]) -> list[tuple[float, ...]]:
     """Return each row's values in the columns with pvlib's names."""
 
     def column(wanted: str) -> list[Any]:

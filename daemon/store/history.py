@@ -58,7 +58,7 @@ def stored_days(path: Path, longitude_deg: float) -> list[str]:
         The store cannot be read.
     """
     ahead_s = longitude_deg * 240.0
-    with closing(open_for_reading(path)) as connection, _reading(path):
+    with closing(open_for_reading(path)) as connection, _as_user_errors(path):
         utc_days = connection.execute("SELECT day FROM days").fetchall()
         # Away from the prime meridian a UTC day has parts of two solar days.
         near = {(day * _DAY_S + ahead_s) // _DAY_S + more for (day,) in utc_days for more in (0, 1)}
@@ -91,7 +91,7 @@ def packed_numbers(path: Path, kind: str, start_s: float, end_s: float, tracker:
         The store cannot be read.
     """
     columns = _NUMBERS[kind]
-    with closing(open_for_reading(path)) as connection, _reading(path):
+    with closing(open_for_reading(path)) as connection, _as_user_errors(path):
         known = columns_of(connection, kind)
         wanted = [sql if name in known else "NULL" for name, sql in columns.items()]
         blocks = [
@@ -111,7 +111,7 @@ def packed_numbers(path: Path, kind: str, start_s: float, end_s: float, tracker:
 def lines_of(path: Path, kind: str, start_s: float, end_s: float, tracker: str) -> dict[str, Any]:
     """Return the rows of a kind of `KINDS_OF_LINES`, oldest first, at most `MOST_LINES`; arguments as for numbers."""
     names = _LINES[kind]
-    with closing(open_for_reading(path)) as connection, _reading(path):
+    with closing(open_for_reading(path)) as connection, _as_user_errors(path):
         blocks = _blocks(connection, kind, names, start_s, end_s, tracker, MOST_LINES + 1)
         rows = [row for block in blocks for row in block]
     found = [{"time": iso_utc(row[0])} | dict(zip(names, row[1:], strict=True)) for row in rows[:MOST_LINES]]
@@ -149,7 +149,7 @@ def _blocks(
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[None]:
+def _as_user_errors(path: Path) -> Iterator[None]:
     """Turn what SQLite raises into a sentence."""
     try:
         yield

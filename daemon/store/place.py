@@ -54,7 +54,7 @@ def claimed(directory: Path | None, roles: tuple[str, ...]) -> Iterator[None]:
             with contextlib.suppress(OSError):
                 directory.mkdir(parents=True, exist_ok=True)
             for role in roles:
-                stack.enter_context(_held(directory, role))
+                stack.enter_context(_hold_lock(directory, role))
         yield
 
 
@@ -88,7 +88,7 @@ def _lock_file(directory: Path, role: str) -> Path:
 
 
 @contextlib.contextmanager
-def _held(directory: Path, role: str) -> Iterator[None]:
+def _hold_lock(directory: Path, role: str) -> Iterator[None]:
     if sys.platform == "win32":
         # Only the cube's role runs there, which has no stop to keep.
         yield

@@ -76,7 +76,7 @@ class Releases:
         self._clock = clock
         self._publish = publish
         self._kept = self._load()
-        self.before = self._before()
+        self.before = self._release_before()
         if self._kept is None and self.before is None:
             # No release ran before this one. It is written at once: the next start knows it even if this one is killed.
             self._save(0.0)
@@ -101,18 +101,18 @@ class Releases:
         if self.before is not None:
             self._publish(self._event(f"changed from {self.before} to {self._release}"))
         while True:
-            if not self._known and all_is_kept():
+            if not self._is_release_saved and all_is_kept():
                 self._save(0.0)
             start_s = self._clock.monotonic()
-            await asyncio.sleep(_LOOK_EVERY_S if self._known else _SETTLE_EVERY_S)
-            if self._known:
-                await self._count(self._clock.monotonic() - start_s)
+            await asyncio.sleep(_LOOK_EVERY_S if self._is_release_saved else _SETTLE_EVERY_S)
+            if self._is_release_saved:
+                await self._count_run_time(self._clock.monotonic() - start_s)
 
     @property
-    def _known(self) -> bool:
+    def _is_release_saved(self) -> bool:
         return self._kept is not None and self._kept.release == self._release
 
-    async def _count(self, ran_s: float) -> None:
+    async def _count_run_time(self, ran_s: float) -> None:
         """Count the time that this release has run, as long as there are copies to remove."""
         if self._directory is None or self._kept is None:
             return
@@ -147,7 +147,7 @@ class Releases:
             log.warning("%s: which release ran last is not known", error)
             return ReleaseKept(release="")
 
-    def _before(self) -> str | None:
+    def _release_before(self) -> str | None:
         if self._kept is not None:
             return None if self._kept.release == self._release else self._kept.release or _EARLIER
         # A release that did not write this file yet has left its records, or the values of its configuration.

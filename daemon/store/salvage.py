@@ -88,7 +88,7 @@ def salvage(file: Path, into: Path, progress: Callable[[float], None] = lambda _
         make_folder(into)
         with tempfile.TemporaryDirectory(prefix=".salvage-", dir=into) as scratch:
             copy = _copy(file, Path(scratch))
-            with closing(_open(copy, file)) as source, closing(_for_owner(target)) as store:
+            with closing(_open(copy, file)) as source, closing(_open_for_owner(target)) as store:
                 return _Merge(source, store, progress).run()
     except sqlite3.Error as error:
         raise UserError(f"{target} cannot take the records: {error}") from None
@@ -101,7 +101,7 @@ def salvage(file: Path, into: Path, progress: Callable[[float], None] = lambda _
                 into.rmdir()
 
 
-def _for_owner(target: Path) -> sqlite3.Connection:
+def _open_for_owner(target: Path) -> sqlite3.Connection:
     """Open the store that takes the records, and give it to its folder's owner: a service cannot write to root's."""
     if not target.exists():
         target.touch(0o600)
@@ -149,7 +149,7 @@ def _open(copy: Path, file: Path) -> sqlite3.Connection:
             raise
     except sqlite3.Error:
         connection.close()
-        _graft(copy, file)
+        _graft_first_page(copy, file)
         connection = _connect(copy)
     return connection
 
@@ -161,7 +161,7 @@ def _connect(copy: Path) -> sqlite3.Connection:
     return connection
 
 
-def _graft(copy: Path, file: Path) -> None:
+def _graft_first_page(copy: Path, file: Path) -> None:
     """Put the first page of a new store, which has the list of tables, before pages whose own is unreadable."""
     fresh = copy.with_name("fresh.sqlite")
     open_for_writing(fresh).close()
@@ -190,17 +190,17 @@ class _Merge:
         self._source = source
         self._store = store
         self._progress = progress
-        self._runs: dict[int, int] = {}
+        self._run_in_store: dict[int, int] = {}
         self._known = self._read_runs()
         self._expected = max(sum(self._last_number(run) + 1 for run in self._known), 1)
-        self._numbers: dict[int, list[int]] = {}
+        self._number_ranges: dict[int, list[int]] = {}
         self._simulated = False
 
     def run(self) -> Salvaged:
         found = Salvaged(damaged=self._is_damaged())
         for name, columns in COLUMNS.values():
             found.read[name], found.added[name] = self._merge(name, columns)
-        for first, last, count in self._numbers.values():
+        for first, last, count in self._number_ranges.values():
             found.missing += last - first + 1 - count
         found.simulated = self._simulated
         if not sum(found.read.values()):
@@ -250,12 +250,12 @@ class _Merge:
             batch.append(row)
             if len(batch) == _ROWS_AT_ONCE:
                 read, added, batch = read + len(batch), added + self._write(insert, batch), []
-                self._progress(min(sum(count for _, _, count in self._numbers.values()) / self._expected, 1.0))
+                self._progress(min(sum(count for _, _, count in self._number_ranges.values()) / self._expected, 1.0))
         return read + len(batch), added + self._write(insert, batch)
 
     def _count(self, run: int, number: int) -> None:
-        first, last, count = self._numbers.get(run, (number, number, 0))
-        self._numbers[run] = [min(first, number), max(last, number), count + 1]
+        first, last, count = self._number_ranges.get(run, (number, number, 0))
+        self._number_ranges[run] = [min(first, number), max(last, number), count + 1]
 
     def _write(self, insert: str, rows: list[_Row]) -> int:
         """Write rows in one transaction, so that a service that writes to the same store waits for moments only."""
@@ -276,8 +276,8 @@ class _Merge:
 
     def _run_of(self, row: _Row) -> int:
         """Return the number that a row's run has in the store: that of the same run if it is there, else a new one."""
-        if row[0] not in self._runs:
-            own = self._known.get(row[0]) or self._guess(row)
+        if row[0] not in self._run_in_store:
+            own = self._known.get(row[0]) or self._guess_run(row)
             self._simulated |= bool(own[RUN_COLUMNS.index("simulated")])
             same = " AND ".join(f"{name} = ?" for name in RUN_COLUMNS)
             found = self._store.execute(f"SELECT run FROM runs WHERE {same}", own).fetchone()  # noqa: S608 - our own names
@@ -285,10 +285,10 @@ class _Merge:
                 marks = ", ".join("?" * len(RUN_COLUMNS))
                 made = self._store.execute(f"INSERT INTO runs ({', '.join(RUN_COLUMNS)}) VALUES ({marks})", own)  # noqa: S608 - our own names
                 found = (made.lastrowid,)
-            self._runs[row[0]] = found[0]
-        return self._runs[row[0]]
+            self._run_in_store[row[0]] = found[0]
+        return self._run_in_store[row[0]]
 
-    def _guess(self, row: _Row) -> _Row:
+    def _guess_run(self, row: _Row) -> _Row:
         """Return values for a run of which nothing is known: the site of the nearest run, and an unknown role."""
         nearest = min(self._known, key=lambda run: abs(run - row[0]), default=None)
         like = (0.0, "", "", 1, "unknown", 0.0, 0.0, 0.0, "", "") if nearest is None else self._known[nearest]
@@ -319,35 +319,35 @@ class _Reader:
                     if self._is_whole(row):
                         yield row
             except sqlite3.Error:
-                key = self._behind(key)
+                key = self._first_key_beyond_damage(key)
             else:
                 return
 
-    def _behind(self, key: tuple[int, int]) -> tuple[int, int] | None:
+    def _first_key_beyond_damage(self, key: tuple[int, int]) -> tuple[int, int] | None:
         """Return the least key after which rows can be read again beyond an unreadable place; None if there is none."""
         run, number = max(key[0], 0), max(key[1], -1)
         while True:
             step, unreadable = 1, 0
             while step <= _WIDEST_GAP:
-                if self._reads((run, number + step)):
-                    return self._nearest(run, number + unreadable, number + step)
+                if self._is_readable_after((run, number + step)):
+                    return self._bisect_readable(run, number + unreadable, number + step)
                 step, unreadable = step * 2, step
             run, number = run + 1, -1
             if run > self._last_run:
                 return None
-            if self._reads((run, number)):
+            if self._is_readable_after((run, number)):
                 return run, number
 
-    def _nearest(self, run: int, unreadable: int, readable: int) -> tuple[int, int]:
+    def _bisect_readable(self, run: int, unreadable: int, readable: int) -> tuple[int, int]:
         while readable - unreadable > 1:
             middle = (unreadable + readable) // 2
-            if self._reads((run, middle)):
+            if self._is_readable_after((run, middle)):
                 readable = middle
             else:
                 unreadable = middle
         return run, readable
 
-    def _reads(self, key: tuple[int, int]) -> bool:
+    def _is_readable_after(self, key: tuple[int, int]) -> bool:
         """Whether there is a row after a key, and it can be read."""
         try:
             found = self._source.execute(self._query, (*key, 1)).fetchone()

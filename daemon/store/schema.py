@@ -113,7 +113,7 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
         raise UnusableStoreError(f"{path} is not a store of heliocube, or its beginning is damaged", "foreign")
     connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None)
     try:
-        with _naming(path):
+        with _as_store_errors(path):
             if not _is_empty(connection):
                 # Before anything is written: the file may be another program's.
                 check_is_store(connection, path)
@@ -170,7 +170,7 @@ def require_store(path: Path) -> None:
     try:
         there = path.is_file()
     except PermissionError:
-        raise _closed_to_us(path) from None
+        raise _no_permission_error(path) from None
     if not there:
         raise StoreError(f"there is no store at {path}; name the folder that the service has as store.directory")
 
@@ -180,10 +180,10 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
     require_store(path)
     # We ask and do not try to open it: closing it again would release the locks that this process holds on the store.
     if not os.access(path, os.R_OK, effective_ids=os.access in os.supports_effective_ids):
-        raise _closed_to_us(path)
+        raise _no_permission_error(path)
     connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=_BUSY_S, isolation_level=None)
     try:
-        with _naming(path):
+        with _as_store_errors(path):
             check_is_store(connection, path)
     except sqlite3.Error as error:
         connection.close()
@@ -194,7 +194,7 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
     return connection
 
 
-def _closed_to_us(path: Path) -> StoreError:
+def _no_permission_error(path: Path) -> StoreError:
     return StoreError(
         f"the store {path} may not be read by this user: it belongs to the user of its service, so run the command as"
         " that user, such as 'sudo -u heliocube heliocube ...'"
@@ -281,7 +281,7 @@ def check_is_store(connection: sqlite3.Connection, path: Path) -> None:
 
 
 @contextmanager
-def _naming(path: Path) -> Iterator[None]:
+def _as_store_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:

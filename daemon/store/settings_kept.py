@@ -53,7 +53,7 @@ def tell_changes(
         Of the file, `FILE_NAME` or `CUBE_FILE_NAME`: two services may share a folder.
     """
     file = StateFile(StateFolder(directory), name, SettingsKept, log, "what the configuration said")
-    now = _flat(settings)
+    now = _flatten(settings)
     try:
         kept = file.load()
     except UnreadableStateError as error:
@@ -61,7 +61,7 @@ def tell_changes(
         kept = None
     before = now if kept is None else kept.values
     changed = [key for key in dict.fromkeys([*before, *now]) if before.get(key) != now.get(key)]
-    texts = [f"{key} was {_short(before.get(key))} and is {_short(now.get(key))}" for key in changed[:_MOST]]
+    texts = [f"{key} was {_shorten(before.get(key))} and is {_shorten(now.get(key))}" for key in changed[:_MOST]]
     if len(changed) > _MOST:
         texts.append(f"{len(changed) - _MOST} more keys have changed")
     for text in texts:
@@ -70,17 +70,17 @@ def tell_changes(
         file.save(SettingsKept(values=now))
 
 
-def _flat(table: Mapping[str, Any], outer: str = "") -> dict[str, str]:
+def _flatten(table: Mapping[str, Any], outer: str = "") -> dict[str, str]:
     found: dict[str, str] = {}
     for key, value in table.items():
         if isinstance(value, Mapping):
-            found |= _flat(value, f"{outer}{key}.")
+            found |= _flatten(value, f"{outer}{key}.")
         else:
             found[f"{outer}{key}"] = json.dumps(value)
     return found
 
 
-def _short(value: str | None) -> str:
+def _shorten(value: str | None) -> str:
     if value is None:
         return "not there"
     return value if len(value) <= _LONGEST else f"{value[:_LONGEST]}..."

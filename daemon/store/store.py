@@ -127,7 +127,7 @@ class Store:
         self._waiting: deque[tuple[int, Record]] = deque(maxlen=_MOST_WAITING)
         self._changed = threading.Condition()
         self._closing = False
-        self._numbers = 0
+        self._next_number = 0
         self._written = 0
         self._lost = 0
         self._reported_lost = 0
@@ -143,8 +143,8 @@ class Store:
         with self._changed:
             if len(self._waiting) == _MOST_WAITING:
                 self._lost += 1
-            self._waiting.append((self._numbers, record))
-            self._numbers += 1
+            self._waiting.append((self._next_number, record))
+            self._next_number += 1
             if len(self._waiting) == _BATCH_ROWS:
                 self._changed.notify()
 
@@ -173,14 +173,14 @@ class Store:
             try:
                 self._path.parent.mkdir(parents=True, exist_ok=True)
                 with closing(open_for_writing(self._path)) as connection:
-                    self._serve(connection)
+                    self._write_batches(connection)
             except (sqlite3.Error, OSError, StoreError) as error:
-                if self._moved_aside(error):
+                if self._try_to_move_aside(error):
                     continue
-                self._failed(self._reason(error))
+                self._report_failure(self._reason(error))
             except Exception as error:
                 log.exception("the store's thread has failed")
-                self._failed(repr(error))
+                self._report_failure(repr(error))
             else:
                 return
             with self._changed:
@@ -188,10 +188,10 @@ class Store:
                     return
                 self._changed.wait_for(lambda: self._closing, self._batch_s)
 
-    def _moved_aside(self, error: Exception) -> bool:
+    def _try_to_move_aside(self, error: Exception) -> bool:
         """Move an unusable store out of the way, if that caused the error; return whether a new store can begin."""
         try:
-            kind = self._unusable(error)
+            kind = self._unusable_kind(error)
             # A disk that damages one store after the other must not fill up with them.
             if kind is None or not self._clock.monotonic() - self._moved_s >= _MOVE_AGAIN_S:
                 return False
@@ -210,7 +210,7 @@ class Store:
         self._run = None
         self._days.clear()
 
-    def _unusable(self, error: Exception) -> str | None:
+    def _unusable_kind(self, error: Exception) -> str | None:
         """Return why the file in the store's place can never be used, of `KINDS`; None if the error may pass."""
         if isinstance(error, UnusableStoreError):
             return error.kind
@@ -228,7 +228,7 @@ class Store:
             self._alarms[name] = text
             self._set_alarm(name, text)
 
-    def _serve(self, connection: sqlite3.Connection) -> None:
+    def _write_batches(self, connection: sqlite3.Connection) -> None:
         opened = self._path.stat()
         while True:
             self._check_aside()
@@ -239,7 +239,7 @@ class Store:
             if batch:
                 self._check_place(connection, opened)
                 self._write(connection, batch)
-                self._written_to(batch[-1][0], len(batch))
+                self._note_written(batch[-1][0], len(batch))
             if ended and len(batch) < _BATCH_ROWS:
                 return
 
@@ -273,7 +273,7 @@ class Store:
             raise
         if self._keep_days is not None and not days <= self._days:
             self._days |= days
-            self._thin(connection, self._keep_days)
+            self._delete_oldest_days(connection, self._keep_days)
 
     def _begin_run(self, connection: sqlite3.Connection) -> int:
         marks = ", ".join("?" * len(RUN_COLUMNS))
@@ -284,7 +284,7 @@ class Store:
         assert cursor.lastrowid is not None  # noqa: S101 - narrowing; an insertion has one
         return cursor.lastrowid
 
-    def _thin(self, connection: sqlite3.Connection, keep_days: int) -> None:
+    def _delete_oldest_days(self, connection: sqlite3.Connection, keep_days: int) -> None:
         """Forget the oldest days. Days that have records are counted: a clock set wrong cannot empty the store."""
         last = connection.execute("SELECT day FROM days ORDER BY day DESC LIMIT 1 OFFSET ?", (keep_days,))
         found = last.fetchone()
@@ -298,13 +298,13 @@ class Store:
                 pass
         connection.execute("DELETE FROM days WHERE day <= ?", found)
 
-    def _written_to(self, last: int, count: int) -> None:
+    def _note_written(self, last: int, count: int) -> None:
         with self._changed:
             # If the queue was full meanwhile, the oldest of the batch have left it already. They are written, not lost.
             while self._waiting and self._waiting[0][0] <= last:
                 self._waiting.popleft()
             self._written += count
-            self._lost = self._numbers - self._written - len(self._waiting)
+            self._lost = self._next_number - self._written - len(self._waiting)
             lost = self._lost - self._reported_lost
             reported = self._outage.up(self._clock.monotonic())
             if reported:
@@ -327,7 +327,7 @@ class Store:
             return f"{error.filename or self._path.parent}: {error.strerror}"
         return str(error)
 
-    def _failed(self, reason: str) -> None:
+    def _report_failure(self, reason: str) -> None:
         with self._changed:
             first = not self._outage.is_down
             reported = self._outage.down(self._clock.monotonic(), reason)
@@ -344,8 +344,8 @@ def _insert(connection: sqlite3.Connection, statement: str, rows: list[tuple[Any
         connection.executemany(statement, rows)
     except UnicodeEncodeError:
         # A lone surrogate in one text would keep out all rows after it. Rows that are in already are ignored.
-        connection.executemany(statement, [tuple(map(_in_whole_letters, row)) for row in rows])
+        connection.executemany(statement, [tuple(map(_without_surrogates, row)) for row in rows])
 
 
-def _in_whole_letters(value: Any) -> Any:
+def _without_surrogates(value: Any) -> Any:
     return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value

@@ -40,11 +40,11 @@ class Column(NamedTuple):
     always: bool | None = None
 
 
-def _same(holds: Literal["float", "text"], *names: str) -> list[Column]:
+def _columns_like_fields(holds: Literal["float", "text"], *names: str) -> list[Column]:
     return [Column(name, name, holds) for name in names]
 
 
-_TIMES = [Column("time", "time_utc_s", "time"), *_same("float", "time_monotonic_s")]
+_TIMES = [Column("time", "time_utc_s", "time"), *_columns_like_fields("float", "time_monotonic_s")]
 
 _TRACKER = Column("tracker", "tracker", "text")
 
@@ -54,7 +54,7 @@ COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
         "scans",
         [
             *_TIMES,
-            *_same("text", "source", "session"),
+            *_columns_like_fields("text", "source", "session"),
             Column("sequence", "sequence", "int"),
             Column("simulated", "simulated", "bool"),
             *[
@@ -73,11 +73,11 @@ COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
         "decisions",
         [
             *_TIMES,
-            *_same("text", "mode", "law"),
+            *_columns_like_fields("text", "mode", "law"),
             *[Column(f"{face}_w_m2", f"irradiances.{face}_w_m2", "float") for face in FACES],
             Column("coverage", "irradiances.coverage", "float"),
-            *_same("float", "direction_azimuth_deg", "direction_elevation_deg"),
-            *_same("float", "sun_azimuth_deg", "sun_elevation_deg"),
+            *_columns_like_fields("float", "direction_azimuth_deg", "direction_elevation_deg"),
+            *_columns_like_fields("float", "sun_azimuth_deg", "sun_elevation_deg"),
             Column("target_a_deg", "target.a_deg", "float"),
             Column("target_b_deg", "target.b_deg", "float"),
             Column("moved", "moved", "bool"),
@@ -92,9 +92,9 @@ COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
         "moves",
         [
             *_TIMES,
-            *_same("float", "duration_s", "from_a_deg", "from_b_deg", "target_a_deg", "target_b_deg"),
-            *_same("float", "end_a_deg", "end_b_deg"),
-            *_same("text", "outcome", "why"),
+            *_columns_like_fields("float", "duration_s", "from_a_deg", "from_b_deg", "target_a_deg", "target_b_deg"),
+            *_columns_like_fields("float", "end_a_deg", "end_b_deg"),
+            *_columns_like_fields("text", "outcome", "why"),
             _TRACKER,
         ],
     ),
@@ -102,22 +102,24 @@ COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
         "poses",
         [
             *_TIMES,
-            *_same("float", "a_deg", "b_deg"),
+            *_columns_like_fields("float", "a_deg", "b_deg"),
             Column("moving", "moving", "bool"),
             _TRACKER,
-            *_same("float", "wind_m_s"),
+            *_columns_like_fields("float", "wind_m_s"),
         ],
     ),
-    ModeChange: ("modes", [*_TIMES, *_same("text", "before", "after", "why"), _TRACKER]),
-    Event: ("events", [*_TIMES, *_same("text", "subject", "text"), _TRACKER]),
+    ModeChange: ("modes", [*_TIMES, *_columns_like_fields("text", "before", "after", "why"), _TRACKER]),
+    Event: ("events", [*_TIMES, *_columns_like_fields("text", "subject", "text"), _TRACKER]),
     IvCurve: (
         "curves",
         [
             *_TIMES,
-            *_same("float", "duration_s", "pmpp_w", "pmpp_sigma_w", "vmpp_v", "impp_a", "voc_v", "isc_a"),
-            *_same("float", "zenith_start_w_m2", "zenith_end_w_m2"),
+            *_columns_like_fields(
+                "float", "duration_s", "pmpp_w", "pmpp_sigma_w", "vmpp_v", "impp_a", "voc_v", "isc_a"
+            ),
+            *_columns_like_fields("float", "zenith_start_w_m2", "zenith_end_w_m2"),
             Column("points", "points", "int"),
-            *_same("text", "quality", "why", "curve"),
+            *_columns_like_fields("text", "quality", "why", "curve"),
             _TRACKER,
         ],
     ),
@@ -175,7 +177,7 @@ class TableWriter:
         force: bool = False,
     ) -> None:
         self._directory = directory
-        self._made = not directory.exists()
+        self._is_new_directory = not directory.exists()
         check_tables(directory, format, columns, force=force)
         self._tables: dict[type[Row], _Table] = {}
         make: Callable[[Path, list[Column]], _Table] = _CsvTable if format == "csv" else _ParquetTable
@@ -185,14 +187,14 @@ class TableWriter:
                 self._tables[kind] = make(directory / f"{name}.{format}", its_columns)
         except OSError as error:
             self.discard()
-            raise self._full(error) from None
+            raise self._write_error(error) from None
 
     def write(self, record: Row) -> None:
         """Append one record to the table of its kind; raises `TableError` where the disk does not take it."""
         try:
             self._tables[type(record)].append(with_irradiances(record))
         except OSError as error:
-            raise self._full(error) from None
+            raise self._write_error(error) from None
 
     def close(self) -> None:
         """Finish all tables and give them their names; raises `TableError`, and leaves nothing. May be called again."""
@@ -201,7 +203,7 @@ class TableWriter:
                 table.finish()
         except OSError as error:
             self.discard()
-            raise self._full(error) from None
+            raise self._write_error(error) from None
         tables, self._tables = self._tables, {}
         for table in tables.values():
             table.part.replace(table.path)
@@ -214,10 +216,10 @@ class TableWriter:
             with contextlib.suppress(Exception):
                 table.finish()
             table.part.unlink(missing_ok=True)
-        if self._made and self._directory.is_dir() and not any(self._directory.iterdir()):
+        if self._is_new_directory and self._directory.is_dir() and not any(self._directory.iterdir()):
             self._directory.rmdir()
 
-    def _full(self, error: OSError) -> TableError:
+    def _write_error(self, error: OSError) -> TableError:
         return TableError(f"{self._directory} cannot take the results: {error.strerror}")
 
     def __enter__(self) -> Self:

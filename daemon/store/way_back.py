@@ -73,7 +73,7 @@ def go_back(path: Path, copy: Path, utc_s: float) -> WentBack:
     try:
         with closing(sqlite3.connect(copy, isolation_level=None)) as connection:
             check_is_store(connection, copy)
-            records, left_out = _taken_over(connection, path)
+            records, left_out = _take_over_records(connection, path)
     except sqlite3.Error as error:
         raise StoreError(f"the copy {copy} cannot be used: {error}; the store {path} is as it was") from None
     newer = set_aside(path, utc_s)
@@ -81,18 +81,18 @@ def go_back(path: Path, copy: Path, utc_s: float) -> WentBack:
     return WentBack(records, newer, left_out)
 
 
-def _taken_over(connection: sqlite3.Connection, path: Path) -> tuple[int, str]:
+def _take_over_records(connection: sqlite3.Connection, path: Path) -> tuple[int, str]:
     before = connection.total_changes
     try:
         connection.execute("ATTACH DATABASE ? AS newer", (str(path),))
         connection.execute("BEGIN IMMEDIATE")
         last = _last_numbers(connection)
         for name, _ in COLUMNS.values():
-            _take_over(connection, name, "run > ?", (max(last, default=0),))
+            _copy_missing_rows(connection, name, "run > ?", (max(last, default=0),))
             for run, number in last.items():
-                _take_over(connection, name, "run = ? AND number > ?", (run, number))
+                _copy_missing_rows(connection, name, "run = ? AND number > ?", (run, number))
         records = connection.total_changes - before
-        _take_over(connection, "runs", "run > ?", (max(last, default=0),))
+        _copy_missing_rows(connection, "runs", "run > ?", (max(last, default=0),))
         connection.execute("INSERT OR IGNORE INTO main.days SELECT day FROM newer.days")
         connection.execute("COMMIT")
     except sqlite3.Error as error:
@@ -114,7 +114,7 @@ def _last_numbers(connection: sqlite3.Connection) -> dict[int, int]:
     return last
 
 
-def _take_over(connection: sqlite3.Connection, name: str, which: str, values: tuple[int, ...]) -> None:
+def _copy_missing_rows(connection: sqlite3.Connection, name: str, which: str, values: tuple[int, ...]) -> None:
     """Copy those rows of one table that the copy has not; the runs themselves come last."""
     there, here = (columns_of(connection, name, schema) for schema in ("newer", "main"))
     columns = ", ".join(sorted(there & here))

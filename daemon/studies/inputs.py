@@ -100,7 +100,7 @@ def check_table(path: Path) -> str:
             f"{path} is packed in a way that cannot be read: unpack it, or pack the table alone with gzip (.gz)"
         )
     if path.is_char_device() or path.is_block_device():
-        raise _no_file(path)
+        raise _special_file_error(path)
     if not path.is_file():
         return ","
     try:
@@ -159,10 +159,10 @@ def check_ordinary(path: Path, what: str) -> None:
     if path.is_dir():
         raise UserError(f"{path} is a folder: name a file with {what} in it")
     if path.exists() and not path.is_file():
-        raise _no_file(path)
+        raise _special_file_error(path)
 
 
-def _no_file(path: Path) -> UserError:
+def _special_file_error(path: Path) -> UserError:
     return UserError(f"{path} is no ordinary file: write its records into one and name that")
 
 

@@ -129,7 +129,7 @@ def read_store(
     with TemporaryDirectory(prefix="heliocube-") as folder:
         first = None if start is None else _instant(start, "start")
         last = None if end is None else _instant(end, "end")
-        export(_named(directory, "directory"), Path(folder), "parquet", first, last, wanted)
+        export(_required_path(directory, "directory"), Path(folder), "parquet", first, last, wanted)
         return _tables(Path(folder))
 
 
@@ -147,7 +147,7 @@ def read_faces(path: Path | str) -> pd.DataFrame:
     UserError
         One sentence with the file, the line, the value and what is expected.
     """
-    recording = read_csv(_named(path, "path"))
+    recording = read_csv(_required_path(path, "path"))
     if recording.broken:
         _warn(f"{path}: {recording.broken.note()}")
     rows = recording.rows
@@ -269,10 +269,10 @@ def _place(site: Place | None) -> dict[str, object] | None:
 
 
 def _path(file: Path | str | None, name: str) -> Path | None:
-    return None if file is None else _named(file, name)
+    return None if file is None else _required_path(file, name)
 
 
-def _named(file: Path | str, name: str) -> Path:
+def _required_path(file: Path | str, name: str) -> Path:
     try:
         return Path(file)
     except TypeError:

@@ -11,7 +11,7 @@ from daemon.base.errors import UserError
 from daemon.base.files import part_of
 
 # Removes the time of writing that an SVG or a PDF would contain: the same figure has to give the same bytes.
-_UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+_UNDATED_METADATA: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
 def save_picture(figure: Figure, path: Path, dpi: float = 120.0) -> None:
@@ -27,7 +27,7 @@ def save_picture(figure: Figure, path: Path, dpi: float = 120.0) -> None:
     content = io.BytesIO()
     # Without a fixed salt the names of an SVG's parts are random.
     with rc_context({"svg.hashsalt": "heliocube"}):
-        figure.savefig(content, format=kind, dpi=dpi, metadata=_UNDATED.get(kind, {}))
+        figure.savefig(content, format=kind, dpi=dpi, metadata=_UNDATED_METADATA.get(kind, {}))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with part_of(path) as part:

@@ -38,8 +38,8 @@ COLUMNS = ("time", *FACES)
 _ROWS_AT_ONCE = 50_000
 # A logger writes these for a value above or below its range. They count as numbers that no face can read.
 _OUT_OF_RANGE = frozenset({"inf", "+inf", "-inf"})
-_GOOD = ", ".join(f"CASE {face}_quality WHEN '{Quality.OK}' THEN {face}_w_m2 END" for face in FACES)
-_SCANS = f"SELECT time, {_GOOD} FROM scans WHERE time >= ? AND time < ? ORDER BY time"  # noqa: S608 - our own names
+_GOOD_READINGS_SQL = ", ".join(f"CASE {face}_quality WHEN '{Quality.OK}' THEN {face}_w_m2 END" for face in FACES)
+_SCANS = f"SELECT time, {_GOOD_READINGS_SQL} FROM scans WHERE time >= ? AND time < ? ORDER BY time"  # noqa: S608 - our own names
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +227,7 @@ def _rows(
         for name, place, value in zip(FACES, places[1:], row.irradiances_w_m2, strict=True):
             if not (LOWEST_W_M2 <= value <= HIGHEST_W_M2 or math.isnan(value)):
                 impossible.append(f"line {line}: {name} {cells[place].strip()}")
-        yield row if not impossible else _possible(row)
+        yield row if not impossible else _without_impossible(row)
 
 
 def _row(cells: list[str], width: int, places: list[int], before: list[float]) -> RecordedScan:
@@ -262,7 +262,7 @@ def _irradiance(name: str, text: str) -> float:
         raise ValueError(f"{name} is {text!r}, not a number of W/m2; leave the cell empty without a reading") from None
 
 
-def _possible(row: RecordedScan) -> RecordedScan:
+def _without_impossible(row: RecordedScan) -> RecordedScan:
     """Return the row without the numbers that no face can read."""
     east, south, west, zenith = (
         value if LOWEST_W_M2 <= value <= HIGHEST_W_M2 else math.nan for value in row.irradiances_w_m2

@@ -97,7 +97,7 @@ def replay(
         The rows are too few, too far apart or not within 1979 to 2099, `out` cannot be written, or the settings have
         several trackers.
     """
-    settings = _fitted(settings_of_one(settings, None), rows, called)
+    settings = _settings_for_rows(settings_of_one(settings, None), rows, called)
     # A folder that cannot be written to is reported before the work and not after it.
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -137,7 +137,7 @@ class _Log:
             self.law = ""
 
 
-def _fitted(settings: Settings, rows: RecordedScans, called: str) -> Settings:
+def _settings_for_rows(settings: Settings, rows: RecordedScans, called: str) -> Settings:
     """Return the settings with the rhythm of the rows, and without what a replay must not use."""
     if len(rows) < 2:
         raise UserError(f"{called}: a replay needs two rows at least, to know how far apart they are")
@@ -183,11 +183,11 @@ def _run(settings: Settings, rows: RecordedScans, progress: Callable[[float], No
         bus.subscribe(log.note)
         # After Ctrl-C the rows that are done remain, and are valid.
         with contextlib.suppress(KeyboardInterrupt), simulated_time_in_log(clock):
-            runner.run(_beside(service, _Feeder(service, truth, loop, clock, log).run(rows, progress)))
+            runner.run(_run_with_feeder(service, _Feeder(service, truth, loop, clock, log).run(rows, progress)))
     return log
 
 
-async def _beside(service: Service, feeding: Coroutine[Any, Any, None]) -> None:
+async def _run_with_feeder(service: Service, feeding: Coroutine[Any, Any, None]) -> None:
     """Feed the tracker's parts while they run; a part that dies ends all."""
     motion = service.trackers[0].motion
     async with asyncio.TaskGroup() as group:
@@ -212,9 +212,9 @@ class _Feeder:
         self._loop = loop
         self._clock = clock
         self._log = log
-        self._woken_s = -math.inf
-        self._seen = (math.nan,) * 4
-        self._seen_at_rest = False
+        self._last_sleep_end_s = -math.inf
+        self._last_angles = (math.nan,) * 4
+        self._last_angles_at_rest = False
         self._gap_s = max(_AWAKE_S, 2.0 * self._cube.scan_every_s)
 
     async def run(self, rows: RecordedScans, progress: Callable[[float], None]) -> None:
@@ -223,7 +223,7 @@ class _Feeder:
         for number, row in enumerate(rows):
             due_s = row.time_utc_s + start_s
             if due_s - loop.time() > self._gap_s:
-                await self._pass(due_s)
+                await self._pass_gap(due_s)
             await self._live_until(due_s)
             control.receive(self._scan(number, row), self._clock.utc())
             log.angles.extend(self._angles())
@@ -249,13 +249,13 @@ class _Feeder:
 
     async def _wait(self, duration_s: float) -> None:
         """Let time pass; while the tracker rests time may jump, as nothing else runs but the polling at rest."""
-        if self._motion.resting and self._loop.time() - self._woken_s < _POLLING.idle_s:
+        if self._motion.resting and self._loop.time() - self._last_sleep_end_s < _POLLING.idle_s:
             self._loop.skip(max(duration_s, 0.0))
         else:
             # A short move may begin and end during this sleep.
-            self._seen_at_rest = False
+            self._last_angles_at_rest = False
             await asyncio.sleep(max(duration_s, 0.0))
-            self._woken_s = self._loop.time()
+            self._last_sleep_end_s = self._loop.time()
 
     def _scan(self, number: int, row: RecordedScan) -> Scan:
         """Return the scan that a cube would have made of the row: its faces are judged as on a rig."""
@@ -290,8 +290,8 @@ class _Feeder:
     def _angles(self) -> tuple[float, float, float, float]:
         """Return where the tracker was sent last and where it stands; at rest it is looked at only once."""
         motion = self._motion
-        if motion.resting and self._seen_at_rest:
-            return self._seen
+        if motion.resting and self._last_angles_at_rest:
+            return self._last_angles
         truth = self._truth(self._loop.time())
         heading, last = motion.target, motion.last_move
         if heading is not None:
@@ -302,23 +302,23 @@ class _Feeder:
             # It was never sent anywhere: its set point is where it stands.
             a_set, b_set = truth
         seen = (a_set, b_set, *truth)
-        self._seen_at_rest = motion.resting and seen == self._seen
-        self._seen = seen
+        self._last_angles_at_rest = motion.resting and seen == self._last_angles
+        self._last_angles = seen
         return seen
 
-    async def _pass(self, due_s: float) -> None:
+    async def _pass_gap(self, due_s: float) -> None:
         """Let a gap pass, in large steps at night while the tracker rests: nothing happens then."""
         while (left_s := due_s - _AWAKE_S - self._loop.time()) > 0:
             skip_s = min(left_s, _SKIP_S)
             if left_s > 2.0 * DAY_S:
                 skip_s = (left_s // DAY_S - 1.0) * DAY_S
-            if self._asleep_until(skip_s):
+            if self._may_skip(skip_s):
                 self._loop.skip(skip_s)
                 self._control.tick()
             else:
                 await self._live_until(self._loop.time() + min(left_s, _AWAKE_S))
 
-    def _asleep_until(self, skip_s: float) -> bool:
+    def _may_skip(self, skip_s: float) -> bool:
         if self._control.mode is not Mode.NIGHT or not self._motion.resting:
             return False
         utc_s = self._clock.utc()
@@ -360,10 +360,10 @@ def _estimates(
     for (begin, known), end in zip(learned, ends, strict=True):
         part = slice(max(begin - first, 0), max(min(end - first, len(faces)), 0))
         columns = law.estimates(faces[part], sun[part], known)
-        beam, diffuse = ([_written(value, ".1f") for value in column.tolist()] for column in columns[:2])
-        found += zip(beam, diffuse, [_written(value, ".4f") for value in columns.albedo.tolist()], strict=True)
+        beam, diffuse = ([_format_or_empty(value, ".1f") for value in column.tolist()] for column in columns[:2])
+        found += zip(beam, diffuse, [_format_or_empty(value, ".4f") for value in columns.albedo.tolist()], strict=True)
     return found
 
 
-def _written(value: float, form: str) -> str:
+def _format_or_empty(value: float, form: str) -> str:
     return "" if math.isnan(value) else format(value, form)

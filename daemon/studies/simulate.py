@@ -138,7 +138,7 @@ def simulate(
         )
         try:
             with simulated_time_in_log(clock):
-                runner.run(_until_end(service, days * DAY_S, progress, full))
+                runner.run(_run_until_end(service, days * DAY_S, progress, full))
         except KeyboardInterrupt:
             interrupted_utc_s = clock.utc()
     end_utc_s = end_utc_s if interrupted_utc_s is None else interrupted_utc_s
@@ -149,7 +149,7 @@ def simulate(
     return summary
 
 
-async def _until_end(
+async def _run_until_end(
     service: Service, duration_s: float, progress: Callable[[float], None], full: Sequence[TableError]
 ) -> None:
     stop = asyncio.Event()

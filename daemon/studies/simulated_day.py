@@ -31,16 +31,16 @@ class PlacedPose(Pose):
 
 
 # All fields of a pose, in their order. An attrgetter is fast: a simulated day has 20,000 poses.
-_of_pose = attrgetter(*[field.name for field in fields(Pose)])
+_pose_values = attrgetter(*[field.name for field in fields(Pose)])
 
 
-def _of_simulation(kind: type[Row], columns: list[Column]) -> list[Column]:
+def _columns_of_simulation(kind: type[Row], columns: list[Column]) -> list[Column]:
     marked = any(column.name == _SIMULATED.name for column in columns)
     return [*columns, *(_PLANE if kind is Pose else ()), *(() if marked else (_SIMULATED,))]
 
 
 SIMULATED_COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
-    PlacedPose if kind is Pose else kind: (name, _of_simulation(kind, columns))
+    PlacedPose if kind is Pose else kind: (name, _columns_of_simulation(kind, columns))
     for kind, (name, columns) in COLUMNS.items()
 }
 """The tables of a simulation: the service's own, with pvlib's names for poses, each row marked as simulated."""
@@ -50,7 +50,7 @@ def placed(record: Record, latitude_deg: float) -> Record:
     """Return a pose with where its plane faces at a latitude, anything else as it is."""
     if not isinstance(record, Pose):
         return record
-    values: tuple[Any, ...] = (*_of_pose(record), *_plane(record.a_deg, record.b_deg, latitude_deg))
+    values: tuple[Any, ...] = (*_pose_values(record), *_plane(record.a_deg, record.b_deg, latitude_deg))
     return PlacedPose(*values)
 
 
@@ -116,7 +116,7 @@ class Poses:
         conditions = weather.at(utc_s)
         light = sky(settings.simulation.sky, sun, conditions.dni_w_m2, conditions.dhi_w_m2, extraterrestrial_dni(utc_s))
         for name, own in settings.trackers:
-            normals = normal_from_angles(*self._stood(name, utc_s))
+            normals = normal_from_angles(*self._angles_at(name, utc_s))
             ideal = normal_from_angles(*angles_within(sun, own.limits.limits()))
             on_plane, on_ideal = (light.irradiance_on(each, settings.simulation.albedo) for each in (normals, ideal))
             known = np.isfinite(on_plane)
@@ -127,7 +127,7 @@ class Poses:
                 chronometric_kwh_m2=float(on_ideal[known].sum()) * _STEP_S / 3.6e6,
             )
 
-    def _stood(self, tracker: str, utc_s: Array) -> tuple[Array, Array]:
+    def _angles_at(self, tracker: str, utc_s: Array) -> tuple[Array, Array]:
         """Return A and B at each instant: those of the latest pose, NaN before the first."""
         poses = np.append([-np.inf, np.nan, np.nan], self._poses.get(tracker, ())).reshape(-1, 3)
         latest = np.searchsorted(poses[:, 0], utc_s, side="right") - 1

@@ -29,8 +29,8 @@ PER_DEG = 100.0
 _DEG_SF = 0xFFFE
 _DUAL_AXIS = 5
 AUTOMATIC, MANUAL = 0, 1
-_NOT_THERE, _OBSTRUCTED = 1 << 0, 1 << 1 | 1 << 2
-_KEPT_FROM_STOW = "stow-wanted"
+_NOT_AT_TARGET, _OBSTRUCTED = 1 << 0, 1 << 1 | 1 << 2
+_STOW_WANTED_ALARM = "stow-wanted"
 # Nearly flat, the azimuth of the normal is noise.
 _FLAT_ABOVE_DEG = 89.5
 
@@ -133,20 +133,20 @@ class SunSpecMap:
         positioner = tracker.positioner
         mode = tracker.control.mode
         bits = _OBSTRUCTED if positioner.blocked_why is not None or mode is Mode.FAULT else 0
-        kept_from_it = any(alarm.on and alarm.name == _KEPT_FROM_STOW for alarm in tracker.alarms)
+        kept_from_it = any(alarm.on and alarm.name == _STOW_WANTED_ALARM for alarm in tracker.alarms)
         # In a fault a stow that is wanted cannot be carried out, and a move that the fault has ended is not resumed.
         fault = mode is Mode.FAULT
         stow = mode is Mode.STOW or (fault and _wants_stow(tracker))
         if kept_from_it or (stow and not tracker.at_stow):
             # A person keeps the tracker still, or a stow that has failed waits to be tried again: it is not on its way.
-            return bits | _NOT_THERE
-        target = _sent_to(tracker) if fault else positioner.target
+            return bits | _NOT_AT_TARGET
+        target = _target_or_last(tracker) if fault else positioner.target
         if target is None or positioner.pose is None or positioner.pose_is_stale:
             return bits
-        return bits if self.is_at(tracker, target.a_deg, target.b_deg) else bits | _NOT_THERE
+        return bits if self.is_at(tracker, target.a_deg, target.b_deg) else bits | _NOT_AT_TARGET
 
     def _target(self, seen: Snapshot, tracker: TrackerState) -> list[int]:
-        target = _sent_to(tracker)
+        target = _target_or_last(tracker)
         if target is None:
             return [*_NO_INT32, *_NO_INT32]
         return self._angles(f"{tracker.name} target", target.a_deg, target.b_deg, seen.site.latitude_deg)
@@ -166,7 +166,7 @@ class SunSpecMap:
         return [*degree_words(float(elevation_deg)), *degree_words(kept_deg)]
 
 
-def _sent_to(tracker: TrackerState) -> Target | None:
+def _target_or_last(tracker: TrackerState) -> Target | None:
     """Return where the tracker is sent, or where it was sent last unless that move was called off."""
     target, last = tracker.positioner.target, tracker.positioner.last_move
     if target is None and last is not None and last.outcome is not MoveOutcome.INTERRUPTED:

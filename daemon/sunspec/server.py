@@ -24,7 +24,7 @@ from drivers.modbus.server import answer
 
 log = logging.getLogger("heliocube.sunspec")
 
-_AGAIN_S = 10.0
+_RETRY_EVERY_S = 10.0
 _IDLE_S = 300.0
 _MOST_CLIENTS = 16
 # A control room asks every few seconds. If all places are taken, a client that was silent for this long makes room.
@@ -79,7 +79,7 @@ class SunSpecServer:
         self._alarm = alarm
         self._speed = speed
         self._outage = Outage(log, "the SunSpec device")
-        self._refused = LogBudget("writes over SunSpec that were refused")
+        self._refusal_budget = LogBudget("writes over SunSpec that were refused")
         self._asked_s: dict[asyncio.StreamWriter, float] = {}
         self._running: set[asyncio.Task[object]] = set()
         serial = settings.mqtt.name or settings.cube.name
@@ -103,8 +103,8 @@ class SunSpecServer:
                     # asyncio passes over a kind of address that the system does not have, and opens no socket.
                     server, why = (opened if opened.sockets else None), os.strerror(errno.EAFNOSUPPORT)
                 if server is None:
-                    self._cannot(f"cannot listen on {address}: {why}")
-                    await asyncio.sleep(_AGAIN_S * self._speed)
+                    self._report_outage(f"cannot listen on {address}: {why}")
+                    await asyncio.sleep(_RETRY_EVERY_S * self._speed)
             self._outage.up(self._clock.monotonic())
             self._alarm("sunspec-down", None)
             self.port = server.sockets[0].getsockname()[1]
@@ -112,7 +112,7 @@ class SunSpecServer:
             log.info("SunSpec is served at %s, %s", address, may)
             while True:
                 await asyncio.sleep(_SETTLE_EVERY_S * self._speed)
-                self._log(self._refused.settle(self._clock.monotonic()))
+                self._log(self._refusal_budget.settle(self._clock.monotonic()))
         finally:
             await self._end(server)
 
@@ -127,7 +127,7 @@ class SunSpecServer:
             task.cancel()
         await asyncio.gather(*running, return_exceptions=True)
 
-    def _cannot(self, reason: str) -> None:
+    def _report_outage(self, reason: str) -> None:
         self._outage.down(self._clock.monotonic(), f"{reason}; set sunspec.listen to another port or address")
         self._alarm("sunspec-down", f"the SunSpec device {reason}: no control room can read or command")
 
@@ -229,7 +229,7 @@ class SunSpecServer:
             raise CommandError("a person has stopped or stowed the tracker in the meantime")
 
     def _tell(self, sentence: str) -> None:
-        self._log(self._refused.spend(self._clock.monotonic(), f"a write over SunSpec is refused: {sentence}"))
+        self._log(self._refusal_budget.spend(self._clock.monotonic(), f"a write over SunSpec is refused: {sentence}"))
 
     def _log(self, line: str) -> None:
         if line:

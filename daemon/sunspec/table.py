@@ -26,7 +26,7 @@ from drivers.modbus.server import NoBits, RefusedRequestError
 from solar.frames import angles_from_direction, direction_from_azimuth
 
 _KEPT_S = 0.2
-_WAIT_S = 300.0
+_ANGLES_WAIT_S = 300.0
 _CONTROL_WORDS = 5
 _ELEVATION, _AZIMUTH, _MODE = 0, 2, 4
 
@@ -50,7 +50,7 @@ class Override(NamedTuple):
     b_deg: float = 0.0
 
 
-class _Before(NamedTuple):
+class _FormerState(NamedTuple):
     """What was known of a tracker before the last write to it."""
 
     manual: ManualTarget | None
@@ -82,14 +82,14 @@ class SunSpecTable(NoBits):
         self._writable = writable
         self._manual: dict[str, ManualTarget] = {}
         self._written_s: dict[str, float] = {}
-        self._gone_to: dict[str, tuple[float, float]] = {}
-        self._before: dict[str, _Before] = {}
+        self._goto_places: dict[str, tuple[float, float]] = {}
+        self._former_states: dict[str, _FormerState] = {}
         # By tracker; None for a write of angles alone.
         self._newest: dict[str, Override | None] = {}
-        self._seen_s = -_KEPT_S
-        self._seen: Snapshot | None = None
+        self._snapshot_s = -_KEPT_S
+        self._latest_snapshot: Snapshot | None = None
         self._registers = Registers((), {})
-        self._asked: Override | None = None
+        self._pending_override: Override | None = None
 
     def read(self, function: int, register: int, count: int) -> tuple[int, ...]:  # noqa: ARG002 - 3 and 4 alike
         """Return registers; all that are read within a fifth of a second show the same moment."""
@@ -104,20 +104,22 @@ class SunSpecTable(NoBits):
         if not self._writable:
             raise RefusedRequestError(ILLEGAL_FUNCTION)
         # Take a new snapshot: a person may have ended the override a moment ago.
-        self._seen_s = -_KEPT_S
+        self._snapshot_s = -_KEPT_S
         controls = self._current().controls
         start = next((first for first in controls if first <= register < first + _CONTROL_WORDS), None)
         if start is None or register + len(values) > start + _CONTROL_WORDS:
             raise RefusedRequestError(ILLEGAL_ADDRESS)
         name = controls[start]
-        target, mode = self._written(self._manual.get(name, ManualTarget()), register - start, values)
-        self._asked = None if mode is None else self._override(self._tracker(name), target, mode)
-        self._newest[name] = self._asked
-        self._before[name] = _Before(self._manual.get(name), self._written_s.get(name), self._gone_to.get(name))
+        target, mode = self._target_and_mode(self._manual.get(name, ManualTarget()), register - start, values)
+        self._pending_override = None if mode is None else self._override(self._tracker(name), target, mode)
+        self._newest[name] = self._pending_override
+        self._former_states[name] = _FormerState(
+            self._manual.get(name), self._written_s.get(name), self._goto_places.get(name)
+        )
         if register < start + _MODE:
             self._manual[name], self._written_s[name] = target, self._now()
-            self._gone_to.pop(name, None)
-        self._seen_s = -_KEPT_S
+            self._goto_places.pop(name, None)
+        self._snapshot_s = -_KEPT_S
 
     def is_held(self, tracker: str) -> bool:
         """Tell whether a person's stop, maintenance, stow or snow holds a tracker at this very instant.
@@ -125,7 +127,7 @@ class SunSpecTable(NoBits):
         A program that writes zeros from afar must end none of them.
         """
         # Take a new snapshot: the person may have given the command a moment ago.
-        self._seen_s = -_KEPT_S
+        self._snapshot_s = -_KEPT_S
         self._current()
         wishes = self._tracker(tracker).wishes
         return wishes.stillness is not None or wishes.stow is not None or wishes.snow is not None
@@ -152,66 +154,68 @@ class SunSpecTable(NoBits):
 
     def take(self) -> Override | None:
         """Return what the last write asks of a tracker, once."""
-        asked, self._asked = self._asked, None
+        asked, self._pending_override = self._pending_override, None
         return asked
 
     def done(self, asked: Override) -> None:
         """Take note that an override was carried out: after ``auto`` the earlier angles are forgotten."""
-        self._seen_s = -_KEPT_S
+        self._snapshot_s = -_KEPT_S
         if self._newest.get(asked.tracker) is not asked:
             # A later write came while this one waited for its effect: the angles are those of the later one.
             return
         if asked.name == "auto":
             self._forget(asked.tracker)
         elif asked.name == "goto":
-            self._gone_to[asked.tracker] = (asked.a_deg, asked.b_deg)
+            self._goto_places[asked.tracker] = (asked.a_deg, asked.b_deg)
 
     def refused(self, asked: Override) -> None:
         """Take note that an override was refused: forget the angles of the same write, and restore the earlier ones.
 
         Otherwise a mode that is written alone later would move the tracker to the refused place.
         """
-        self._seen_s = -_KEPT_S
+        self._snapshot_s = -_KEPT_S
         name = asked.tracker
         if self._newest.get(name) is not asked:
             return
         self._forget(name)
-        before = self._before[name]
+        before = self._former_states[name]
         if before.manual is not None:
             self._manual[name] = before.manual
         if before.written_s is not None:
             self._written_s[name] = before.written_s
         if before.gone_to is not None:
-            self._gone_to[name] = before.gone_to
+            self._goto_places[name] = before.gone_to
 
     def _current(self) -> Registers:
         now_s = self._now()
-        if not now_s - self._seen_s < _KEPT_S:
-            self._seen = self._see()
-            self._forget_what_is_over(self._seen, now_s)
-            self._registers = self._map.registers(self._seen, self._manual)
-            self._seen_s = now_s
+        if not now_s - self._snapshot_s < _KEPT_S:
+            self._latest_snapshot = self._see()
+            self._forget_outdated_angles(self._latest_snapshot, now_s)
+            self._registers = self._map.registers(self._latest_snapshot, self._manual)
+            self._snapshot_s = now_s
         return self._registers
 
-    def _forget_what_is_over(self, seen: Snapshot, now_s: float) -> None:
+    def _forget_outdated_angles(self, seen: Snapshot, now_s: float) -> None:
         """Forget angles whose goto somebody has ended, and those that have waited too long for the mode.
 
         Otherwise a mode that is written alone would move the tracker to where nobody wants it now.
         """
         for tracker in seen.trackers:
-            hold, gone_to = tracker.wishes.hold, self._gone_to.get(tracker.name)
+            hold, gone_to = tracker.wishes.hold, self._goto_places.get(tracker.name)
             if gone_to is not None:
                 over = hold is None or hold.goto_deg != gone_to
             else:
-                over = now_s - self._written_s.get(tracker.name, now_s) > _WAIT_S
+                over = now_s - self._written_s.get(tracker.name, now_s) > _ANGLES_WAIT_S
             if over:
                 self._forget(tracker.name)
 
     def _forget(self, name: str) -> None:
-        for each in (self._manual, self._written_s, self._gone_to):
+        for each in (self._manual, self._written_s, self._goto_places):
             each.pop(name, None)
 
-    def _written(self, target: ManualTarget, offset: int, values: tuple[int, ...]) -> tuple[ManualTarget, int | None]:
+    def _target_and_mode(
+        self, target: ManualTarget, offset: int, values: tuple[int, ...]
+    ) -> tuple[ManualTarget, int | None]:
         """Return the angles and the mode after a write; half an angle is none."""
         end = offset + len(values)
         if offset in (_ELEVATION + 1, _AZIMUTH + 1) or end in (_ELEVATION + 1, _AZIMUTH + 1):
@@ -251,7 +255,7 @@ class SunSpecTable(NoBits):
         return next(tracker for tracker in self._snapshot().trackers if tracker.name == name)
 
     def _snapshot(self) -> Snapshot:
-        return self._seen or self._see()
+        return self._latest_snapshot or self._see()
 
 
 def _angle(words: tuple[int, ...], low: int, high: int) -> int | None:

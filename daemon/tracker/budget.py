@@ -13,12 +13,12 @@ log = logging.getLogger("heliocube.control")
 
 FILE_NAME = "day.json"
 _ALARM = "day-budget"
-_FOR_THE_SUN = 0.25
+_SHARE_KEPT_FOR_SUN = 0.25
 """Share of the day's travel that is kept for following the sun by the clock, which takes some 250 degrees in a day and
 half of that in an afternoon."""
-_AT_ONCE = 0.1
+_SHARE_AHEAD_OF_TIME = 0.1
 """Share of the day's moves that may be made ahead of time, because clouds do not come evenly over the day."""
-_SEE = "see motion.moves_per_day and motion.travel_per_day_deg"
+_SEE_SETTINGS = "see motion.moves_per_day and motion.travel_per_day_deg"
 
 
 class Used(BaseModel):
@@ -48,7 +48,7 @@ def is_early(moves: int, settings: MotionSettings, site: Site, utc_s: float) -> 
         Now [s]. While the sun is down nothing waits: it is twilight, or the clock is wrong.
     """
     left = share_of_daylight_left(utc_s, *site)
-    return 0.0 < left < 1.0 and moves > settings.moves_per_day * (1.0 - left * (1.0 - _AT_ONCE))
+    return 0.0 < left < 1.0 and moves > settings.moves_per_day * (1.0 - left * (1.0 - _SHARE_AHEAD_OF_TIME))
 
 
 class DayBudget:
@@ -75,7 +75,7 @@ class DayBudget:
         self._alarms = alarms
         # An older day's count ends with the first `turn`, which comes when the clock can be trusted.
         self.used = self._load() or Used(day=int(solar_days(utc_s, site.longitude_deg)))
-        self._later: Used | None = None
+        self._later_day: Used | None = None
 
     @property
     def moves_left(self) -> int:
@@ -90,7 +90,7 @@ class DayBudget:
     @property
     def is_for_the_sun(self) -> bool:
         """Whether the travel that is left is kept for following the sun by the clock, which beats standing."""
-        return self.travel_left_deg < _FOR_THE_SUN * self._settings.travel_per_day_deg
+        return self.travel_left_deg < _SHARE_KEPT_FOR_SUN * self._settings.travel_per_day_deg
 
     def waits_why(self, utc_s: float) -> str | None:
         """Return why the next move has to wait for a later time of the day; None if it need not, or no move is left."""
@@ -103,10 +103,10 @@ class DayBudget:
 
         If the clock was wrong for a time and is then set to the day of the kept count, that count goes on.
         """
-        today, before, later = int(solar_days(utc_s, self._site.longitude_deg)), self.used, self._later
+        today, before, later = int(solar_days(utc_s, self._site.longitude_deg)), self.used, self._later_day
         if today == before.day:
             return
-        self.used, self._later = turn_day(today, before, later, Used(day=today))
+        self.used, self._later_day = turn_day(today, before, later, Used(day=today))
         if self.used is later:
             self.used = later.plus(before.travelled_deg, before.moves)
         else:
@@ -117,7 +117,7 @@ class DayBudget:
         """Return why one more move of this length [deg] is too much, and tell it once a day; None if it is not."""
         if self.moves_left >= 1 and distance_deg <= self.travel_left_deg:
             return None
-        text = f"the laws have used up the day's budget of motion: {self._account}; {_SEE}"
+        text = f"the laws have used up the day's budget of motion: {self._usage_text}; {_SEE_SETTINGS}"
         self._alarms.set(_ALARM, text)
         return text
 
@@ -128,16 +128,16 @@ class DayBudget:
         if self.is_for_the_sun:
             self._alarms.set(
                 _ALARM,
-                f"three quarters of the day's budget of travel are used ({self._account}): the rest is kept for"
-                f" following the sun by the clock; {_SEE}",
+                f"three quarters of the day's budget of travel are used ({self._usage_text}): the rest is kept for"
+                f" following the sun by the clock; {_SEE_SETTINGS}",
             )
 
     def _save(self) -> None:
-        used, later = self.used, self._later
+        used, later = self.used, self._later_day
         self._file.save(used if later is None else later.plus(used.travelled_deg, used.moves))
 
     @property
-    def _account(self) -> str:
+    def _usage_text(self) -> str:
         return (
             f"{self.used.moves} moves of {self._settings.moves_per_day}, {self.used.travelled_deg:.0f} deg of"
             f" {self._settings.travel_per_day_deg:g}"

@@ -130,7 +130,7 @@ class Control(Doors):
         self._due_s = -math.inf
         self._decision: Decision | None = None
         self._data, self._wind_known = Data.WAITING, False
-        self._last_why = ""
+        self._last_refusal = ""
         self._foreseen: tuple[object, Foresight | None] | None = None
         self._foresee_from_s = clock.monotonic() + phase.delay_s(_FORESEE_EVERY_S)
         self._changes: dict[frozenset[Mode], Recurrence] = {}
@@ -143,7 +143,7 @@ class Control(Doors):
         self._readings.add(scan)
         if self._clock_watch.trusted:
             self.pointing.receive(scan, utc_s)
-        if (self.mode in (Mode.STARTING, Mode.FALLBACK) or self._waits) and scan.ok:
+        if (self.mode in (Mode.STARTING, Mode.FALLBACK) or self._must_wait) and scan.ok:
             # This scan may be what the decision waits for.
             self._decide_in_turn()
 
@@ -179,7 +179,7 @@ class Control(Doors):
             in_s = max(self._due_s - now_s, 0.0)
             self._foresee_from_s = self._phase.next_s(now_s, _FORESEE_EVERY_S)
             ahead = foresee(
-                self._deciding,
+                self._deciding_law,
                 self._readings.mean(now_s),
                 self._whereabouts,
                 self._clock.utc() + in_s,
@@ -191,7 +191,7 @@ class Control(Doors):
         return None if self._foreseen is None else self._foreseen[1]
 
     @property
-    def _deciding(self) -> NamedLaw:
+    def _deciding_law(self) -> NamedLaw:
         by_readings = self.mode is Mode.TRACKING and not self.budget.is_for_the_sun
         return self.pointing.chosen if by_readings else self.pointing.fallback
 
@@ -211,14 +211,14 @@ class Control(Doors):
         return self.last_tick_s + self._until_next_tick()
 
     @property
-    def _waits(self) -> bool:
+    def _must_wait(self) -> bool:
         """Whether decisions are held back, because readings are not good at present or the wind was not heard yet."""
         return not self._wind_known or (self.mode is Mode.TRACKING and self._data is not Data.FRESH)
 
     def _until_next_tick(self) -> float:
         now_s = self._clock.monotonic()
         tick_s = self._phase.next_s(now_s, _TICK_S) - now_s
-        if not self._waits and self.mode in (Mode.TRACKING, Mode.FALLBACK):
+        if not self._must_wait and self.mode in (Mode.TRACKING, Mode.FALLBACK):
             return min(tick_s, max(self._due_s - now_s, _SHORTEST_WAIT_S))
         return tick_s
 
@@ -327,7 +327,7 @@ class Control(Doors):
             self._parking.park(Target(*snow, self.why), now_s)
         elif self.mode is Mode.HOLD:
             self._hold(now_s)
-        elif self.mode in (Mode.TRACKING, Mode.FALLBACK) and now_s >= self._due_s and not self._waits:
+        elif self.mode in (Mode.TRACKING, Mode.FALLBACK) and now_s >= self._due_s and not self._must_wait:
             self._decide(now_s, mean)
 
     def _hold(self, now_s: float) -> None:
@@ -341,12 +341,12 @@ class Control(Doors):
         if rested_s < self._settings.motion.minimum_interval_s:
             self._due_s = now_s + self._settings.motion.minimum_interval_s - rested_s
             return
-        chosen, utc_s, whereabouts = self._deciding, self._clock.utc(), self._whereabouts
+        chosen, utc_s, whereabouts = self._deciding_law, self._clock.utc(), self._whereabouts
         self._due_s = self._phase.next_s(now_s, chosen.law.decide_every_s)
         said = ask(chosen, mean, whereabouts, utc_s, sun_known=self._clock_watch.trusted)
         answer, target = said
         # Read the name after asking (a law that fails gives way) and before a move (it may use up the law's share).
-        law = self._deciding.name
+        law = self._deciding_law.name
         worth_it = said.worth_moving(whereabouts.heading, self._settings.motion.deadband_deg)
         waits_why = self.budget.waits_why(self._clock_watch.believed_utc_s) if worth_it else None
         if waits_why is not None:
@@ -388,11 +388,11 @@ class Control(Doors):
             self._motion.order(target, stow=self.mode is Mode.STOW)
         except (DeviceError, ValueError) as error:
             text = str(error)
-            if text != self._last_why:
+            if text != self._last_refusal:
                 self._warn(f"no move: {text}")
-            self._last_why = text
+            self._last_refusal = text
             return False
-        self._last_why = ""
+        self._last_refusal = ""
         return True
 
     def _warn(self, text: str) -> None:

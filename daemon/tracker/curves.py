@@ -101,7 +101,7 @@ class IvAcquisition:
         await self._load.close()
 
     @contextmanager
-    def _no_more_than_lost(self) -> Iterator[None]:
+    def _treat_error_as_lost(self) -> Iterator[None]:
         """Treat an error that the driver does not foresee as a lost load: no tracker ends for want of a measurement."""
         try:
             yield
@@ -114,7 +114,7 @@ class IvAcquisition:
             raise DeviceError("load", f"its driver has failed ({type(error).__name__}: {error})") from error
 
     async def _open(self) -> None:
-        with self._no_more_than_lost():
+        with self._treat_error_as_lost():
             self.identity = await self._load.open()
         if not self._was_open:
             self._was_open = True
@@ -126,20 +126,20 @@ class IvAcquisition:
         while True:
             curve = None
             if not self._time_known() or self._sun_elevation_deg(self._clock.utc()) > _LOWEST_SUN_DEG:
-                curve = await self._curve()
+                curve = await self._measure_curve()
             self._reconnection.works()
             if curve is not None:
                 self.last = curve
                 self._publish(curve)
             await asyncio.sleep(self._rhythm.wait_s(self._clock.monotonic()))
 
-    async def _curve(self) -> IvCurve:
+    async def _measure_curve(self) -> IvCurve:
         utc_s, start_s, before = self._clock.utc(), self._clock.monotonic(), self._zenith()
-        with self._no_more_than_lost():
-            swept = await self._load.sweep(self._plan, lambda: self._changed(before))
-        return self._judged(swept, utc_s, start_s, before)
+        with self._treat_error_as_lost():
+            swept = await self._load.sweep(self._plan_voltages, lambda: self._light_change_text(before))
+        return self._judge_curve(swept, utc_s, start_s, before)
 
-    def _plan(self, open_circuit_v: float) -> Sequence[float]:
+    def _plan_voltages(self, open_circuit_v: float) -> Sequence[float]:
         least_v = self._settings.minimum_voltage_v
         if not open_circuit_v >= _LEAST_OPEN_CIRCUIT * least_v:
             return ()
@@ -149,13 +149,13 @@ class IvAcquisition:
         age_s = self._clock.monotonic() - self._zenith_s
         return self._zenith_w_m2 if age_s <= self._scan_stale_s else math.nan
 
-    def _changed(self, before: float) -> str | None:
+    def _light_change_text(self, before: float) -> str | None:
         now = self._zenith()
         if abs(now - before) > max(self._settings.abort_change * before, _LEAST_CHANGE_W_M2):
             return f"the zenith irradiance went from {before:z.0f} to {now:z.0f} W/m2"
         return None
 
-    def _judged(self, swept: SweptCurve, utc_s: float, start_s: float, before: float) -> IvCurve:
+    def _judge_curve(self, swept: SweptCurve, utc_s: float, start_s: float, before: float) -> IvCurve:
         voltage_v, current_a = np.array(swept.voltage_v), np.array(swept.current_a)
         found = measured_maximum(np.append(voltage_v, swept.open_circuit_v), np.append(current_a, 0.0))
         quality, why = CurveQuality.OK, ""
@@ -182,12 +182,12 @@ class IvAcquisition:
             points=len(swept.voltage_v),
             quality=quality,
             why=why,
-            curve=_packed(voltage_v, current_a) if self._settings.keep_curves else "",
+            curve=_encode_curve(voltage_v, current_a) if self._settings.keep_curves else "",
         )
 
     def _notify(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "load", text))
 
 
-def _packed(voltage_v: np.ndarray, current_a: np.ndarray) -> str:
+def _encode_curve(voltage_v: np.ndarray, current_a: np.ndarray) -> str:
     return base64.b64encode(np.concatenate([voltage_v, current_a]).astype("<f4").tobytes()).decode("ascii")

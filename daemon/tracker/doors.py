@@ -12,7 +12,7 @@ from daemon.tracker.wishes import Wishes
 from drivers.errors import RefusedError
 
 # The first decisions of hundreds of trackers take a second or two.
-_ALL_WITHIN_S = 3.0
+_ALL_DECIDE_WITHIN_S = 3.0
 
 
 class Doors:
@@ -56,7 +56,7 @@ class Doors:
         if self._phase.place == 0:
             self._wake.set()
         else:
-            asyncio.get_running_loop().call_later(self._phase.delay_s(_ALL_WITHIN_S), self._wake.set)
+            asyncio.get_running_loop().call_later(self._phase.delay_s(_ALL_DECIDE_WITHIN_S), self._wake.set)
 
     @property
     def wishes(self) -> Wishes:

@@ -15,7 +15,7 @@ _SOUND_AFTER_S = 60.0
 # A source may read its own clock a moment after ours, so an age slightly below zero is no error.
 _LEAST_AGE_S = -1.0
 # Types of a status without a reason. Such a status is handed on without a copy: there are 100,000 in a simulated day.
-_OF_CALM = (str, type(None), float, float, float, float, float, bool)
+_CALM_STATUS_TYPES = (str, type(None), float, float, float, float, float, bool)
 
 
 class StowAnswer(NamedTuple):
@@ -59,7 +59,7 @@ class GuardedStow:
     def poll(self, now_s: float) -> StowAnswer:
         """Ask the source at this monotonic time [s]."""
         try:
-            why = _words(self._source.reason(now_s))
+            why = _checked_reason(self._source.reason(now_s))
             status = _checked(self._source.status(now_s), self.name)
         except Exception as error:  # noqa: BLE001 - it is logged once
             self._fail(now_s, error)
@@ -102,7 +102,7 @@ class GuardedStow:
         return StowStatus(self.name, self.failed_why, now_s - self._worked_s)
 
 
-def _words(why: object) -> str | None:
+def _checked_reason(why: object) -> str | None:
     if why is None:
         return None
     if not isinstance(why, str) or not why.strip():
@@ -117,11 +117,11 @@ def _checked(status: object, name: str) -> StowStatus:
     age_s = float(status.age_s)
     if not age_s >= _LEAST_AGE_S:
         raise ValueError(f"its last reading is {age_s:g} s old, which cannot be")
-    if age_s >= 0.0 and status.name == name and tuple(map(type, status)) == _OF_CALM:
+    if age_s >= 0.0 and status.name == name and tuple(map(type, status)) == _CALM_STATUS_TYPES:
         return status
     return StowStatus(
         name=name,
-        why=_words(status.why),
+        why=_checked_reason(status.why),
         age_s=max(age_s, 0.0),
         speed_m_s=float(status.speed_m_s),
         stow_from_m_s=float(status.stow_from_m_s),

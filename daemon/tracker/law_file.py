@@ -13,7 +13,7 @@ log = logging.getLogger("heliocube.law")
 FILE_NAME = "learned.json"
 
 
-class _Kept(RootModel[dict[str, Any]]):
+class _LearnedData(RootModel[dict[str, Any]]):
     pass
 
 
@@ -27,7 +27,7 @@ class LawFile:
     """
 
     def __init__(self, folder: StateFolder, name: str = FILE_NAME) -> None:
-        self._file = StateFile(folder, name, _Kept, log, "what was learned")
+        self._file = StateFile(folder, name, _LearnedData, log, "what was learned")
 
     def load(self) -> dict[str, Any] | None:
         """Return what was kept, or None; a file that cannot be read is reported and learning begins anew."""
@@ -45,4 +45,4 @@ class LawFile:
     def save(self, kept: Mapping[str, Any] | None) -> None:
         """Have the file replaced as a whole; a slow or failing disk does not hold up tracking."""
         if kept is not None:
-            self._file.save(_Kept(dict(kept)))
+            self._file.save(_LearnedData(dict(kept)))

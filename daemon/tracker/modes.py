@@ -75,11 +75,11 @@ def next_mode(current: Mode, situation: Situation, *, at_stow: bool = False) -> 
     stow_wanted = None if s.stow_why is None else f"stow is wanted and {done} ({s.stow_why})"
     still_why = s.stop_why or s.buttons_why
     if s.maintenance_why is not None:
-        return Mode.MAINTENANCE, _joined(s.maintenance_why, s.stop_why, lost_why, stow_wanted)
+        return Mode.MAINTENANCE, _join_reasons(s.maintenance_why, s.stop_why, lost_why, stow_wanted)
     if lost_why is not None:
-        return Mode.STARTING if s.blocked_why is None else Mode.FAULT, _joined(lost_why, still_why, stow_wanted)
+        return Mode.STARTING if s.blocked_why is None else Mode.FAULT, _join_reasons(lost_why, still_why, stow_wanted)
     if still_why is not None:
-        return Mode.HOLD, _joined(still_why, stow_wanted)
+        return Mode.HOLD, _join_reasons(still_why, stow_wanted)
     if s.stow_why is not None:
         return Mode.STOW, s.stow_why
     if s.homing:
@@ -100,5 +100,5 @@ def next_mode(current: Mode, situation: Situation, *, at_stow: bool = False) -> 
     return (current if current in (Mode.TRACKING, Mode.FALLBACK) else Mode.STARTING), s.data_why
 
 
-def _joined(*reasons: str | None) -> str:
+def _join_reasons(*reasons: str | None) -> str:
     return "; ".join(reason for reason in reasons if reason is not None)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from daemon.base.records import Target
 
 RELEASE = "only 'heliocube auto' releases it"
-_PRESSED = "a button was pressed at the unit: a person is there"
+_BUTTON_PRESSED_WHY = "a button was pressed at the unit: a person is there"
 
 
 class Orders:
@@ -141,7 +141,7 @@ class Orders:
             return False
         if not telemetry.status_monotonic_s > self._released_s:
             return False
-        self.latch("buttons", _PRESSED, "")
+        self.latch("buttons", _BUTTON_PRESSED_WHY, "")
         self.hold_at = None
         return True
 

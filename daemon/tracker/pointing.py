@@ -100,19 +100,19 @@ class GuardedLaw(Law):
     """
 
     def __init__(self, named: NamedLaw, other: NamedLaw) -> None:
-        self._named = named
-        self._other = other
+        self._primary = named
+        self._substitute = other
         self.failed_why: str | None = None
-        self._take_over(named.law)
+        self._adopt_attributes(named.law)
 
     @property
     def name(self) -> str:
         """Name of the law that answers."""
-        return (self._named if self.failed_why is None else self._other).name
+        return (self._primary if self.failed_why is None else self._substitute).name
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Law:
         """Return a copy of the law that answers, for questions that are to leave no trace."""
-        return copy.deepcopy((self._named if self.failed_why is None else self._other).law, memo)
+        return copy.deepcopy((self._primary if self.failed_why is None else self._substitute).law, memo)
 
     def aim(self, now: Moment) -> Aim:
         """Return where the law wants to point."""
@@ -162,17 +162,17 @@ class GuardedLaw(Law):
     def _ask(self, question: Callable[[Law], Answer]) -> Answer:
         if self.failed_why is None:
             try:
-                return question(self._named.law)
+                return question(self._primary.law)
             except Exception as error:
-                log.exception("the law %s has failed", self._named.name)
+                log.exception("the law %s has failed", self._primary.name)
                 why = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
                 self.failed_why = (
-                    f"the law {self._named.name} has failed ({why}), and {self._other.name} points instead"
+                    f"the law {self._primary.name} has failed ({why}), and {self._substitute.name} points instead"
                 )
-                self._take_over(self._other.law)
-        return question(self._other.law)
+                self._adopt_attributes(self._substitute.law)
+        return question(self._substitute.law)
 
-    def _take_over(self, law: Law) -> None:
+    def _adopt_attributes(self, law: Law) -> None:
         self.site, self.limits = law.site, law.limits
         self.faces_needed, self.needs_sun, self.decide_every_s = law.faces_needed, law.needs_sun, law.decide_every_s
 
@@ -255,12 +255,12 @@ def ask(
     answer = aim(chosen.law, mean, whereabouts.heading, utc_s, sun_known=sun_known)
     if chosen.law.needs_sun and not sun_known:
         why = "the clock was set: the sun's position is in doubt"
-        return LawAnswer(replace(answer, target=None), _standing(whereabouts.pose, why))
+        return LawAnswer(replace(answer, target=None), _target_to_stay(whereabouts.pose, why))
     # The law may have failed at this very question, and another one answered.
     name = chosen.law.name if isinstance(chosen.law, GuardedLaw) else chosen.name
     why = f"{name}: {answer.why}" if answer.why else name
     if answer.target is None:
-        return LawAnswer(answer, _standing(whereabouts.pose, why))
+        return LawAnswer(answer, _target_to_stay(whereabouts.pose, why))
     return LawAnswer(answer, Target(answer.target.a_deg, answer.target.b_deg, why))
 
 
@@ -288,7 +288,7 @@ def foresee(
     return Foresight(chosen.name, answer.target, may_move and answer.worth_moving(whereabouts.heading, deadband_deg))
 
 
-def _standing(pose: Pose | None, why: str) -> Target:
+def _target_to_stay(pose: Pose | None, why: str) -> Target:
     return Target(pose.a_deg, pose.b_deg, why) if pose else Target(math.nan, math.nan, why)
 
 
@@ -304,7 +304,7 @@ def aim(law: Law, mean: Irradiances | None, heading: Angles | None, utc_s: float
 def build_pointing(settings: Settings, utc_s: float, folder: StateFolder, common: Common | None = None) -> Pointing:
     """Build the law of the settings and its fallback; raises `UserError` for a law that cannot be used."""
     file = LawFile(folder)
-    tracker = _facts(settings, utc_s, file, common)
+    tracker = _tracker_facts(settings, utc_s, file, common)
     fallback = plugins.load(plugins.LAWS, FALLBACK_LAW)
     return Pointing(
         NamedLaw(settings.law.driver, _checked(_build(settings, tracker, file), settings.law.driver)),
@@ -318,11 +318,11 @@ def build_shadow(settings: Settings, utc_s: float, folder: StateFolder, common: 
     name = settings.law.shadow
     file = LawFile(folder, f"shadow-{name}-learned.json")
     beside = settings.model_copy(update={"law": LAW.rechosen(settings.law, name)})
-    law = _build(beside, _facts(settings, utc_s, file, common), file)
+    law = _build(beside, _tracker_facts(settings, utc_s, file, common), file)
     return ShadowLaw(NamedLaw(name, _checked(law, name, "law.shadow")), file)
 
 
-def _facts(settings: Settings, utc_s: float, file: LawFile, common: Common | None) -> TrackerFacts:
+def _tracker_facts(settings: Settings, utc_s: float, file: LawFile, common: Common | None) -> TrackerFacts:
     return TrackerFacts(
         site=settings.site.place(),
         limits=settings.limits.limits(),

@@ -14,7 +14,7 @@ from solar.laws.law import Law
 
 # Above this many times `safety.night_above_w_m2` a vertical face is lit by the sun. If the zenith face can be believed,
 # it then reads at least the share below of what the sun's elevation would give it.
-_SUNLIT = 10.0
+_SUNLIT_FACTOR = 10.0
 _LEAST_SHARE = 0.5
 
 
@@ -109,7 +109,7 @@ class Readings:
         """
         data, why = self._judge_data(now_s, mean)
         seen = mean if data is Data.FRESH else None
-        night_why = self._judge_night(seen) if sun_known else self._night_as_it_was(seen)
+        night_why = self._judge_night(seen) if sun_known else self._judge_night_without_clock(seen)
         if night_why is None and seen is not None and self._too_dark(seen, sun_known=sun_known):
             return Data.BAD, _why_too_dark(seen.zenith_w_m2, sun_known=sun_known), None
         return data, why, night_why
@@ -154,7 +154,7 @@ class Readings:
             return True
         vertical = [face for face in (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2) if not math.isnan(face)]
         brightest = max(vertical, default=0.0)
-        lit = brightest > _SUNLIT * self._safety.night_above_w_m2
+        lit = brightest > _SUNLIT_FACTOR * self._safety.night_above_w_m2
         if lit and not (zenith >= _LEAST_SHARE * brightest * math.tan(math.radians(sun_deg))):
             return False
         return self._law_believes_zenith(mean)
@@ -176,7 +176,7 @@ class Readings:
     def _sun_deg(self) -> float:
         return self._sun_elevation_deg(self._clock.utc())
 
-    def _night_as_it_was(self, seen: Irradiances | None) -> str | None:
+    def _judge_night_without_clock(self, seen: Irradiances | None) -> str | None:
         if seen is not None and seen.zenith_w_m2 >= self._safety.night_above_w_m2:
             self._night = False
         return "it was night before the clock was set" if self._night else None

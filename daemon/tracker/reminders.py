@@ -50,7 +50,7 @@ class Reminders:
         self._due_s = math.inf
         self._unread_s: float | None = None
         self._without_readings = False
-        self._answered_s = clock.monotonic()
+        self._last_answer_s = clock.monotonic()
         self._connected_s: float | None = None
 
     def remind(self, wishes: Wishes, *, sun_known: bool) -> None:
@@ -74,9 +74,9 @@ class Reminders:
             self._connected_s = now_s
         if self._connected_s is not None:
             if now_s - self._connected_s >= _BACK_AFTER_S:
-                self._answered_s = now_s
+                self._last_answer_s = now_s
                 self._alarms.set("positioner-down", None)
-        elif now_s - self._answered_s >= _DOWN_AFTER_S:
+        elif now_s - self._last_answer_s >= _DOWN_AFTER_S:
             reason = motion.outage.reason or "its driver has not come back from opening it"
             text = f"for a minute or more the positioner has not answered, or only for moments: {reason}"
             self._alarms.set("positioner-down", text)
@@ -118,9 +118,9 @@ class Reminders:
             self._publish(Event(self._clock.utc(), now_s, "operator", text))
 
     def _age_s(self, wish: Wish) -> float:
-        return max(self._clock.utc() - self._since(wish), 0.0)
+        return max(self._clock.utc() - self._asked_utc_s(wish), 0.0)
 
-    def _since(self, wish: Wish) -> float:
+    def _asked_utc_s(self, wish: Wish) -> float:
         return self._started_utc_s if wish.since_utc_s is None else wish.since_utc_s
 
     def _outlasted_a_night(self, wish: Wish) -> bool:
@@ -132,4 +132,4 @@ class Reminders:
             # Where the sun neither rises nor sets, the day begins at its lowest point.
             rise_s = self._day.noon_utc_s - DAY_S / 2.0
         latest_s = rise_s if utc_s >= rise_s else rise_s - DAY_S
-        return self._since(wish) < latest_s
+        return self._asked_utc_s(wish) < latest_s

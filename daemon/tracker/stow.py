@@ -90,7 +90,7 @@ class WindStow:
         self.name = name
         self._safety = safety
         self._wind_speed_m_s = wind_speed_m_s
-        self._begun_s: float | None = None
+        self._first_poll_s: float | None = None
         self._heard_s = -math.inf
         self._speed_m_s = math.nan
         self._strong_s = -math.inf
@@ -104,8 +104,8 @@ class WindStow:
     def reason(self, now_s: float) -> str | None:
         """Return the wind's reason to stow, or None."""
         safety = self._safety
-        if self._begun_s is None:
-            self._begun_s = now_s
+        if self._first_poll_s is None:
+            self._first_poll_s = now_s
         wind = self._wind_speed_m_s()
         if wind is not None and 0 <= wind < math.inf:
             self._heard_s, self._speed_m_s = now_s, wind
@@ -120,7 +120,7 @@ class WindStow:
         return self._why
 
     def _silent_s(self, now_s: float) -> float:
-        return now_s - max(self._heard_s, now_s if self._begun_s is None else self._begun_s)
+        return now_s - max(self._heard_s, now_s if self._first_poll_s is None else self._first_poll_s)
 
     def status(self, now_s: float) -> StowStatus:
         """Return how it stood at the last poll."""

@@ -119,14 +119,14 @@ class StowWatch:
         self._wake = wake
         self._silent: dict[str, str] | None = None
         self._failed: list[str] | None = None
-        self._kept: Set[str] | None = None
+        self._kept_names: Set[str] | None = None
         self._gust_m_s = math.nan
-        self._pending = {source.name for source in self._sources}
+        self._unheard_names = {source.name for source in self._sources}
         self._heard_after_s = -math.inf
-        self._before = file.load()
-        if self._before is not None:
+        self._storm_before = file.load()
+        if self._storm_before is not None:
             for source in self._sources:
-                source.resume(self._before.text, clock.monotonic())
+                source.resume(self._storm_before.text, clock.monotonic())
 
     @property
     def watched(self) -> bool:
@@ -145,11 +145,11 @@ class StowWatch:
             if source.failed_why is not None:
                 failed.append(source.failed_why)
             if status.silent:
-                silent[source.name] = _of_silent(status)
+                silent[source.name] = _silence_text(status)
             # Count only a reading of this very poll; NaN is no reading.
             if status.age_s < _POLL_EVERY_S and not status.speed_m_s <= self._gust_m_s and status.speed_m_s >= 0.0:
                 self._gust_m_s = status.speed_m_s
-        if found.keys() != self._kept:
+        if found.keys() != self._kept_names:
             self._keep(found)
         if silent != self._silent:
             # Compare the sources, not the texts: one name may contain another, such as roof and roof (2).
@@ -170,12 +170,12 @@ class StowWatch:
 
     def waiting_why(self, now_s: float) -> str | None:
         """Return which sources have not been heard once since the start or a sleep, in words, or None."""
-        if self._pending:
+        if self._unheard_names:
             heard_s = {status.name: now_s - status.age_s for status in self.statuses(now_s)}
-            self._pending = {name for name, at_s in heard_s.items() if not at_s > self._heard_after_s}
-        if not self._pending:
+            self._unheard_names = {name for name, at_s in heard_s.items() if not at_s > self._heard_after_s}
+        if not self._unheard_names:
             return None
-        names = " and ".join(sorted(self._pending))
+        names = " and ".join(sorted(self._unheard_names))
         if self._heard_after_s == -math.inf:
             return f"waiting for the first message of {names}"
         return f"waiting for {names} to be heard: the machine has slept"
@@ -186,7 +186,7 @@ class StowWatch:
         Every source has to be heard again. One that stows must also be calm for its whole time, as after a restart.
         """
         self._heard_after_s = now_s
-        self._pending = {source.name for source in self._sources}
+        self._unheard_names = {source.name for source in self._sources}
         for source in self._sources:
             if (why := source.status(now_s).why) is not None:
                 source.resume(why, now_s)
@@ -216,8 +216,8 @@ class StowWatch:
                 self._wake()
             return begins
 
-        if self._before is not None and self._sources:
-            log.warning("stow goes on: %s", self._before.text)
+        if self._storm_before is not None and self._sources:
+            log.warning("stow goes on: %s", self._storm_before.text)
         end = call_every(_POLL_EVERY_S, poll)
         try:
             poll()
@@ -226,10 +226,10 @@ class StowWatch:
             end()
 
     def _keep(self, found: dict[str, str]) -> None:
-        self._kept = found.keys()
+        self._kept_names = found.keys()
         if not self._sources:
             return
-        before, since_utc = self._before, iso_utc(self._clock.utc())
+        before, since_utc = self._storm_before, iso_utc(self._clock.utc())
         if before is not None and before.text in found.values():
             # Keep the reasons as they were kept: `before.text` quotes them, and would grow with every restart.
             found = {**before.stowing, **{name: why for name, why in found.items() if why != before.text}}
@@ -237,6 +237,6 @@ class StowWatch:
         self._file.save(found, since_utc)
 
 
-def _of_silent(status: StowStatus) -> str:
+def _silence_text(status: StowStatus) -> str:
     said = "has not been heard since the start of the service" if status.age_s == math.inf else "is silent"
     return f"{status.name} {said}"

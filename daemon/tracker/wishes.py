@@ -22,10 +22,10 @@ PROGRAM = "heliocube"
 _WHOLE_SECONDS_S = 1.0
 
 # Kept beside the first wish. If there are more, the newest replaces the last, so that a flood cannot fill the file.
-_MOST_ALSO = 8
+_MOST_LATER_REQUESTS = 8
 
 # What each wish does to the tracker, as the beginning of a sentence.
-_DONE_TO_IT = {
+_EFFECT_WORDS = {
     "maintenance": "in maintenance",
     "stop": "stopped",
     "buttons": "held",
@@ -79,7 +79,7 @@ class Wish(BaseModel):
         """Return this wish with a later one beside it: like padlocks on one switch, the first stays."""
         also = self.also or ()
         if not self.tells(later.why, later.by):
-            also = (*also[: _MOST_ALSO - 1], later)
+            also = (*also[: _MOST_LATER_REQUESTS - 1], later)
         return self.model_copy(update={"again_utc_s": later.since_utc_s, "also": also or None})
 
     @property
@@ -129,7 +129,7 @@ class Wishes(BaseModel):
         wish: Wish | None = getattr(self, name)
         if wish is None:
             return None
-        return _DONE_TO_IT[name] + "; also".join(f"{each.whence}: {each.why}" for each in wish.everybodys)
+        return _EFFECT_WORDS[name] + "; also".join(f"{each.whence}: {each.why}" for each in wish.everybodys)
 
     @property
     def stillness(self) -> str | None:

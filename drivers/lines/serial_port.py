@@ -88,21 +88,21 @@ class SerialPort:
             if first is not None:
                 os.close(first)
         # pyserial's TypeError: the port was closed under the call.
-        self._gone: tuple[type[BaseException], ...] = (OSError, TypeError, *terminal_errors())
+        self._gone_errors: tuple[type[BaseException], ...] = (OSError, TypeError, *terminal_errors())
 
     def read(self) -> bytes:
         """Return what has come; empty after a while without anything."""
         try:
-            data: bytes = self._at_hand() or self._port.read(1)
+            data: bytes = self._read_available() or self._port.read(1)
             if len(data) == 1:
-                data += self._at_hand()
-        except self._gone as error:
+                data += self._read_available()
+        except self._gone_errors as error:
             raise LinkLostError(self._device, f"{self._path} is gone; has it been unplugged?") from error
         if data:
             self._tap("<", data)
         return data
 
-    def _at_hand(self) -> bytes:
+    def _read_available(self) -> bytes:
         """Return what has come already; pyserial takes five calls for that, a load if a unit never pauses."""
         if os.name != "posix":
             data: bytes = self._port.read(min(self._port.in_waiting, _LARGEST_READ))
@@ -117,7 +117,7 @@ class SerialPort:
         self._require_allowed(data)
         try:
             self._put(data)
-        except self._gone as error:
+        except self._gone_errors as error:
             raise LinkLostError(self._device, f"{self._path} takes no data: {error}") from error
         self._tap(">", data)
 
@@ -140,7 +140,7 @@ class SerialPort:
         """Throw away what has come and was not read."""
         try:
             self._port.reset_input_buffer()
-        except self._gone as error:
+        except self._gone_errors as error:
             raise LinkLostError(self._device, f"{self._path} is gone; has it been unplugged?") from error
 
     def echoes(self) -> bool:
@@ -160,7 +160,7 @@ class SerialPort:
         try:
             # Reading the other side's line fails where there are none; pyserial hides that when it sets its own.
             return isinstance(self._port.dsr, bool)
-        except self._gone:
+        except self._gone_errors:
             return False
 
     def close(self) -> None:

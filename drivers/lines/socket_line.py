@@ -69,7 +69,7 @@ class SocketLine:
         if writer is None:
             raise LinkLostError(self._device, "has to be opened first")
         if writer.transport.is_closing():
-            raise self._gone()
+            raise self._closed_error()
         data = f"{text}\n".encode("ascii")
         writer.write(data)
         self._tap(">", data)
@@ -90,7 +90,7 @@ class SocketLine:
         except TimeoutError:
             raise DeadlineError(self._device, "no line came in time") from None
         except (asyncio.IncompleteReadError, OSError):
-            raise self._gone() from None
+            raise self._closed_error() from None
         except asyncio.LimitOverrunError:
             raise ProtocolError(self._device, "sends without end, but never ends a line") from None
         self._tap("<", data)
@@ -111,12 +111,12 @@ class SocketLine:
                 async with asyncio.timeout(quiet_s):
                     data = await reader.read(_LONGEST_LINE)
                 if not data:
-                    raise self._gone()
+                    raise self._closed_error()
                 self._tap("<", data)
         except TimeoutError:
             return
         except OSError:
-            raise self._gone() from None
+            raise self._closed_error() from None
         raise keeps_sending(self._device)
 
     async def has_unasked(self) -> bool:
@@ -130,11 +130,11 @@ class SocketLine:
         except TimeoutError:
             return False
         except OSError:
-            raise self._gone() from None
+            raise self._closed_error() from None
         if not data:
-            raise self._gone()
+            raise self._closed_error()
         self._tap("<", data)
         return bool(data.strip())
 
-    def _gone(self) -> LinkLostError:
+    def _closed_error(self) -> LinkLostError:
         return LinkLostError(self._device, f"{self._host}:{self._port} has closed the connection")

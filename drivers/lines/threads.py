@@ -40,7 +40,7 @@ class DeviceThread:
     def __init__(self, device: str) -> None:
         self._device = device
         self._worker: _Worker | None = None
-        self._left: list[_Worker] = []
+        self._abandoned_workers: list[_Worker] = []
 
     async def call(
         self, function: Callable[[], T], deadline_s: float, discard: Callable[[T], object] | None = None
@@ -81,7 +81,7 @@ class DeviceThread:
             if late is not None:
                 worker.jobs.put(_Job(late, None))
             if limit.expired():
-                self._leave(worker)
+                self._abandon(worker)
                 message = f"a call of its driver did not return within {deadline_s:g} s"
                 raise LinkLostError(self._device, message) from None
             raise
@@ -95,7 +95,7 @@ class DeviceThread:
             worker = self._worker or self._start()
         except ConnectError:
             return
-        self._leave(worker, function)
+        self._abandon(worker, function)
         try:
             async with asyncio.timeout(deadline_s):
                 await asyncio.wrap_future(worker.ended)
@@ -103,8 +103,8 @@ class DeviceThread:
             return
 
     def _start(self) -> "_Worker":
-        self._left = [worker for worker in self._left if not worker.ended.done()]
-        if len(self._left) >= _MOST_HUNG:
+        self._abandoned_workers = [worker for worker in self._abandoned_workers if not worker.ended.done()]
+        if len(self._abandoned_workers) >= _MOST_HUNG:
             raise DriverHungError(self._device, f"{_MOST_HUNG} calls of its driver never returned")
         try:
             self._worker = _Worker(f"heliocube-{self._device}")
@@ -112,13 +112,13 @@ class DeviceThread:
             raise no_room(self._device) from None
         return self._worker
 
-    def _leave(self, worker: "_Worker", last: Callable[[], object] | None = None) -> None:
+    def _abandon(self, worker: "_Worker", last: Callable[[], object] | None = None) -> None:
         if last is not None:
             worker.jobs.put(_Job(last, None))
         worker.jobs.put(None)
         if self._worker is worker:
             self._worker = None
-            self._left.append(worker)
+            self._abandoned_workers.append(worker)
 
 
 @dataclass

@@ -22,9 +22,9 @@ _ENDS = {"LF": "\n", "CR": "\r", "LFCR": "\n\r"}
 _CONTROL_C = b"\x03"
 _LONGEST_LINE = 256
 _BITS_PER_BYTE = 10
-_LONGEST_OF_ADAPTER_S = 3.0
+_LONGEST_ADAPTER_WAIT_S = 3.0
 # PyVISA hands out its one manager to a second thread while the first still makes it, and drops it when it is unused.
-_making_manager = threading.Lock()
+_manager_lock = threading.Lock()
 _managers: dict[str, Any] = {}
 # PyVISA-py knows an adapter by its bus number alone: of several with one number the last to be opened takes all the
 # instruments. So each gets a number of its own, beyond those of linux-gpib, whatever the instrument's name says.
@@ -86,8 +86,8 @@ class VisaLine:
         self._end = _ENDS[settings.terminator] if self._serial else "\n"
         # The line's own time for a question and its answer comes on top of every deadline.
         self.transfer_s = 2 * _LONGEST_LINE * _BITS_PER_BYTE / settings.baud_rate if self._serial else 0.0
-        self._gone: tuple[type[BaseException], ...] = (pyvisa.Error, OSError, *terminal_errors())
-        unusable: tuple[type[BaseException], ...] = (*self._gone, ValueError, NotImplementedError)
+        self._gone_errors: tuple[type[BaseException], ...] = (pyvisa.Error, OSError, *terminal_errors())
+        unusable: tuple[type[BaseException], ...] = (*self._gone_errors, ValueError, NotImplementedError)
         self._manager: Any = None
         self._adapter: Any = None
         self._adapter_waits_s = 0.0
@@ -111,7 +111,7 @@ class VisaLine:
         if self._serial:
             self._write(_CONTROL_C)
             return
-        with self._translated(), contextlib.suppress(self._pyvisa.Error, NotImplementedError, AttributeError):
+        with self._translate_errors(), contextlib.suppress(self._pyvisa.Error, NotImplementedError, AttributeError):
             self._resource.clear()
 
     def drain(self, quiet_s: float) -> None:
@@ -129,7 +129,7 @@ class VisaLine:
         """
         if not self._serial:
             return False
-        with self._translated():
+        with self._translate_errors():
             waiting = self._resource.bytes_in_buffer
             if not waiting:
                 return False
@@ -141,7 +141,7 @@ class VisaLine:
         """Release the session. PyVISA has one manager for all instruments, and closing it would end their sessions."""
         for part in (self._resource, self._adapter):
             if part is not None:
-                with contextlib.suppress(*self._gone, ValueError, AttributeError):
+                with contextlib.suppress(*self._gone_errors, ValueError, AttributeError):
                     session = part.session
                     part.close()
                     # PyVISA-py keeps closed sessions: they would pile up, as a meter that is off is tried for months.
@@ -152,7 +152,7 @@ class VisaLine:
         settings = self._settings
         library = "@py" if settings.library == "py" else "@ivi"
         try:
-            with _making_manager:
+            with _manager_lock:
                 self._manager = _managers.setdefault(library, self._pyvisa.ResourceManager(library))
         except (OSError, ValueError) as error:
             message = f"NI-VISA is not installed on this PC; install it, or set {settings.section}.visa to py"
@@ -196,13 +196,13 @@ class VisaLine:
             port.exclusive = True
 
     def _write(self, data: bytes) -> None:
-        with self._translated():
+        with self._translate_errors():
             self._set_timeout(1.0 + self.transfer_s)
             self._resource.write_raw(data)
         self._tap(">", data)
 
     def _read(self, within_s: float) -> str:
-        with self._translated():
+        with self._translate_errors():
             self._set_timeout(within_s)
             self._let_adapter_wait(within_s)
             data: bytes = self._resource.read_raw()
@@ -217,20 +217,20 @@ class VisaLine:
 
     def _let_adapter_wait(self, seconds: float) -> None:
         """Set how long an adapter waits for the next character of its instrument: PyVISA-py leaves it at 50 ms."""
-        seconds = min(seconds, _LONGEST_OF_ADAPTER_S)
+        seconds = min(seconds, _LONGEST_ADAPTER_WAIT_S)
         if self._adapter is not None and seconds != self._adapter_waits_s:
             self._adapter.write_raw(b"++read_tmo_ms %d\n" % max(1000 * seconds, 1))
             self._adapter_waits_s = seconds
 
     @contextlib.contextmanager
-    def _translated(self) -> Iterator[None]:
+    def _translate_errors(self) -> Iterator[None]:
         try:
             yield
         except self._pyvisa.VisaIOError as error:
             if error.error_code == self._pyvisa.constants.StatusCode.error_timeout:
                 raise DeadlineError(self._settings.device, "no line came in time") from error
             raise LinkLostError(self._settings.device, f"{self._settings.resource}: {error}") from error
-        except self._gone as error:
+        except self._gone_errors as error:
             raise LinkLostError(
                 self._settings.device, f"{self._settings.resource} is gone; has it been unplugged?"
             ) from error

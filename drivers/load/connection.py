@@ -12,7 +12,7 @@ from drivers.scpi import ScpiLine
 from drivers.settings import LoadSettings, PortPath, SettingsError, VisaResource, held_way
 from drivers.transcript import Tap, no_tap
 
-_MARGIN_OF_LEAST_V = 0.9
+_LEAST_VOLTAGE_FACTOR = 0.9
 """The lowest voltage of a sweep may be read this much lower without ending it."""
 
 
@@ -44,4 +44,4 @@ def load_line(settings: VisaLoadSettings, tap: Tap = no_tap) -> ScpiLine:
 
 def sweep_settings(settings: LoadSettings) -> SweepSettings:
     """Return how the load sweeps."""
-    return SweepSettings(settings.settle_s, _MARGIN_OF_LEAST_V * settings.minimum_voltage_v, settings.deadline_s)
+    return SweepSettings(settings.settle_s, _LEAST_VOLTAGE_FACTOR * settings.minimum_voltage_v, settings.deadline_s)

@@ -104,8 +104,8 @@ class LoadSession(ScpiSession):
     def __init__(self, line: ScpiLine, dialect: Dialect, deadline_s: float) -> None:
         super().__init__(line, DEVICE, deadline_s)
         self._dialect = dialect
-        self._known = False
-        self._in_one_line = True
+        self._is_identified = False
+        self._answers_in_one_line = True
 
     async def start(self) -> str:
         """Identify the load, switch its input off, configure it; return its identity."""
@@ -114,7 +114,7 @@ class LoadSession(ScpiSession):
             identity = await self.ask("*IDN?")
             if not self._dialect.knows(identity):
                 raise IdentityError(DEVICE, f"answers {identity[:80]!r}, which is not a {self._dialect.name}")
-            self._known = True
+            self._is_identified = True
             await self.synchronise()
             return identity + await self._configure()
 
@@ -165,7 +165,7 @@ class LoadSession(ScpiSession):
 
     async def close(self) -> None:
         """Switch the input off, whatever the load answers, unless it was never identified; release the line."""
-        if self._known:
+        if self._is_identified:
             with contextlib.suppress(DeviceError):
                 if self.in_doubt:
                     await self._line.interrupt()
@@ -185,8 +185,8 @@ class LoadSession(ScpiSession):
         await self.write(self._dialect.clear_protection)
         await self._prove_no_errors("its first commands")
         numbers = self._numbers(await self.ask(self._dialect.measure))
-        self._in_one_line = len(numbers) == len(self._dialect.measure_one_by_one)
-        if not self._in_one_line:
+        self._answers_in_one_line = len(numbers) == len(self._dialect.measure_one_by_one)
+        if not self._answers_in_one_line:
             await self.write("*CLS")
         return module
 
@@ -211,7 +211,7 @@ class LoadSession(ScpiSession):
         return self._tripped(self.whole(query, await self.ask(query)))
 
     async def _measure(self) -> Measured:
-        if self._in_one_line:
+        if self._answers_in_one_line:
             numbers = self._numbers(await self.ask(self._dialect.measure))
         else:
             numbers = [

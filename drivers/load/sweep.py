@@ -79,12 +79,12 @@ class ScpiLoad:
             try:
                 return await self._swept(session, plan, stop_why)
             finally:
-                await self._leave(session)
+                await self._switch_off(session)
         except (DeadlineError, ProtocolError, LinkLostError, ConnectError):
             await self.close()
             raise
 
-    async def _leave(self, session: LoadSession) -> None:
+    async def _switch_off(self, session: LoadSession) -> None:
         """Switch the input off; a session that is in doubt is closed, which does so too."""
         if session.in_doubt:
             await self.close()

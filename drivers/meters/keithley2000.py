@@ -17,7 +17,7 @@ _DEVICE = "voltmeter"
 # The exponent, which every reading has, is required: answers about settings and registers are numbers too.
 _READING = re.compile(r"([+-]?\d+(?:\.\d+)?E[+-]?\d{2,})(?:VDC)?", re.ASCII)
 # The meter measures to 120 % of its range, and answers 9.9E37 beyond.
-_BEYOND_RANGE = 1.21
+_OVER_RANGE_FACTOR = 1.21
 _READINGS_BETWEEN_LOOKS = 10
 
 
@@ -37,11 +37,11 @@ class Keithley2000(ScpiMeter["_Session"]):
     def __init__(self, line: ScpiLine, *, range_v: float = 1.0, nplc: float = 1.0, deadline_s: float = 2.0) -> None:
         settings = _Settings(range_v, nplc)
         super().__init__(line, lambda: _Session(line, settings, deadline_s))
-        self._turn = asyncio.Lock()
+        self._conversion_lock = asyncio.Lock()
 
     async def read_voltage(self) -> float:
         """Return a fresh conversion [V]."""
-        async with self._turn:
+        async with self._conversion_lock:
             session = self._session
             if session is None:
                 raise LinkLostError(_DEVICE, "has to be opened first")
@@ -120,6 +120,6 @@ class _Session(MeterSession):
             await self.look()
         self.in_doubt = False
         voltage_v, range_v = float(match[1]), self._settings.range_v
-        if not abs(voltage_v) <= _BEYOND_RANGE * range_v:
+        if not abs(voltage_v) <= _OVER_RANGE_FACTOR * range_v:
             raise OverRangeError(_DEVICE, f"the voltage is beyond the {range_v:g} V range")
         return voltage_v

@@ -9,7 +9,7 @@ from drivers.modbus.paths import ModbusPath
 from drivers.modbus.pdu import READ_INPUT, ModbusRequest, exception_text, read_registers, registers_of
 
 # The device or its gateway is busy, or the gateway does not reach the device: that counts as silence.
-_NOT_NOW = (5, 6, 10, 11)
+_UNREACHED_CODES = (5, 6, 10, 11)
 
 
 class ModbusBus:
@@ -44,7 +44,7 @@ class ModbusBus:
         self._now = monotonic_s
         self._writes = writes
         self._quiet_since_s = -math.inf
-        self._free = asyncio.Lock()
+        self._line_lock = asyncio.Lock()
 
     async def open(self, within_s: float = 15.0) -> None:
         """Connect; raises `ConnectError`."""
@@ -72,7 +72,7 @@ class ModbusBus:
         """
         if request.pdu[0] > READ_INPUT and not self._writes:
             raise ValueError(f"function {request.pdu[0]} writes, but this line is only for reading")
-        async with self._free:
+        async with self._line_lock:
             wait_s = self._quiet_since_s + self._gap_s - self._now()
             if wait_s > 0:
                 await asyncio.sleep(wait_s)
@@ -81,7 +81,7 @@ class ModbusBus:
             finally:
                 self._quiet_since_s = self._now()
         if text := exception_text(reply):
-            if reply[1] in _NOT_NOW:
+            if reply[1] in _UNREACHED_CODES:
                 raise UnreachedError(self._device, f"address {request.unit} {text}")
             raise RefusedError(self._device, f"address {request.unit} {text}")
         return reply

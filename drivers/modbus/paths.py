@@ -103,7 +103,7 @@ class SerialPath:
         self._device = device
         self._now = monotonic_s
         self._connect = partial(
-            SerialPort, device, port, _anything, tap, baud_rate=baud_rate, form=form, read_s=_READ_S
+            SerialPort, device, port, _allow_anything, tap, baud_rate=baud_rate, form=form, read_s=_READ_S
         )
         self._framing = RtuClient()
         self._thread = DeviceThread(device)
@@ -139,7 +139,7 @@ class SerialPath:
         raise DeadlineError(self._device, "sent something that is not an answer" if came else "")
 
 
-def _anything(_data: bytes) -> None:
+def _allow_anything(_data: bytes) -> None:
     """Let every frame pass: `drivers.modbus.client.ModbusBus` decides which functions may be sent."""
 
 

@@ -80,19 +80,19 @@ def answer(table: RegisterTable, pdu: bytes) -> bytes | None:
 def _answer(table: RegisterTable, pdu: bytes) -> bytes:
     function = pdu[0]
     if function in (READ_COILS, READ_INPUTS):
-        first, count = _words(pdu, MOST_BITS)
+        first, count = _start_and_count(pdu, MOST_BITS)
         return _packed(function, table.read_bits(function, first, count))
     if function in (READ_HOLDING, READ_INPUT):
-        first, count = _words(pdu, MOST_REGISTERS)
+        first, count = _start_and_count(pdu, MOST_REGISTERS)
         values = table.read(function, first, count)
         return struct.pack(f">BB{count}H", function, 2 * count, *values)
     if function == WRITE_COIL:
-        first, value = _words(pdu, 0xFFFF, least=0)
+        first, value = _start_and_count(pdu, 0xFFFF, least=0)
         _require(value in (0, 0xFF00))
         table.write_bits(function, first, (value != 0,))
         return pdu
     if function == WRITE_REGISTER:
-        first, value = _words(pdu, 0xFFFF, least=0)
+        first, value = _start_and_count(pdu, 0xFFFF, least=0)
         table.write(function, first, (value,))
         return pdu
     if function in (WRITE_COILS, WRITE_REGISTERS):
@@ -103,7 +103,7 @@ def _answer(table: RegisterTable, pdu: bytes) -> bytes:
 
 def _write_several(table: RegisterTable, pdu: bytes) -> None:
     bits = pdu[0] == WRITE_COILS
-    first, count = _words(pdu[:5], MOST_BITS_WRITTEN if bits else MOST_WRITTEN)
+    first, count = _start_and_count(pdu[:5], MOST_BITS_WRITTEN if bits else MOST_WRITTEN)
     length = (count + 7) // 8 if bits else 2 * count
     _require(len(pdu) == 6 + length and pdu[5] == length)
     if bits:
@@ -113,7 +113,7 @@ def _write_several(table: RegisterTable, pdu: bytes) -> None:
         table.write(pdu[0], first, struct.unpack(f">{count}H", pdu[6:]))
 
 
-def _words(pdu: bytes, most: int, least: int = 1) -> tuple[int, int]:
+def _start_and_count(pdu: bytes, most: int, least: int = 1) -> tuple[int, int]:
     """Return where a question begins, and its count or value."""
     _require(len(pdu) == 5)
     first, count = struct.unpack(">HH", pdu[1:])

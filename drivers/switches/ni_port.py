@@ -84,7 +84,7 @@ class _Session:
 
         self._nidaqmx = nidaqmx
         try:
-            with self._translated():
+            with self._translate_errors():
                 self._task = self._new_task(port)
                 self._task.do_channels.add_do_chan(
                     lines, name_to_assign_to_lines="address", line_grouping=LineGrouping.CHAN_FOR_ALL_LINES
@@ -100,7 +100,7 @@ class _Session:
     def write(self, value: int) -> None:
         """Put a value on the lines."""
         try:
-            with self._translated():
+            with self._translate_errors():
                 self._write(value, timeout=self._deadline_s)
         except ValueError as error:
             # gRPC raises this for a channel that was closed during a call.
@@ -154,7 +154,7 @@ class _Session:
         return "NI device of unknown type"
 
     @contextlib.contextmanager
-    def _translated(self) -> Iterator[None]:
+    def _translate_errors(self) -> Iterator[None]:
         errors = self._nidaqmx.errors
         try:
             yield

@@ -12,7 +12,7 @@ from drivers.switches.digital_port import DaqError, DigitalPort
 from drivers.transcript import Tap, no_tap
 
 _DEVICE = "multiplexer"
-_HELD = (-50103, -200587)
+_LINES_HELD_CODES = (-50103, -200587)
 _NO_SUCH_DEVICE = (-200220, -88705, -88708, -88718, -89130, -201003)
 
 
@@ -87,7 +87,7 @@ class NiMultiplexer:
 
 
 def _cannot_open(place: str, error: DaqError) -> ConnectError:
-    if error.code in _HELD:
+    if error.code in _LINES_HELD_CODES:
         return ConnectError(_DEVICE, f"{place} is held by another program")
     if error.code in _NO_SUCH_DEVICE:
         message = f"there is no device for {place}: is it plugged in, and is this its name in NI MAX?"

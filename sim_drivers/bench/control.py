@@ -30,9 +30,9 @@ FACES = ("east", "south", "west", "zenith")
 _REENUMERATION_S = 1.0
 _LONGEST_REQUEST = 65536
 _WHOLE = re.compile(r"-?[0-9]{1,9}")
-_MOST = 1_000_000
+_LARGEST_NUMBER = 1_000_000
 # The ranges of an address and of a register.
-_OF_A_SENSOR = {"address": (1, 247), "status": (0, 65535), "mode": (0, 65535)}
+_SENSOR_VALUE_RANGES = {"address": (1, 247), "status": (0, 65535), "mode": (0, 65535)}
 
 
 class BenchControl:
@@ -47,7 +47,7 @@ class BenchControl:
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
         self._server: asyncio.Server | None = None
-        self._later: dict[str, asyncio.Task[None]] = {}
+        self._replug_tasks: dict[str, asyncio.Task[None]] = {}
         self._path = bench.directory / SOCKET_NAME
 
     async def __aenter__(self) -> Self:
@@ -71,7 +71,7 @@ class BenchControl:
 
     async def __aexit__(self, *_: object) -> None:
         """Take no more."""
-        for device in list(self._later):
+        for device in list(self._replug_tasks):
             self._forget(device)
         if self._server is not None:
             self._server.close()
@@ -136,7 +136,7 @@ class BenchControl:
         else:
             self._host(name).port.unplug()
         if length_s is not None:
-            self._later[name] = asyncio.create_task(self._replug_after(name, length_s))
+            self._replug_tasks[name] = asyncio.create_task(self._replug_after(name, length_s))
 
     async def replug(self, device: str) -> None:
         """Plug in again."""
@@ -177,7 +177,7 @@ class BenchControl:
 
     def fail(self, code: str, number: str = "1") -> None:
         """Let the next writes to the multiplexer fail."""
-        self._bench.multiplexer.core.fail_next(_whole(code, -_MOST, _MOST), _count(number))
+        self._bench.multiplexer.core.fail_next(_whole(code, -_LARGEST_NUMBER, _LARGEST_NUMBER), _count(number))
 
     def overcurrent(self, axis: str) -> None:
         """Latch an overcurrent."""
@@ -234,7 +234,7 @@ class BenchControl:
         elif not hasattr(sensor, name):
             raise ValueError(f"a {sensor.state()['make']} has no {name}")
         else:
-            setattr(sensor, name, _whole(value, *_OF_A_SENSOR.get(name, (0, _MOST))))
+            setattr(sensor, name, _whole(value, *_SENSOR_VALUE_RANGES.get(name, (0, _LARGEST_NUMBER))))
 
     async def power_cycle(self, device: str, position: str = "kept") -> None:
         """Switch a device off and on; the positioner's port is gone for a second."""
@@ -328,7 +328,7 @@ class BenchControl:
 
     async def _replug_after(self, device: str, seconds: float) -> None:
         await asyncio.sleep(seconds)
-        self._later.pop(device, None)
+        self._replug_tasks.pop(device, None)
         try:
             await self.replug(device)
         except (OSError, BenchError) as error:
@@ -336,7 +336,7 @@ class BenchControl:
 
     def _forget(self, device: str) -> None:
         """Forget that a plug was to be put back by itself."""
-        task = self._later.pop(device, None)
+        task = self._replug_tasks.pop(device, None)
         if task is not None:
             task.cancel()
 
@@ -366,7 +366,7 @@ def _number(text: str, low: float, high: float) -> float:
 
 
 def _count(text: str) -> int:
-    return _whole(text, 0, _MOST)
+    return _whole(text, 0, _LARGEST_NUMBER)
 
 
 def _whole(text: str, low: int, high: int) -> int:

@@ -67,7 +67,7 @@ class LineHost(Generic[Core]):
             if self._failure is not None:
                 raise self._failure
             if not self._frozen:
-                self._work(self._now())
+                self._move_due_bytes(self._now())
             due = [queue[0][0] for queue in (self._arriving, self._leaving, self._on_line) if queue]
             if self._frozen or not due:
                 await self._wake.wait()
@@ -98,7 +98,7 @@ class LineHost(Generic[Core]):
         self._out_free_s = now
         self.core.power_cycle(now)
 
-    def _work(self, now: float) -> None:
+    def _move_due_bytes(self, now: float) -> None:
         while self._arriving and self._arriving[0][0] <= now:
             self._feed(*self._arriving.popleft())
         while self._leaving and self._leaving[0][0] <= now:

@@ -143,13 +143,13 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
 
     async def GetSystemInfoAttributeUInt32(self, request: Any, _context: Any) -> Any:
         await self._running.wait()
-        return messages.GetSystemInfoAttributeUInt32Response(value=_VERSION.get(_chosen(request, "attribute"), 0))
+        return messages.GetSystemInfoAttributeUInt32Response(value=_VERSION.get(_enum_value(request, "attribute"), 0))
 
     async def GetDeviceAttributeString(self, request: Any, context: Any) -> Any:
         await self._running.wait()
         if request.device_name != DEVICE or not self.plugged:
             await _fail(context, INVALID_DEVICE)
-        text = PRODUCT if _chosen(request, "attribute") == _PRODUCT_TYPE else ""
+        text = PRODUCT if _enum_value(request, "attribute") == _PRODUCT_TYPE else ""
         return messages.GetDeviceAttributeStringResponse(value=text)
 
     async def CreateTask(self, request: Any, _context: Any) -> Any:
@@ -184,7 +184,7 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
         if any(set(other.lines) & set(lines) for other in self._tasks.values() if other.valid and other is not task):
             await _fail(context, LINES_RESERVED)
         task.lines = lines
-        if _chosen(request, "line_grouping") == _ONE_CHANNEL_FOR_ALL_LINES:
+        if _enum_value(request, "line_grouping") == _ONE_CHANNEL_FOR_ALL_LINES:
             # A name with a colon would be read as several channels.
             task.channels = (f"{DEVICE}/port0/line{first}" + ("..." if len(lines) > 1 else ""),)
         else:
@@ -204,7 +204,7 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
     async def GetTaskAttributeString(self, request: Any, context: Any) -> Any:
         task = await self._task(request, context)
         texts = {_TASK_NAME: task.name, _TASK_CHANNELS: ", ".join(task.channels)}
-        return messages.GetTaskAttributeStringResponse(value=texts.get(_chosen(request, "attribute"), ""))
+        return messages.GetTaskAttributeStringResponse(value=texts.get(_enum_value(request, "attribute"), ""))
 
     async def GetTaskAttributeUInt32(self, request: Any, context: Any) -> Any:
         task = await self._task(request, context)
@@ -268,7 +268,7 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
         self.writes += 1
 
 
-def _chosen(request: Any, name: str) -> int:
+def _enum_value(request: Any, name: str) -> int:
     """Return an enumeration's value: it stands in one of two fields."""
     return int(getattr(request, request.WhichOneof(f"{name}_enum")))
 

@@ -15,7 +15,7 @@ SCREEN_EVERY_S = 0.02
 BANNER = b"\r\nPOZSOL36A1 ready\r\n"
 """What the simulated unit prints after a restart; whether a real one prints anything is not known."""
 ECHO_OFF_WITHIN_S = 0.25
-_MOST_AT_ONCE = 3
+_MOST_WAITING_COMMANDS = 3
 
 
 class PositionerHost:
@@ -58,8 +58,8 @@ class PositionerHost:
         self.lost_screens = 0
         self._now = now
         self._random = random
-        self._held: bytes | None = None
-        self._user = False
+        self._held_screen: bytes | None = None
+        self._has_user = False
         self._echo_until_s = now()
         self.boots_at_open_s: float | None = None
         self._boots_until_s: float | None = None
@@ -89,7 +89,7 @@ class PositionerHost:
     def restart(self, silent_s: float) -> None:
         """Start the unit anew without a loss of USB: it is silent and deaf for a while and prints its banner then."""
         self.core.power_cycle(self._now(), keep_position=True)
-        self._held = None
+        self._held_screen = None
         self._boots_until_s = self._now() + silent_s
 
     def drop_next(self, count: int) -> None:
@@ -107,12 +107,12 @@ class PositionerHost:
                 self.port.send(BANNER)
             return
         if not self.port.in_use:
-            self._user = False
-            if self._held is None:
-                self._held = self.core.next_screen(self._now())
+            self._has_user = False
+            if self._held_screen is None:
+                self._held_screen = self.core.next_screen(self._now())
             return
-        if not self._user:
-            self._user = True
+        if not self._has_user:
+            self._has_user = True
             self._echo_until_s = self._now() + ECHO_OFF_WITHIN_S
             if self.boots_at_open_s is not None:
                 self.restart(self.boots_at_open_s)
@@ -120,7 +120,7 @@ class PositionerHost:
         if self._now() < self._echo_until_s and self.port.echoes:
             return
         self._echo_until_s = self._now()
-        screen, self._held = self._held or self.core.next_screen(self._now()), None
+        screen, self._held_screen = self._held_screen or self.core.next_screen(self._now()), None
         if self._drops:
             self._drops -= 1
             return
@@ -134,7 +134,7 @@ class PositionerHost:
 
     def _take(self, data: bytes) -> None:
         now_s, packets = self._now(), _commands(data)
-        if len(packets) > _MOST_AT_ONCE or self._free_s - now_s > _MOST_AT_ONCE * COMMAND_SPACING_S:
+        if len(packets) > _MOST_WAITING_COMMANDS or self._free_s - now_s > _MOST_WAITING_COMMANDS * COMMAND_SPACING_S:
             self._hand_over(data)
             return
         for packet in packets:

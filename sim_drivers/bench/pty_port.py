@@ -22,7 +22,7 @@ _CHUNK = 4096
 _LOCAL_MODES = 3
 
 
-class _Taken(Enum):
+class _ReadOutcome(Enum):
     DATA = auto()
     NOTHING = auto()
     HANG_UP = auto()
@@ -45,7 +45,7 @@ class PtyPort:
         self._master: int | None = None
         self._reading = False
         self._paused = False
-        self._look: asyncio.TimerHandle | None = None
+        self._look_timer: asyncio.TimerHandle | None = None
 
     @property
     def plugged(self) -> bool:
@@ -91,9 +91,9 @@ class PtyPort:
         """Make the port vanish; its user is hung up on."""
         self.link.unlink(missing_ok=True)
         self._stop_reading()
-        if self._look is not None:
-            self._look.cancel()
-            self._look = None
+        if self._look_timer is not None:
+            self._look_timer.cancel()
+            self._look_timer = None
         if self._master is not None:
             os.close(self._master)
             self._master = None
@@ -122,41 +122,41 @@ class PtyPort:
 
     def _wait_for_user(self) -> None:
         loop = asyncio.get_running_loop()
-        if self._look is not None:
-            self._look.cancel()
-            self._look = None
+        if self._look_timer is not None:
+            self._look_timer.cancel()
+            self._look_timer = None
         if self._paused or self._reading or self._master is None:
             return
         if self.in_use:
             self._reading = True
             loop.add_reader(self._master, self._read)
         else:
-            while self._take() is _Taken.DATA:
+            while self._read_chunk() is _ReadOutcome.DATA:
                 pass
             # A hung-up descriptor counts as readable all the time: it is looked at now and then instead.
-            self._look = loop.call_later(LOOK_EVERY_S, self._wait_for_user)
+            self._look_timer = loop.call_later(LOOK_EVERY_S, self._wait_for_user)
 
     def _read(self) -> None:
-        if self._take() is _Taken.HANG_UP:
+        if self._read_chunk() is _ReadOutcome.HANG_UP:
             self._stop_reading()
             self._forget_unread()
             self._wait_for_user()
 
-    def _take(self) -> _Taken:
+    def _read_chunk(self) -> _ReadOutcome:
         if self._master is None:
-            return _Taken.HANG_UP
+            return _ReadOutcome.HANG_UP
         try:
             data = os.read(self._master, _CHUNK)
         except BlockingIOError:
-            return _Taken.NOTHING
+            return _ReadOutcome.NOTHING
         except OSError as error:
             if error.errno != errno.EIO:
                 raise
             data = b""
         if not data:
-            return _Taken.HANG_UP
+            return _ReadOutcome.HANG_UP
         self._on_bytes(data)
-        return _Taken.DATA
+        return _ReadOutcome.DATA
 
     def _forget_unread(self) -> None:
         """Drop what the user who has left did not read, as the driver of a serial port does at its last close."""

@@ -43,7 +43,7 @@ def _failing(code: int) -> Step:
     return fail
 
 
-def _ask(answer: Callable[[LoadInstrument, float], str]) -> _Command:
+def _question(answer: Callable[[LoadInstrument, float], str]) -> _Command:
     def command(load: LoadInstrument, parameters: tuple[str, ...], now: float) -> str | None:
         if parameters:
             raise ScpiError(-108)
@@ -52,7 +52,7 @@ def _ask(answer: Callable[[LoadInstrument, float], str]) -> _Command:
     return command
 
 
-def _act(do: Callable[[LoadInstrument, float], Any]) -> _Command:
+def _action(do: Callable[[LoadInstrument, float], Any]) -> _Command:
     def command(load: LoadInstrument, parameters: tuple[str, ...], now: float) -> str | None:
         if parameters:
             raise ScpiError(-108)
@@ -62,7 +62,7 @@ def _act(do: Callable[[LoadInstrument, float], Any]) -> _Command:
     return command
 
 
-def _set(parse: Parser, do: Callable[[LoadInstrument, Any, float], Any]) -> _Command:
+def _setter(parse: Parser, do: Callable[[LoadInstrument, Any, float], Any]) -> _Command:
     def command(load: LoadInstrument, parameters: tuple[str, ...], now: float) -> str | None:
         if len(parameters) != 1:
             raise ScpiError(-108 if parameters else -109)
@@ -89,7 +89,7 @@ def _written(load: LoadInstrument, value: float) -> str:
     return f"{value:.4f}" if load.make == "chroma63600" else f"{value:+.5E}"
 
 
-def _keep(name: str) -> Callable[[LoadInstrument, Any, float], None]:
+def _store_as(name: str) -> Callable[[LoadInstrument, Any, float], None]:
     return lambda load, value, _now: setattr(load, name, value)
 
 
@@ -107,7 +107,7 @@ def _clear_protections(load: LoadInstrument, _now: float) -> None:
     load.latched.clear()
 
 
-def _spelt(commands: Mapping[str, _Command], *, of_channel: bool = False) -> dict[tuple[str, bool], _Command]:
+def _by_spelling(commands: Mapping[str, _Command], *, of_channel: bool = False) -> dict[tuple[str, bool], _Command]:
     found = {}
     for pattern, command in commands.items():
         asks = pattern.endswith("?")
@@ -116,69 +116,69 @@ def _spelt(commands: Mapping[str, _Command], *, of_channel: bool = False) -> dic
     return found
 
 
-_COMMON = _spelt(
+_COMMON = _by_spelling(
     {
-        "*IDN?": _ask(lambda load, _now: load.identity),
-        "*CLS": _act(lambda load, _now: load.scpi.clear()),
-        "*RST": _act(lambda load, now: load.reset(now)),
-        "*ESR?": _ask(lambda load, _now: str(load.scpi.take_events())),
-        "*ESE": _set(integer(0, 255, 0), _keep("event_enable")),
-        "*ESE?": _ask(lambda load, _now: str(load.event_enable)),
-        "*OPC?": _ask(lambda _load, _now: "1"),
+        "*IDN?": _question(lambda load, _now: load.identity),
+        "*CLS": _action(lambda load, _now: load.scpi.clear()),
+        "*RST": _action(lambda load, now: load.reset(now)),
+        "*ESR?": _question(lambda load, _now: str(load.scpi.take_events())),
+        "*ESE": _setter(integer(0, 255, 0), _store_as("event_enable")),
+        "*ESE?": _question(lambda load, _now: str(load.event_enable)),
+        "*OPC?": _question(lambda _load, _now: "1"),
     }
 )
 _READINGS: dict[str, _Command] = {
-    "VOLTage[:DC]?": _ask(lambda load, now: _written(load, load.read(now)[0])),
-    "CURRent[:DC]?": _ask(lambda load, now: _written(load, load.read(now)[1])),
-    "POWer[:DC]?": _ask(lambda load, now: _written(load, math.prod(load.read(now)))),
+    "VOLTage[:DC]?": _question(lambda load, now: _written(load, load.read(now)[0])),
+    "CURRent[:DC]?": _question(lambda load, now: _written(load, load.read(now)[1])),
+    "POWer[:DC]?": _question(lambda load, now: _written(load, math.prod(load.read(now)))),
 }
 _MEASURE = {f"MEASure:{name}": command for name, command in _READINGS.items()}
 _FETCH = {f"FETCh:{name}": command for name, command in _READINGS.items()}
-_level = _set(number(0.0, _MOST_V, 0.0), lambda load, level_v, now: load.set_level(level_v, now))
-_switch = _set(boolean, lambda load, on, now: load.switch(now, on=on))
+_level = _setter(number(0.0, _MOST_V, 0.0), lambda load, level_v, now: load.set_level(level_v, now))
+_switch = _setter(boolean, lambda load, on, now: load.switch(now, on=on))
 
-_CHROMA = _spelt(
+_CHROMA = _by_spelling(
     {
-        "CHANnel[:LOAD]": _set(integer(1, 10, 1), _select),
-        "CHANnel[:LOAD]?": _ask(lambda load, _now: str(load.selected)),
-        "CHANnel:ID?": _ask(lambda _load, _now: _CHROMA_MODULE),
+        "CHANnel[:LOAD]": _setter(integer(1, 10, 1), _select),
+        "CHANnel[:LOAD]?": _question(lambda load, _now: str(load.selected)),
+        "CHANnel:ID?": _question(lambda _load, _now: _CHROMA_MODULE),
     }
-) | _spelt(
+) | _by_spelling(
     {
         "LOAD[:STATe]": _switch,
-        "LOAD[:STATe]?": _ask(lambda load, _now: "ON" if load.on else "OFF"),
-        "LOAD:PROTection?": _ask(_protections),
-        "LOAD:PROTection:CLEar": _act(_clear_protections),
-        "MODE": _set(choice(*_CHROMA_MODES), lambda load, mode, now: load.set_mode(mode, now)),
-        "MODE?": _ask(lambda load, _now: load.mode),
-        "CONFigure:VOLTage:RANGe": _set(choice("HIGH", "MIDDLE", "LOW", "H", "M", "L"), _keep("voltage_range")),
-        "CONFigure:VOLTage:RANGe?": _ask(lambda load, _now: load.voltage_range),
+        "LOAD[:STATe]?": _question(lambda load, _now: "ON" if load.on else "OFF"),
+        "LOAD:PROTection?": _question(_protections),
+        "LOAD:PROTection:CLEar": _action(_clear_protections),
+        "MODE": _setter(choice(*_CHROMA_MODES), lambda load, mode, now: load.set_mode(mode, now)),
+        "MODE?": _question(lambda load, _now: load.mode),
+        "CONFigure:VOLTage:RANGe": _setter(choice("HIGH", "MIDDLE", "LOW", "H", "M", "L"), _store_as("voltage_range")),
+        "CONFigure:VOLTage:RANGe?": _question(lambda load, _now: load.voltage_range),
         "VOLTage:STATic:L1": _level,
-        "VOLTage:STATic:L1?": _ask(lambda load, _now: _written(load, load.level_v)),
-        "VOLTage:STATic:ILIMit": _set(number(0.0, _MOST_A, _MOST_A), _keep("limit_a")),
-        "VOLTage:STATic:ILIMit?": _ask(lambda load, _now: _written(load, load.limit_a)),
+        "VOLTage:STATic:L1?": _question(lambda load, _now: _written(load, load.level_v)),
+        "VOLTage:STATic:ILIMit": _setter(number(0.0, _MOST_A, _MOST_A), _store_as("limit_a")),
+        "VOLTage:STATic:ILIMit?": _question(lambda load, _now: _written(load, load.limit_a)),
         **_MEASURE,
         **_FETCH,
     },
     of_channel=True,
 )
-_AGILENT = _spelt(
+_AGILENT = _by_spelling(
     {
         "INPut[:STATe]": _switch,
-        "INPut[:STATe]?": _ask(lambda load, _now: str(int(load.on))),
-        "INPut:PROTection:CLEar": _act(_clear_protections),
-        "INPut:SHORt": _set(boolean, lambda _load, _on, _now: None),
-        "MODE:CURRent[:DC]": _act(lambda load, now: load.set_mode("CURR", now)),
-        "MODE:RESistance": _act(lambda load, now: load.set_mode("RES", now)),
-        "MODE:VOLTage[:DC]": _act(lambda load, now: load.set_mode("VOLT", now)),
-        "MODE?": _ask(lambda load, _now: load.mode),
+        "INPut[:STATe]?": _question(lambda load, _now: str(int(load.on))),
+        "INPut:PROTection:CLEar": _action(_clear_protections),
+        "INPut:SHORt": _setter(boolean, lambda _load, _on, _now: None),
+        "MODE:CURRent[:DC]": _action(lambda load, now: load.set_mode("CURR", now)),
+        "MODE:RESistance": _action(lambda load, now: load.set_mode("RES", now)),
+        "MODE:VOLTage[:DC]": _action(lambda load, now: load.set_mode("VOLT", now)),
+        "MODE?": _question(lambda load, _now: load.mode),
         "VOLTage[:LEVel][:IMMediate]": _level,
         # This answers what was set, not what is measured.
-        "VOLTage[:LEVel][:IMMediate]?": _ask(lambda load, _now: _written(load, load.level_v)),
-        "CURRent:RANGe": _set(number(0.0, 10.0, 10.0), lambda _load, _range_a, _now: None),
-        "TRANsient[:STATe]": _set(boolean, lambda _load, _on, _now: None),
-        "STATus:CHANnel:CONDition?": _ask(_protections),
-        "SYSTem:ERRor?": _ask(lambda load, _now: load.scpi.errors.pop()),
+        "VOLTage[:LEVel][:IMMediate]?": _question(lambda load, _now: _written(load, load.level_v)),
+        "CURRent:RANGe": _setter(number(0.0, 10.0, 10.0), lambda _load, _range_a, _now: None),
+        "TRANsient[:STATe]": _setter(boolean, lambda _load, _on, _now: None),
+        "STATus:CHANnel:CONDition?": _question(_protections),
+        "SYSTem:ERRor?": _question(lambda load, _now: load.scpi.errors.pop()),
         **_MEASURE,
     }
 )

@@ -78,7 +78,7 @@ class LoadInstrument:
     latched: set[Trip]
     scpi: ScpiStatus
     # The voltage from which the terminals settle; None for that of the open circuit.
-    _before_v: float | None
+    _settles_from_v: float | None
 
     def __init__(
         self, source: Source, random: np.random.Generator, *, make: DialectName, channel: int, now: float
@@ -114,8 +114,8 @@ class LoadInstrument:
         voltage_v, current_a, _ = self.at_terminals(now)
         rating = self.rating
         return (
-            self._seen(voltage_v, rating.most_v, rating.noise_v),
-            self._seen(current_a, rating.most_a, rating.noise_a),
+            self._reading_of(voltage_v, rating.most_v, rating.noise_v),
+            self._reading_of(current_a, rating.most_a, rating.noise_a),
         )
 
     def at_terminals(self, now: float) -> tuple[float, float, bool]:
@@ -127,7 +127,7 @@ class LoadInstrument:
         if not self.draws or now < self._dropped_until_s:
             return open_v, 0.0, True
         voltage_v, current_a, regulated = self.hold(light)
-        left_v = (open_v if self._before_v is None else self._before_v) - voltage_v
+        left_v = (open_v if self._settles_from_v is None else self._settles_from_v) - voltage_v
         left_v *= math.exp((self._changed_s - now) / SETTLING_S)
         if not abs(left_v) < _SETTLED_V:
             voltage_v += left_v
@@ -152,19 +152,19 @@ class LoadInstrument:
 
     def set_level(self, level_v: float, now: float) -> None:
         """Take a new voltage; the terminals follow within some milliseconds."""
-        self._before_v, self._changed_s = self.at_terminals(now)[0], now
+        self._settles_from_v, self._changed_s = self.at_terminals(now)[0], now
         self.level_v = level_v
 
     def switch(self, now: float, *, on: bool) -> None:
         """Switch the input."""
-        self._before_v, self._changed_s = None, now
+        self._settles_from_v, self._changed_s = None, now
         self.sweeps += on and not self.on
         self.on = on
 
     def set_mode(self, mode: str, now: float) -> None:
         """Change the mode, which drops the input for a moment."""
         self._dropped_until_s = now + _DROPPED_S
-        self._before_v, self._changed_s = None, self._dropped_until_s
+        self._settles_from_v, self._changed_s = None, self._dropped_until_s
         self.mode = mode
 
     def reset(self, now: float) -> None:
@@ -175,13 +175,13 @@ class LoadInstrument:
         self.voltage_range = "HIGH"
         self.event_enable = 0
         self.selected = self.dialect.channels[0]
-        self._before_v, self._changed_s, self._dropped_until_s = None, now, now
+        self._settles_from_v, self._changed_s, self._dropped_until_s = None, now, now
 
     def _power_up(self, now: float) -> None:
         self.scpi = ScpiStatus()
         self.latched = set()
         self.reset(now)
 
-    def _seen(self, true: float, most: float, noise: float) -> float:
+    def _reading_of(self, true: float, most: float, noise: float) -> float:
         reading = true + noise * self._random.standard_normal()
         return reading if abs(true) <= 1.02 * most else OVERFLOW

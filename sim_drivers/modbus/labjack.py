@@ -30,7 +30,7 @@ _LONGEST_SETTLING_US = 50000.0
 _ABOVE_GROUND_V = 0.002
 _NO_READING = -9999.0
 # How far beyond its range the converter still measures.
-_BEYOND = 1.05
+_OVER_RANGE_FACTOR = 1.05
 _STEPS = 2.0**15
 
 
@@ -122,7 +122,7 @@ class SimulatedLabjack(NoBits):
             self._settling_us[each] = settling_us
 
     def _measured(self, each: int) -> float:
-        range_v, reach_v = self._range_v[each], self._range_v[each] * _BEYOND
+        range_v, reach_v = self._range_v[each], self._range_v[each] * _OVER_RANGE_FACTOR
         step_v = range_v / _STEPS
         value_v = self._input_v(each, self.now_s)
         if math.isnan(value_v):

@@ -66,7 +66,7 @@ class DeviceLineCore:
         first, second = self.sensors[one], self.sensors[other]
         first.address, second.address = second.address, first.address
 
-    def _hears(self, sensor: SimulatedDevice, now: float) -> bool:
+    def _is_heard_by(self, sensor: SimulatedDevice, now: float) -> bool:
         """Tell whether a question reaches a sensor: on one pair, one that comes soon after a reply does not."""
         if not (self._is_one_pair and sensor.deaf_s):
             return True
@@ -76,7 +76,7 @@ class DeviceLineCore:
     def _answers(self, asked: Asked, now: float) -> list[tuple[float, bytes]]:
         replies = []
         for sensor in self.sensors:
-            if sensor.address != asked.request.unit or sensor.silent or not self._hears(sensor, now):
+            if sensor.address != asked.request.unit or sensor.silent or not self._is_heard_by(sensor, now):
                 continue
             sensor.now_s = now
             pdu = answer(sensor, asked.request.pdu)

@@ -22,7 +22,7 @@ _SMP_CLEAR_ERROR, _SMP_VOID, _SMP_ERROR = 10, 1 << 0, 1 << 3
 _DELTA_OHM_NO_MEASUREMENT = 1 << 0
 _NO_NUMBER = words_for(math.nan, "float32")
 _DEAF_S = 0.03
-_BOTH = (READ_HOLDING, READ_INPUT)
+_BOTH_FUNCTIONS = (READ_HOLDING, READ_INPUT)
 
 
 class SimulatedPyranometer:
@@ -110,7 +110,7 @@ class SimulatedPyranometer:
 class SimulatedSmp(SimulatedPyranometer):
     """Kipp & Zonen SMP3; input and holding registers are one table, and so are coils and discrete inputs."""
 
-    functions = _BOTH
+    functions = _BOTH_FUNCTIONS
     kind = 601
     scale = 1
 
@@ -147,7 +147,7 @@ class SimulatedSmp(SimulatedPyranometer):
 class SimulatedHukseflux(SimulatedPyranometer):
     """Hukseflux SR20-D; a new address holds from the next restart on."""
 
-    functions = _BOTH
+    functions = _BOTH_FUNCTIONS
     base = 0
     model = "SR20-D2   "
 
@@ -239,7 +239,7 @@ class SimulatedDeltaOhm(SimulatedPyranometer):
 class SimulatedMapped(SimulatedPyranometer):
     """A sensor with the registers that a map of the configuration says, and no others; a logger has several maps."""
 
-    functions = _BOTH
+    functions = _BOTH_FUNCTIONS
 
     def __init__(
         self, address: int, serial: int, irradiance: Callable[[float], float], used: RegisterMapSettings
@@ -255,14 +255,14 @@ class SimulatedMapped(SimulatedPyranometer):
         """Return irradiance, status, serial number and address as far as the maps have them."""
         known: dict[int, int] = {}
         for used, irradiance in self._maps:
-            known |= self._mapped(used, irradiance(self.now_s))
+            known |= self._registers_by_map(used, irradiance(self.now_s))
         return known
 
     def blind_registers(self) -> dict[int, int]:
         """Return what `registers` does: each map has a sensor of its own, which gives NaN while it cannot measure."""
         return self.registers(math.nan)
 
-    def _mapped(self, used: RegisterMapSettings, w_m2: float) -> dict[int, int]:
+    def _registers_by_map(self, used: RegisterMapSettings, w_m2: float) -> dict[int, int]:
         known: dict[int, int] = {}
         status = self.status
         if math.isnan(w_m2) and used.number_type != "float32":
@@ -281,7 +281,7 @@ class SimulatedMapped(SimulatedPyranometer):
         return known | dict(enumerate(value, used.register_number))
 
 
-_OF_MAKE: dict[MakeName, type[SimulatedPyranometer]] = {
+_SENSOR_OF_MAKE: dict[MakeName, type[SimulatedPyranometer]] = {
     "smp": SimulatedSmp,
     "hukseflux": SimulatedHukseflux,
     "hukseflux-pv": SimulatedHuksefluxPv,
@@ -297,4 +297,4 @@ def simulated_pyranometer(
     """Return a sensor of a make, or by a map."""
     if make == "map":
         return SimulatedMapped(address, serial, irradiance, used)
-    return _OF_MAKE[make](address, serial, irradiance)
+    return _SENSOR_OF_MAKE[make](address, serial, irradiance)

@@ -61,8 +61,8 @@ class PositionerCore:
         self._poll_s = math.inf
         self._deaf = self._mislays_packet = False
         self._reboot_s = math.inf
-        self._slot = self._slow = self._links = 0
-        self._live = b""
+        self._slot = self._slow_index = self._link_counter = 0
+        self._cached_live_screens = b""
         self._standstill: int | None = None
 
     @property
@@ -117,9 +117,9 @@ class PositionerCore:
         self._slot = self._slot % screens.SLOTS + 1
         if self._slot < screens.SLOTS:
             return screens.fast_screen(self._slot, readout)
-        text = screens.slow_screen(self._slow, readout, self.parameters)
-        self._slow = (self._slow + 1) % len(screens.SLOW_SCREENS)
-        self._links = (self._links + 1) % 100
+        text = screens.slow_screen(self._slow_index, readout, self.parameters)
+        self._slow_index = (self._slow_index + 1) % len(screens.SLOW_SCREENS)
+        self._link_counter = (self._link_counter + 1) % 100
         return text
 
     def screens(self, now: float) -> bytes:
@@ -134,13 +134,13 @@ class PositionerCore:
         self.advance(now)
         standstill = self._unit.standstill
         if standstill is None or standstill != self._standstill:
-            self._live, self._standstill = screens.live_screens(self.readout(now)), standstill
-        return self._live
+            self._cached_live_screens, self._standstill = screens.live_screens(self.readout(now)), standstill
+        return self._cached_live_screens
 
     def readout(self, now: float) -> Readout:
         """Return what the screens are printed from."""
         self.advance(now)
-        return self._unit.readout(now, self._links)
+        return self._unit.readout(now, self._link_counter)
 
     def changes(self, now: float) -> int:
         """Return how often anything has changed so far; motion that goes on as it was is no change."""

@@ -68,7 +68,7 @@ class Axis:
         self._planned: tuple[float, bool] | None = None
         self._passes_s = math.inf
         self._blind_s = 0.0
-        self._true_at = self._counted_at = (math.nan, math.nan)
+        self._true_cache = self._counted_cache = (math.nan, math.nan)
         self.target_mm = self.counted_mm(0.0)
 
     @property
@@ -91,12 +91,12 @@ class Axis:
 
     def true_deg(self, now_s: float) -> float:
         """Where the axis is."""
-        self._true_at = at = self._angle_at(self._true_at, self.true_mm(now_s))
+        self._true_cache = at = self._angle_at(self._true_cache, self.true_mm(now_s))
         return at[1]
 
     def counted_deg(self, now_s: float) -> float:
         """Where the unit believes it is."""
-        self._counted_at = at = self._angle_at(self._counted_at, self.counted_mm(now_s))
+        self._counted_cache = at = self._angle_at(self._counted_cache, self.counted_mm(now_s))
         return at[1]
 
     def _angle_at(self, before: tuple[float, float], position_mm: float) -> tuple[float, float]:
@@ -115,7 +115,7 @@ class Axis:
     def moving(self, now_s: float) -> bool:
         """Tell whether the unit has seen an impulse lately."""
         profile = self._profile
-        if profile and self._sees and profile.first_edge_s <= now_s < profile.last_edge_s + EDGE_MEMORY_S:
+        if profile and self._counts_impulses and profile.first_edge_s <= now_s < profile.last_edge_s + EDGE_MEMORY_S:
             return True
         return now_s < self._moving_until_s
 
@@ -134,9 +134,9 @@ class Axis:
         still_s = self._moving_until_s
         if not (profile := self._profile):
             return still_s, self.fault_s
-        if self._sees:
+        if self._counts_impulses:
             still_s = max(still_s, profile.last_edge_s + EDGE_MEMORY_S)
-        starts_s = profile.first_edge_s if self._sees else math.inf
+        starts_s = profile.first_edge_s if self._counts_impulses else math.inf
         low_s, high_s = profile.reaches(0.0, -1.0), profile.reaches(self.travel_mm, 1.0)
         return still_s, self.fault_s, starts_s, profile.end_s, profile.crosses_s, self._passes_s, low_s, high_s
 
@@ -202,17 +202,17 @@ class Axis:
     def lose_hall(self, lost: bool, now_s: float) -> None:
         """Let the Hall sensors die, or come back to life."""
         if lost is not self._hall_lost:
-            self._stop_looking(now_s)
+            self._freeze_count(now_s)
             self._hall_lost = lost
-            self._look_again(now_s)
+            self._resume_count(now_s)
             self._last_edge_s, self._planned, self._blind_s = now_s, None, 0.0
 
     def count(self, counting: bool, now_s: float) -> None:
         """Begin or stop to count impulses: the unit counts those of one axis at a time."""
         if counting is not self._counting:
-            self._stop_looking(now_s)
+            self._freeze_count(now_s)
             self._counting = counting
-            self._look_again(now_s)
+            self._resume_count(now_s)
 
     def slip(self, way_mm: float) -> None:
         """Falsify the count."""
@@ -236,28 +236,28 @@ class Axis:
             profile, self._profile = self._profile, None
             self._rest_mm = profile.end
             self._last_edge_s = max(self._last_edge_s, profile.last_edge_s)
-            if self._sees:
+            if self._counts_impulses:
                 self._moving_until_s = max(self._moving_until_s, profile.last_edge_s + EDGE_MEMORY_S)
 
     @property
-    def _sees(self) -> bool:
+    def _counts_impulses(self) -> bool:
         return self._counting and not self._hall_lost
 
     def _exact_mm(self, now_s: float) -> float:
         return self.true_mm(now_s) - self._origin_mm if self._frozen_mm is None else self._frozen_mm
 
-    def _stop_looking(self, now_s: float) -> None:
-        if self._sees:
+    def _freeze_count(self, now_s: float) -> None:
+        if self._counts_impulses:
             self._remember_edges(now_s)
             self._frozen_mm = self._exact_mm(now_s)
 
-    def _look_again(self, now_s: float) -> None:
-        if self._sees and self._frozen_mm is not None:
+    def _resume_count(self, now_s: float) -> None:
+        if self._counts_impulses and self._frozen_mm is not None:
             self._origin_mm, self._frozen_mm = self.true_mm(now_s) - self._frozen_mm, None
 
     def _remember_edges(self, now_s: float) -> None:
         profile = self._profile
-        if profile and self._sees and profile.first_edge_s <= now_s:
+        if profile and self._counts_impulses and profile.first_edge_s <= now_s:
             last_s = min(now_s, profile.last_edge_s)
             self._moving_until_s = max(self._moving_until_s, last_s + EDGE_MEMORY_S)
 

@@ -43,7 +43,7 @@ class Actuator:
     def __post_init__(self) -> None:
         if not (self.arm_1_mm > 0 and self.arm_2_mm > 0 and (self.low_deg < self.high_deg) is self.raises):
             raise ValueError(f"an actuator needs arms longer than 0 and a low end where it is retracted, not {self}")
-        if not (self._between_deg(self.low_deg) > 0 and self._between_deg(self.high_deg) < 180):
+        if not (self._between_arms_deg(self.low_deg) > 0 and self._between_arms_deg(self.high_deg) < 180):
             raise ValueError(f"the triangle must stay between 0 and 180 deg over the whole travel, not {self}")
         if not (0 <= self.holder_mm < self._side_mm(self.low_deg) and math.isfinite(self.zero_offset_mm)):
             raise ValueError(f"the holder must be shorter than the retracted actuator, not {self}")
@@ -69,10 +69,10 @@ class Actuator:
 
     def _side_mm(self, angle_deg: float) -> float:
         a, b = self.arm_1_mm, self.arm_2_mm
-        cosine = math.cos(math.radians(max(self._between_deg(angle_deg), 0.0)))
+        cosine = math.cos(math.radians(max(self._between_arms_deg(angle_deg), 0.0)))
         return math.sqrt(max(a * a + b * b - 2 * a * b * cosine, 0.0))
 
-    def _between_deg(self, angle_deg: float) -> float:
+    def _between_arms_deg(self, angle_deg: float) -> float:
         return self.apex_deg + (angle_deg if self.raises else -angle_deg)
 
 

@@ -34,7 +34,7 @@ def status_word(
 ) -> int:
     """Return the 32 bits of field 136; `destinations_mm` are those that are shown."""
     a, b = axes["a"], axes["b"]
-    a_way, b_way = _way(a, destinations_mm["a"], now), _way(b, destinations_mm["b"], now)
+    a_way, b_way = _counts_to_go(a, destinations_mm["a"], now), _counts_to_go(b, destinations_mm["b"], now)
     if b_way:
         # Motion of one axis wipes out the other's bits; if both move, only B's remain.
         a_way = 0
@@ -65,7 +65,7 @@ def status_word(
     return word
 
 
-def _way(axis: Axis, destination_mm: float, now: float) -> int:
+def _counts_to_go(axis: Axis, destination_mm: float, now: float) -> int:
     return axis.counts(destination_mm - axis.counted_mm(now)) if axis.moving(now) else 0
 
 

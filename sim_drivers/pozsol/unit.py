@@ -53,8 +53,8 @@ class PositionerUnit:
         self.supply = MotorSupply()
         self.button: Button | None = None
         self.due_s = math.inf
-        self._chosen: AxisName = "a"
-        self._by_button: AxisName = "a"
+        self._chosen_name: AxisName = "a"
+        self._button_axis: AxisName = "a"
         self._self_clear_s = now + SELF_CLEAR_S
         self._button_s = self._manual_s = self._idle_s = self._braked_s = math.inf
         self._homing_ordered = self._runs_out = self._idled = False
@@ -73,7 +73,7 @@ class PositionerUnit:
     def go(self, name: AxisName, position: int, now: float) -> None:
         """Go to a position in whole units."""
         if not self.modes.owns_targets:
-            self._take_back()
+            self._leave_manual()
             if not self.axes[name].ignores_targets:
                 self._aim(name, position, now)
         self.decide(now)
@@ -168,7 +168,7 @@ class PositionerUnit:
     def destination(self, name: AxisName, now: float) -> float:
         """Return the destination [mm] that the unit shows; where it follows the position, it moves with that."""
         axis = self.axes[name]
-        if name == self._chosen:
+        if name == self._chosen_name:
             if axis.blocked or axis.control == "stop" or self._runs_out:
                 return axis.counted_mm(now)
             if axis.control == "home":
@@ -210,13 +210,13 @@ class PositionerUnit:
     def decide(self, now: float) -> None:
         """Let the unit look at its state, and find out when it has to do so again."""
         for name, angle_deg in self.modes.targets(now):
-            self._take_back()
+            self._leave_manual()
             self._aim(name, self.axes[name].position_of(angle_deg), now)
         # One decision can make the next one possible at once, as the end of a reference run at standstill does.
         for _ in range(3):
-            before = self._chosen, self._runs_out, self._axis.control, self._axis.active
+            before = self._chosen_name, self._runs_out, self._axis.control, self._axis.active
             self._control(now)
-            if before == (self._chosen, self._runs_out, self._axis.control, self._axis.active):
+            if before == (self._chosen_name, self._runs_out, self._axis.control, self._axis.active):
                 break
         self._schedule(now)
 
@@ -237,7 +237,7 @@ class PositionerUnit:
             self._end_braking(now)
         if self._idle_s <= now:
             self._idle_s, self._idled = math.inf, True
-            axis.target_mm, axis.control = self.destination(self._chosen, now), "idle"
+            axis.target_mm, axis.control = self.destination(self._chosen_name, now), "idle"
             axis.release(now)
         if self._manual_s <= now:
             self._manual_s = math.inf
@@ -271,30 +271,30 @@ class PositionerUnit:
             self._stop_all(now)
 
     def _take_turns(self, now: float) -> None:
-        other: AxisName = "b" if self._chosen == "a" else "a"
+        other: AxisName = "b" if self._chosen_name == "a" else "a"
         dead_mm = self.setup.drive.dead_band_mm
-        if self._any_moving(now) or abs(self._way(self._chosen, now)) >= dead_mm:
+        if self._any_moving(now) or abs(self._way_to_go_mm(self._chosen_name, now)) >= dead_mm:
             return
-        if abs(self._way(other, now)) > dead_mm:
+        if abs(self._way_to_go_mm(other, now)) > dead_mm:
             if self._axis.control == "home":
                 self._axis.control = "idle"
             self._choose(other, now)
             self._axis.control = "track"
 
     def _at_switch(self, axis: Axis, now: float) -> bool:
-        way = self._way(self._chosen, now)
+        way = self._way_to_go_mm(self._chosen_name, now)
         inwards = axis.low_closed(now) and way < 0
         return inwards or (self.setup.high_switches and axis.high_closed(now) and way > 0)
 
     def _drive(self, axis: Axis, now: float) -> None:
         if self._braked_s < math.inf:
             return
-        way = axis.counts(self._way(self._chosen, now))
+        way = axis.counts(self._way_to_go_mm(self._chosen_name, now))
         moving = self._any_moving(now)
         outward = way > 0
         if way and not (moving and axis.outward is not outward):
             self._idle_s, self._idled = math.inf, False
-            other = self.axes["b" if self._chosen == "a" else "a"]
+            other = self.axes["b" if self._chosen_name == "a" else "a"]
             if other.active:
                 # Both motors share a half bridge: the one that is switched on takes it from the other.
                 other.run_out(now)
@@ -349,11 +349,11 @@ class PositionerUnit:
             axis.control = "stop"
 
     def _choose(self, name: AxisName, now: float) -> None:
-        if name == self._chosen:
+        if name == self._chosen_name:
             return
-        self._axis.target_mm = self.destination(self._chosen, now)
+        self._axis.target_mm = self.destination(self._chosen_name, now)
         self._axis.count(False, now)
-        self._chosen = name
+        self._chosen_name = name
         self._axis.count(True, now)
         if self._braked_s < math.inf:
             self._braked_s = min(self._braked_s, now + 2 * POLL_S)
@@ -361,15 +361,15 @@ class PositionerUnit:
     def _obey_button(self, now: float) -> None:
         self._button_s = now + BUTTON_AGAIN_S
         if self.button == "both":
-            self._by_button = "b" if self._by_button == "a" else "a"
+            self._button_axis = "b" if self._button_axis == "a" else "a"
             self._set_manual(True)
             self._stop_all(now)
         elif self.button:
             self._set_manual(False)
-            self._aim(self._by_button, self.axes[self._by_button].range_mm if self.button == "out" else 0, now)
+            self._aim(self._button_axis, self.axes[self._button_axis].range_mm if self.button == "out" else 0, now)
             self._set_manual(True)
 
-    def _take_back(self) -> None:
+    def _leave_manual(self) -> None:
         self._manual_s = math.inf
         self._set_manual(False)
 
@@ -391,9 +391,9 @@ class PositionerUnit:
 
     @property
     def _axis(self) -> Axis:
-        return self.axes[self._chosen]
+        return self.axes[self._chosen_name]
 
-    def _way(self, name: AxisName, now: float) -> float:
+    def _way_to_go_mm(self, name: AxisName, now: float) -> float:
         return self.destination(name, now) - self.axes[name].counted_mm(now)
 
     def _any_moving(self, now: float) -> bool:

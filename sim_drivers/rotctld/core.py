@@ -10,7 +10,7 @@ from dataclasses import dataclass
 ROTATOR_FAULTS = ("gone", "deaf", "stopless")
 """Unplugged from rotctld, which answers with an error; switched off, which rotctld does not notice; without a stop."""
 
-_NO_LIMIT, _NO_CONNECTION, _NOT_AVAILABLE = -1, -6, -11
+_INVALID_PARAMETER, _NO_CONNECTION, _NOT_AVAILABLE = -1, -6, -11
 _PREFIX = "+"
 
 
@@ -86,7 +86,7 @@ class RotatorCore:
             turns.azimuth_min_deg <= azimuth_deg <= turns.azimuth_max_deg
             and turns.elevation_min_deg <= elevation_deg <= turns.elevation_max_deg
         ):
-            return _NO_LIMIT
+            return _INVALID_PARAMETER
         if "deaf" not in self.faults:
             self.turn(azimuth_deg, elevation_deg, now_s)
         return 0
@@ -111,12 +111,12 @@ class RotctldSession:
 
     def __init__(self, core: RotatorCore) -> None:
         self._core = core
-        self._rest = ""
+        self._unparsed = ""
         self.closed = False
 
     def feed(self, data: bytes, now_s: float) -> bytes:
         """Take in bytes and return the answers; an argument that a command lacks is taken from the next line."""
-        self._rest += data.decode("latin-1")
+        self._unparsed += data.decode("latin-1")
         answers = []
         while not self.closed and (words := self._next_command()):
             answers.append(self._answer(words, now_s))
@@ -124,7 +124,7 @@ class RotctldSession:
 
     def _next_command(self) -> list[str]:
         """Take the next complete command from what has come; an empty list if there is none."""
-        text = self._rest.lstrip()
+        text = self._unparsed.lstrip()
         complete = text.split() if text[-1:].isspace() else text.split()[:-1]
         if not complete:
             return []
@@ -135,7 +135,7 @@ class RotctldSession:
         words = complete[:count]
         for word in words:
             text = text.lstrip()[len(word) :]
-        self._rest = text
+        self._unparsed = text
         return words
 
     def _answer(self, words: list[str], now_s: float) -> str:
@@ -156,13 +156,13 @@ class RotctldSession:
             head = " ".join((f"{name}:", *arguments))
             return "".join(f"{line}\n" for line in (head, *(label + value for label, value in lines), f"RPRT {error}"))
         end = [] if lines and not error else [f"RPRT {error}"]
-        return "".join(f"{line}\n" for line in (*(_plain(label, value) for label, value in lines), *end))
+        return "".join(f"{line}\n" for line in (*(_plain_line(label, value) for label, value in lines), *end))
 
 
 _Lines = list[tuple[str, str]]
 _ARGUMENTS = {"set_pos": ("azimuth", "elevation"), "reset": ("what",)}
-_SHORT = {"p": "get_pos", "P": "set_pos", "S": "stop", "K": "park", "R": "reset", "_": "get_info", "q": "quit"}
-_PLAIN = {
+_SHORT_COMMANDS = {"p": "get_pos", "P": "set_pos", "S": "stop", "K": "park", "R": "reset", "_": "get_info", "q": "quit"}
+_PLAIN_LABELS = {
     "Minimum Azimuth: ": "min_az=",
     "Maximum Azimuth: ": "max_az=",
     "Minimum Elevation: ": "min_el=",
@@ -174,11 +174,11 @@ _PLAIN = {
 
 def _long_name(word: str) -> str:
     name = word.removeprefix(_PREFIX)
-    return name[1:] if name.startswith("\\") else _SHORT.get(name, name)
+    return name[1:] if name.startswith("\\") else _SHORT_COMMANDS.get(name, name)
 
 
-def _plain(label: str, value: str) -> str:
-    return _PLAIN.get(label, "") + value
+def _plain_line(label: str, value: str) -> str:
+    return _PLAIN_LABELS.get(label, "") + value
 
 
 def _get_position(core: RotatorCore, _arguments: list[str], now_s: float) -> tuple[_Lines, int]:
@@ -190,7 +190,7 @@ def _set_position(core: RotatorCore, arguments: list[str], now_s: float) -> tupl
     try:
         azimuth_deg, elevation_deg = map(float, arguments)
     except ValueError:
-        return [], _NO_LIMIT
+        return [], _INVALID_PARAMETER
     if not (math.isfinite(azimuth_deg) and math.isfinite(elevation_deg)):
         # rotctld accepts such numbers; where a real rotator goes then is not known.
         return [], 0

@@ -11,32 +11,32 @@ from sim_drivers.voltmeter.settings import RANGES_V, RESET
 
 ScannerStep = Callable[[ScannerInstrument, float], str | None]
 # What every make has in common with the 2000.
-_SHARED = ("*", "SYSTEM:ERROR", "SYST:ERR", "ABOR", "INIT", "READ")
+_SHARED_HEADERS = ("*", "SYSTEM:ERROR", "SYST:ERR", "ABOR", "INIT", "READ")
 
 
-def _step(step: ScannerStep) -> Step:
+def _meter_step(step: ScannerStep) -> Step:
     def on_meter(meter: VoltmeterInstrument, cursor_s: float) -> str | None:
         return step(cast("ScannerInstrument", meter), cursor_s)
 
     return on_meter
 
 
-def _plain(step: ScannerStep) -> Build:
+def _without_parameters(step: ScannerStep) -> Build:
     def build(parameters: tuple[str, ...]) -> Step:
         if parameters:
             raise ScpiError(-108)
-        return _step(step)
+        return _meter_step(step)
 
     return build
 
 
-def _with(count: int, step: Callable[..., str | None]) -> Build:
+def _with_parameters(count: int, step: Callable[..., str | None]) -> Build:
     """Return the builder of a command that takes `count` parameters, whatever they are."""
 
     def build(parameters: tuple[str, ...]) -> Step:
         if len(parameters) != count:
             raise ScpiError(-109 if len(parameters) < count else -108)
-        return _step(lambda meter, _cursor_s: step(meter, *parameters))
+        return _meter_step(lambda meter, _cursor_s: step(meter, *parameters))
 
     return build
 
@@ -47,7 +47,7 @@ def _define(table: CommandTable, pattern: str, act: Build | None = None, ask: Bu
         table[spelling] = MeterCommand(act or before.act, ask or before.ask)
 
 
-def _listed(channels: tuple[int, ...]) -> str:
+def _format_channels(channels: tuple[int, ...]) -> str:
     return f"(@{','.join(map(str, channels))})"
 
 
@@ -62,9 +62,12 @@ def _reset(meter: ScannerInstrument, _cursor_s: float) -> None:
 
 def _keithley2000() -> CommandTable:
     table = dict(TABLE)
-    _define(table, "*RST", act=_plain(_reset))
+    _define(table, "*RST", act=_without_parameters(_reset))
     _define(
-        table, "ROUTe:SCAN[:INTernal]", act=_channels(_set_list), ask=_plain(lambda meter, _: _listed(meter.scan_list))
+        table,
+        "ROUTe:SCAN[:INTernal]",
+        act=_with_channel_list(_set_list),
+        ask=_without_parameters(lambda meter, _: _format_channels(meter.scan_list)),
     )
 
     def select(meter: ScannerInstrument, text: str) -> None:
@@ -74,27 +77,27 @@ def _keithley2000() -> CommandTable:
             raise ScpiError(-241)
         meter.scanning = text.upper() != "NONE"
 
-    chosen = _plain(lambda meter, _: "INT" if meter.scanning else "NONE")
-    _define(table, "ROUTe:SCAN:LSELect", act=_with(1, select), ask=chosen)
+    chosen = _without_parameters(lambda meter, _: "INT" if meter.scanning else "NONE")
+    _define(table, "ROUTe:SCAN:LSELect", act=_with_parameters(1, select), ask=chosen)
     return table
 
 
-def _channels(act: Callable[[ScannerInstrument, str], None]) -> Build:
+def _with_channel_list(act: Callable[[ScannerInstrument, str], None]) -> Build:
     """Return the builder of a command that takes a channel list, whose commas are no separators."""
 
     def build(parameters: tuple[str, ...]) -> Step:
         if not parameters:
             raise ScpiError(-109)
-        return _step(lambda meter, _cursor_s: act(meter, ",".join(parameters)))
+        return _meter_step(lambda meter, _cursor_s: act(meter, ",".join(parameters)))
 
     return build
 
 
-def _shared() -> CommandTable:
+def _shared_commands() -> CommandTable:
     return {
         spelling: command
         for spelling, command in TABLE.items()
-        if spelling.startswith(_SHARED) and not spelling.startswith("INITIATE:CONT")
+        if spelling.startswith(_SHARED_HEADERS) and not spelling.startswith("INITIATE:CONT")
     }
 
 
@@ -114,16 +117,18 @@ def _setting_for_channels(table: CommandTable, pattern: str, name: str, parse: P
             more = {"autorange": False} if name == "range_v" else {}
             meter.change(cursor_s, **{name: parsed}, **more)
 
-        return _step(step)
+        return _meter_step(step)
 
     def ask(parameters: tuple[str, ...]) -> Step:
         _, channels = split(parameters)
-        return _step(lambda meter, _: ",".join(_shown(getattr(meter.settings, name)) for _ in meter.channels(channels)))
+        return _meter_step(
+            lambda meter, _: ",".join(_format_value(getattr(meter.settings, name)) for _ in meter.channels(channels))
+        )
 
     _define(table, pattern, act=act, ask=ask)
 
 
-def _shown(value: float | str) -> str:
+def _format_value(value: float | str) -> str:
     return f'"{value}"' if isinstance(value, str) else f"{value:+.8E}"
 
 
@@ -144,7 +149,7 @@ def _function(text: str) -> str:
 
 def _tsp() -> CommandTable:
     """Return the commands of DMM6500 and DAQ6510 in their own SCPI."""
-    table = _shared()
+    table = _shared_commands()
     volt = "[:SENSe[1]]:VOLTage[:DC]"
     _setting_for_channels(table, "[:SENSe[1]]:FUNCtion", "function", _function)
     _setting_for_channels(table, f"{volt}:RANGe[:UPPer]", "range_v", _range)
@@ -181,27 +186,30 @@ def _tsp() -> CommandTable:
     def data_build(parameters: tuple[str, ...]) -> Step:
         if not 3 <= len(parameters) <= 5:
             raise ScpiError(-109)
-        return _step(lambda meter, _: data(meter, *parameters))
+        return _meter_step(lambda meter, _: data(meter, *parameters))
 
-    _define(table, "*RST", act=_plain(_reset))
-    _define(table, "ROUTe:SCAN:BUFFer", act=_with(1, buffer_named))
+    _define(table, "*RST", act=_without_parameters(_reset))
+    _define(table, "ROUTe:SCAN:BUFFer", act=_with_parameters(1, buffer_named))
     _define(
-        table, "ROUTe:SCAN[:CREate]", act=_channels(_set_list), ask=_plain(lambda meter, _: _listed(meter.scan_list))
+        table,
+        "ROUTe:SCAN[:CREate]",
+        act=_with_channel_list(_set_list),
+        ask=_without_parameters(lambda meter, _: _format_channels(meter.scan_list)),
     )
-    scans = _plain(lambda meter, _: str(meter.scans))
-    _define(table, "ROUTe:SCAN:COUNt:SCAN", act=_with(1, set_scans), ask=scans)
-    _define(table, "TRACe:CLEar", act=_with(1, clear))
-    _define(table, "INITiate[:IMMediate]", act=_plain(ScannerInstrument.begin_scan))
-    _define(table, "*WAI", act=_plain(wait))
-    _define(table, "*OPC", ask=_plain(completed))
+    scans = _without_parameters(lambda meter, _: str(meter.scans))
+    _define(table, "ROUTe:SCAN:COUNt:SCAN", act=_with_parameters(1, set_scans), ask=scans)
+    _define(table, "TRACe:CLEar", act=_with_parameters(1, clear))
+    _define(table, "INITiate[:IMMediate]", act=_without_parameters(ScannerInstrument.begin_scan))
+    _define(table, "*WAI", act=_without_parameters(wait))
+    _define(table, "*OPC", ask=_without_parameters(completed))
     _define(table, "TRACe:DATA", ask=data_build)
-    _define(table, "SYSTem:CARD1:IDN", ask=_plain(lambda meter, _: meter.card if 1 in meter.slots else ""))
-    _define(table, "SYSTem:CARD2:IDN", ask=_plain(lambda meter, _: meter.card if 2 in meter.slots else ""))
+    _define(table, "SYSTem:CARD1:IDN", ask=_without_parameters(lambda meter, _: meter.card if 1 in meter.slots else ""))
+    _define(table, "SYSTem:CARD2:IDN", ask=_without_parameters(lambda meter, _: meter.card if 2 in meter.slots else ""))
     return table
 
 
 def _agilent() -> CommandTable:
-    table = _shared()
+    table = _shared_commands()
     volt = "[:SENSe]:VOLTage[:DC]"
     _setting_for_channels(table, f"{volt}:RANGe[:UPPer]", "range_v", _range)
     _setting_for_channels(table, f"{volt}:NPLCycles", "nplc", number(0.02, 200.0, 1.0))
@@ -227,7 +235,7 @@ def _agilent() -> CommandTable:
                 trigger_source="IMM",
             )
 
-        return _step(step)
+        return _meter_step(step)
 
     def with_channels(meter: ScannerInstrument, text: str) -> None:
         meter.with_channels = boolean(text)
@@ -237,7 +245,7 @@ def _agilent() -> CommandTable:
             raise ScpiError(-224)
 
     def block(meter: ScannerInstrument, _cursor_s: float) -> str:
-        text = _listed(tuple(sorted(meter.scan_list)))
+        text = _format_channels(tuple(sorted(meter.scan_list)))
         return f"#{len(str(len(text)))}{len(text)}{text}"
 
     def read(meter: ScannerInstrument, cursor_s: float) -> str | None:
@@ -256,21 +264,21 @@ def _agilent() -> CommandTable:
         if text != "1":
             raise ScpiError(-224)
 
-    _define(table, "*RST", act=_plain(_reset))
+    _define(table, "*RST", act=_without_parameters(_reset))
     _define(table, "CONFigure:VOLTage[:DC]", act=configure)
     _define(
         table,
         "FORMat:READing:CHANnel",
-        act=_with(1, with_channels),
-        ask=_plain(lambda meter, _: str(int(meter.with_channels))),
+        act=_with_parameters(1, with_channels),
+        ask=_without_parameters(lambda meter, _: str(int(meter.with_channels))),
     )
     for name in ("UNIT", "TIME", "ALARm"):
-        _define(table, f"FORMat:READing:{name}", act=_with(1, other_element))
+        _define(table, f"FORMat:READing:{name}", act=_with_parameters(1, other_element))
     table |= {spelling: TABLE[spelling] for spelling in spellings("TRIGger:SOURce")}
-    _define(table, "TRIGger:COUNt", act=_with(1, once))
-    _define(table, "ROUTe:SCAN", ask=_plain(block))
-    _define(table, "SYSTem:CTYPe", ask=_with(1, card))
-    _define(table, "READ", ask=_plain(read))
+    _define(table, "TRIGger:COUNt", act=_with_parameters(1, once))
+    _define(table, "ROUTe:SCAN", ask=_without_parameters(block))
+    _define(table, "SYSTem:CTYPe", ask=_with_parameters(1, card))
+    _define(table, "READ", ask=_without_parameters(read))
     return table
 
 

@@ -113,7 +113,7 @@ class ScannerInstrument(VoltmeterCore):
             raise ScpiError(-221)
         # This family takes its channels in ascending order, whatever order they were given in.
         order = sorted(self.scan_list) if self.make == "agilent34970a" else self.scan_list
-        self._buffer_of_scan = self._over(order, cursor_s)
+        self._buffer_of_scan = self._measure_channels(order, cursor_s)
         return self._buffer_of_scan
 
     def begin_scan(self, cursor_s: float) -> None:
@@ -140,11 +140,11 @@ class ScannerInstrument(VoltmeterCore):
             raise ScpiError(-221)
         settings = self.settings
         count = min(settings.sample_count * settings.trigger_count, MAXIMUM_READINGS)
-        pairs = self._over(tuple(islice(cycle(self.scan_list), count)), cursor_s)
+        pairs = self._measure_channels(tuple(islice(cycle(self.scan_list), count)), cursor_s)
         parts = [part for text, channel in pairs for part in (text, str(channel))[: len(settings.elements)]]
         self._last = ",".join(parts)
 
-    def _over(self, channels: Sequence[int], cursor_s: float) -> tuple[tuple[str, int], ...]:
+    def _measure_channels(self, channels: Sequence[int], cursor_s: float) -> tuple[tuple[str, int], ...]:
         """Measure channels one after another."""
         readings = []
         for channel in channels:

@@ -39,12 +39,12 @@ class InMemoryLine(Cabled):
         self._core = core
         self._now = now
         self._aborts = core.aborts
-        self._arriving: deque[tuple[float, bytes]] = deque()
+        self._due_replies: deque[tuple[float, bytes]] = deque()
 
     async def open(self) -> None:
         """Connect; what was still to come over an earlier connection is gone."""
         self._connect()
-        self._arriving.clear()
+        self._due_replies.clear()
 
     async def close(self) -> None:
         """Release the line."""
@@ -64,15 +64,15 @@ class InMemoryLine(Cabled):
         """Return the next line."""
         self._require_open()
         now_s = self._now()
-        wait_s = self._arriving[0][0] - now_s if self._arriving else math.inf
+        wait_s = self._due_replies[0][0] - now_s if self._due_replies else math.inf
         if wait_s > within_s:
-            await self._miss(within_s)
+            await self._miss_deadline(within_s)
         if wait_s > 0.0:
             await asyncio.sleep(wait_s)
             self._require_open()
-            if not self._arriving:
-                await self._miss(within_s - wait_s)
-        return self._arriving.popleft()[1].decode("latin-1").strip("\r\n")
+            if not self._due_replies:
+                await self._miss_deadline(within_s - wait_s)
+        return self._due_replies.popleft()[1].decode("latin-1").strip("\r\n")
 
     async def interrupt(self) -> None:
         """Send control-C."""
@@ -83,8 +83,8 @@ class InMemoryLine(Cabled):
         """Throw away what comes."""
         self._require_open()
         begun_s = last_s = self._now()
-        while self._arriving and self._arriving[0][0] <= last_s + quiet_s:
-            last_s = max(last_s, self._arriving.popleft()[0])
+        while self._due_replies and self._due_replies[0][0] <= last_s + quiet_s:
+            last_s = max(last_s, self._due_replies.popleft()[0])
         await asyncio.sleep(last_s + quiet_s - begun_s)
         self._require_open()
 
@@ -92,22 +92,22 @@ class InMemoryLine(Cabled):
         """Throw away what has come and was not read."""
         self._require_open()
         found = False
-        while self._arriving and self._arriving[0][0] <= self._now():
-            found |= bool(self._arriving.popleft()[1].strip())
+        while self._due_replies and self._due_replies[0][0] <= self._now():
+            found |= bool(self._due_replies.popleft()[1].strip())
         return found
 
-    async def _miss(self, wait_s: float) -> NoReturn:
+    async def _miss_deadline(self, wait_s: float) -> NoReturn:
         await asyncio.sleep(wait_s)
         self._require_open()
         raise DeadlineError(self._device, "no line came in time")
 
     def _hand_over(self, text: str) -> None:
         self._require_open()
-        self._arriving.extend(self._core.feed(text.encode("ascii") + b"\n", self._now()))
+        self._due_replies.extend(self._core.feed(text.encode("ascii") + b"\n", self._now()))
 
     def _require_open(self) -> None:
         """Raise where the line is not open; forget what the instrument has dropped since the last call."""
         super()._require_open()
         if self._core.aborts != self._aborts:
             self._aborts = self._core.aborts
-            self._arriving.clear()
+            self._due_replies.clear()

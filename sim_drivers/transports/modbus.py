@@ -37,7 +37,7 @@ class InMemoryModbus(Cabled):
         self._core = core
         self._now = now
         self._framing = RtuClient()
-        self._arriving: deque[tuple[float, bytes]] = deque()
+        self._due_replies: deque[tuple[float, bytes]] = deque()
 
     async def open(self, within_s: float = 0.0) -> None:  # noqa: ARG002 - it takes no time
         """Connect."""
@@ -51,16 +51,16 @@ class InMemoryModbus(Cabled):
         """Send a question and return its reply."""
         self._require_open()
         begun_s = self._now()
-        while self._arriving and self._arriving[0][0] <= begun_s:
-            self._arriving.popleft()
+        while self._due_replies and self._due_replies[0][0] <= begun_s:
+            self._due_replies.popleft()
         frame = self._framing.begin(request)
-        self._arriving = deque(sorted([*self._arriving, *self._core.feed(frame, begun_s)]))
+        self._due_replies = deque(sorted([*self._due_replies, *self._core.feed(frame, begun_s)]))
         until_s, came = begun_s + within_s, False
-        while (next_s := self._arriving[0][0] if self._arriving else math.inf) <= until_s:
+        while (next_s := self._due_replies[0][0] if self._due_replies else math.inf) <= until_s:
             await asyncio.sleep(next_s - self._now())
             self._require_open()
             came = True
-            if (reply := self._framing.feed(self._arriving.popleft()[1])) is not None:
+            if (reply := self._framing.feed(self._due_replies.popleft()[1])) is not None:
                 return reply
         await asyncio.sleep(until_s - self._now())
         self._require_open()

@@ -8,7 +8,7 @@ from sim_drivers.voltmeter.instrument import VoltmeterInstrument
 from sim_drivers.voltmeter.settings import PRESET, RANGES_V, RESET
 
 _HIGHEST_V = 1010.0
-_ROOM = 1.01
+_RANGE_FACTOR = 1.01
 _UNLIMITED = 9999
 _FUNCTIONS = {
     "VOLT:DC": "VOLTage[:DC]",
@@ -132,7 +132,7 @@ _range_number = number(0.0, _HIGHEST_V, 1000.0)
 
 def _range_for(text: str) -> float:
     level_v = _range_number(text)
-    return next(range_v for range_v in RANGES_V if level_v <= _ROOM * range_v)
+    return next(range_v for range_v in RANGES_V if level_v <= _RANGE_FACTOR * range_v)
 
 
 def _set_function(text: str) -> Step:
@@ -184,11 +184,11 @@ def _set_elements(parameters: tuple[str, ...]) -> Step:
     return _change(elements=tuple(name for name in ("READ", "CHAN", "UNIT") if name in chosen))
 
 
-_counted = integer(1, _UNLIMITED, 1)
+_parse_count = integer(1, _UNLIMITED, 1)
 
 
 def _trigger_count(text: str) -> int:
-    count: int = _UNLIMITED if text.upper() in ("INF", "INFINITE") else _counted(text)
+    count: int = _UNLIMITED if text.upper() in ("INF", "INFINITE") else _parse_count(text)
     return count
 
 

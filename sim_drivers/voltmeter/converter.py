@@ -49,7 +49,7 @@ class Converter:
         self._random = random
         self._line_period_s = line_period_s
         self.stands_still = False
-        self._shown: str | None = None
+        self._last_reading: str | None = None
         self._noise: list[float] = []
         self.range_v = RANGES_V[-1]
         self._autozero_off_s = 0.0
@@ -76,12 +76,12 @@ class Converter:
 
     def convert(self, start_s: float) -> tuple[str, float]:
         """Return a reading that begins at `start_s`, and when it is done."""
-        if self.stands_still and self._shown is not None:
-            return self._shown, start_s + self.conversion_s
-        self._shown, end_s = self._measured(start_s)
-        return self._shown, end_s
+        if self.stands_still and self._last_reading is not None:
+            return self._last_reading, start_s + self.conversion_s
+        self._last_reading, end_s = self._measure(start_s)
+        return self._last_reading, end_s
 
-    def _measured(self, start_s: float) -> tuple[str, float]:
+    def _measure(self, start_s: float) -> tuple[str, float]:
         settings = self._settings
         value = self._input_voltage(start_s + self._middle_s) if settings.function == "VOLT:DC" else 0.0
         if settings.autorange and self._choose_range(abs(value)):

@@ -82,7 +82,7 @@ class VoltmeterCore(VoltmeterInstrument):
             if byte in _ABORTS:
                 self._drop_output(now)
             elif byte not in _ENDS:
-                self._take(byte)
+                self._take_byte(byte)
             elif self._buffer:
                 line = bytes(self._buffer)
                 self._buffer.clear()
@@ -110,7 +110,7 @@ class VoltmeterCore(VoltmeterInstrument):
         self._power_up(now)
         self.aborts += 1
 
-    def _take(self, byte: int) -> None:
+    def _take_byte(self, byte: int) -> None:
         if self._overrun:
             return
         self._buffer.append(byte)

@@ -21,7 +21,7 @@ from solar.frames import Array
 SERIES_S = 1200.0
 _HOUR_S = 3600.0
 LARGEST_LAG_S = 300.0
-_STRAY = 0.02
+_LARGEST_DEVIATION = 0.02
 _LEAST_IN_SERIES = 5
 _LEAST_SERIES = 3
 _LEAST_CORRELATION = 0.5
@@ -129,7 +129,7 @@ def series_gain(
     for _ in ratios:
         deviation = np.where(kept, np.abs(ratios / ratios[kept].mean() - 1.0), 0.0)
         worst = int(np.argmax(deviation))
-        if deviation[worst] <= _STRAY:
+        if deviation[worst] <= _LARGEST_DEVIATION:
             break
         kept[worst] = False
         if np.count_nonzero(kept) < _LEAST_SERIES:

@@ -24,14 +24,14 @@ _LIT_COSINE = 0.26
 _LEAST_AIR_MASS_SPAN = 0.7
 _LARGEST_RESIDUAL = 0.01
 # Standard errors beyond which a result is refused: gains (relative), angles [deg], albedo.
-_TOO_UNSURE = (0.03, 0.5, 0.1)
+_LARGEST_ERRORS = (0.03, 0.5, 0.1)
 _LEAST_WITHOUT_HAZE = 15
 # With a larger standard error (one sigma) the level is known no better than by the maker's own tolerance.
 _LEVEL_SIGMA = 0.025
 # What leaving out days cannot show: the sensors' cosine response, the same on all of them [deg].
 _ANGLE_SIGMA = 0.03
 _FACES = ("east", "south", "west")
-_WHEN = {"east": "mornings", "south": "around noon", "west": "afternoons"}
+_DAYTIME_OF_FACE = {"east": "mornings", "south": "around noon", "west": "afternoons"}
 
 
 class UndeterminedError(ValueError):
@@ -126,10 +126,10 @@ def calibrate_in_place(
     utc_s, faces_w_m2, ghi = utc_s[clear], faces_w_m2[clear], ghi[clear]
     # Average the ratio, not the GHI itself: in a quarter of an hour the GHI may have other minutes than the faces.
     blocks_s, means = block_means(utc_s, np.column_stack([faces_w_m2, ghi / faces_w_m2[:, 3]]), _BLOCK_S)
-    missing = _missing(blocks_s, site)
+    missing = _missing_clauses(blocks_s, site)
     if missing:
         raise UndeterminedError(missing)
-    told = _Told(site=site, model=model, water_cm=water_cm, cosine_error=cosine_error, level=known)
+    told = _Givens(site=site, model=model, water_cm=water_cm, cosine_error=cosine_error, level=known)
 
     def estimate(kept: NDArray[np.bool_], vertical: float, rounds: int) -> tuple[Array, Shape, Anchor]:
         return _estimate(blocks_s[kept], means[kept], told, vertical, rounds)
@@ -172,7 +172,7 @@ def jackknife_error(each: Array) -> Array:
     return np.asarray(np.sqrt((groups - 1) / groups * np.sum((each - each.mean(axis=0)) ** 2, axis=0)), np.float64)
 
 
-class _Told(NamedTuple):
+class _Givens(NamedTuple):
     """What the user has given beside the readings."""
 
     site: Site
@@ -182,7 +182,7 @@ class _Told(NamedTuple):
     level: Level
 
 
-def _estimate(utc_s: Array, means: Array, told: _Told, vertical: float, rounds: int) -> tuple[Array, Shape, Anchor]:
+def _estimate(utc_s: Array, means: Array, told: _Givens, vertical: float, rounds: int) -> tuple[Array, Shape, Anchor]:
     """Shape and anchor in turn until the vertical faces' gain over the zenith face's settles.
 
     `means` are those of the four faces, and of the GHI nearby over the zenith face's reading, shape (n, 5).
@@ -218,14 +218,14 @@ def _estimate(utc_s: Array, means: Array, told: _Told, vertical: float, rounds: 
     return np.array([*(shape.response * anchor.zenith), *shape.attitude, shape.albedo]), shape, anchor
 
 
-def _missing(utc_s: Array, site: Site) -> list[str]:
+def _missing_clauses(utc_s: Array, site: Site) -> list[str]:
     days = np.unique(solar_days(utc_s, site.longitude_deg)).size
     if days < _LEAST_DAYS:
         return [f"clear and stable sky on {days} day{'s' * (days != 1)}, where at least {_LEAST_DAYS} are needed"]
     sun = sun_direction(utc_s, *site)
     lit = np.count_nonzero(sun @ FACE_NORMALS[:3].T > _LIT_COSINE, axis=0)
     missing = [
-        f"clear sky with the sun on the {name} face ({_WHEN[name]}): {count * _BLOCK_S / 60:.0f} min, "
+        f"clear sky with the sun on the {name} face ({_DAYTIME_OF_FACE[name]}): {count * _BLOCK_S / 60:.0f} min, "
         f"where {_LEAST_LIT * _BLOCK_S / 60:.0f} min are needed"
         for name, count in zip(_FACES, lit, strict=True)
         if count < _LEAST_LIT
@@ -261,6 +261,6 @@ def _unsure(spread: Array, residual: float, level: float) -> list[str]:
     return [
         f"days that agree on {name}: leaving out one day at a time gives a standard error of {error:.3g}{unit}, "
         f"where {limit:g}{unit} is allowed"
-        for name, error, limit, unit in zip(names, worst, _TOO_UNSURE, units, strict=True)
+        for name, error, limit, unit in zip(names, worst, _LARGEST_ERRORS, units, strict=True)
         if not error <= limit
     ]

@@ -74,7 +74,7 @@ def ties(level: Level, shape: Shape, vertical: float, zenith_over_ghi: Array) ->
         None if tie is None else Tie(tie.response * vertical / float(shape.response[face]), tie.error)
         for face, tie in enumerate(level.faces[:_ZENITH])
     ]
-    return _together(of_zenith), _together(of_vertical)
+    return _combined_tie(of_zenith), _combined_tie(of_vertical)
 
 
 def _ratio(zenith_over_ghi: Array, step_s: float) -> float:
@@ -102,7 +102,7 @@ def _ratio(zenith_over_ghi: Array, step_s: float) -> float:
     return float(np.exp(middle))
 
 
-def _together(known: Sequence[Tie | None]) -> Tie | None:
+def _combined_tie(known: Sequence[Tie | None]) -> Tie | None:
     """Return the mean of logarithms, each weighted by 1 / error^2."""
     there = [tie for tie in known if tie is not None]
     if not there:

@@ -22,7 +22,7 @@ from solar.laws.light import beam_shares
 
 _CONTRADICT = 0.25
 _EXPLAINED_SHARE = 0.3
-_CLEARLY = 1.5
+_CLEAR_FACTOR = 1.5
 _LARGE_W_M2 = 25.0
 _LEAST_LARGE = 5
 _PARTS, _PARTS_NEEDED = 3, 2
@@ -61,7 +61,7 @@ class Changes(NamedTuple):
         shares = np.concatenate([self.single, self.swapped])
         best, second = np.sort(shares)[:2]
         explained = best < _EXPLAINED_SHARE * self.as_they_are
-        if not (self.contradict and explained and second > _CLEARLY * best):
+        if not (self.contradict and explained and second > _CLEAR_FACTOR * best):
             return ()
         place = int(np.argmin(shares))
         return (place,) if place < len(self.single) else PAIRS[place - len(self.single)]
@@ -81,26 +81,26 @@ def changes(faces_w_m2: Array, sun: Array) -> Changes | None:
         return None
     steps = np.diff(faces_w_m2, axis=0)
     told = np.logical_and.reduce(np.isfinite(steps), axis=-1)
-    if not _suffice(told & (np.abs(steps) > _LARGE_W_M2).any(axis=-1)):
+    if not _has_enough_changes(told & (np.abs(steps) > _LARGE_W_M2).any(axis=-1)):
         return None
     steps, up = steps[told], sun[1:][told]
     direct = joined(*beam_shares(up), up[:, 2])
-    sound, total = _sound(direct), (steps**2).sum()
-    as_they_are = float(np.sqrt(_left_over(steps, sound[None]) / total)[0])
+    sound, total = _sound_responses(direct), (steps**2).sum()
+    as_they_are = float(np.sqrt(_squared_residuals(steps, sound[None]) / total)[0])
     if not as_they_are > _CONTRADICT:
         return Changes(as_they_are, np.full(4, np.inf), np.full(len(PAIRS), np.inf))
-    shares = np.sqrt(_left_over(steps, _at_fault(sound, direct)) / total)
+    shares = np.sqrt(_squared_residuals(steps, _faulty_responses(sound, direct)) / total)
     dead, half, shaded, swapped = np.split(shares, [4, 8, 12])
     return Changes(as_they_are, np.min([dead, half, shaded], axis=0), swapped)
 
 
-def _suffice(large: NDArray[np.bool_]) -> bool:
+def _has_enough_changes(large: NDArray[np.bool_]) -> bool:
     """Tell whether there are enough large changes, and not all of them in the same third of the time."""
     parts = sum(bool(part.any()) for part in np.array_split(large, _PARTS))
     return bool(large.sum() >= _LEAST_LARGE) and parts >= _PARTS_NEEDED
 
 
-def _sound(direct: Array) -> Array:
+def _sound_responses(direct: Array) -> Array:
     """Return how sound faces change with beam, uniform sky and horizon, shape (n, 4, 3).
 
     `direct` is what the beam alone gives, shape (n, 4), to the zenith face by the sun's height.
@@ -112,7 +112,7 @@ def _sound(direct: Array) -> Array:
     return sound
 
 
-def _at_fault(sound: Array, direct: Array) -> Array:
+def _faulty_responses(sound: Array, direct: Array) -> Array:
     """Return the same with each face dead, at half its gain and shaded, and each two swapped, shape (18, n, 4, 3)."""
     one = np.eye(4)[:, None, :, None]
     dead, half = sound * (1.0 - one), sound * (1.0 - (1.0 - _HALF) * one)
@@ -120,7 +120,7 @@ def _at_fault(sound: Array, direct: Array) -> Array:
     return np.concatenate([dead, half, shaded, np.moveaxis(sound[:, SWAPS], 1, 0)])
 
 
-def _left_over(steps: Array, columns: Array) -> Array:
+def _squared_residuals(steps: Array, columns: Array) -> Array:
     """Return the squares left over, shape (k,), with the beam, uniform sky and horizon that explain each step best."""
     prior = np.diag([_RIDGE, _UNIFORM_PRIOR, _HORIZON_PRIOR])
     normal = np.swapaxes(columns, -1, -2) @ columns + prior

@@ -26,7 +26,7 @@ MISFIT = 0.15
 AGREEMENT = 0.08
 """A misfit below this share says that they agree."""
 _SOLVED = 0.06
-_CLEARLY = 2.0
+_CLEAR_FACTOR = 2.0
 _ALBEDOS = np.array([0.1, 0.3, 0.7])
 _WITHOUT_SNOW = _ALBEDOS[:2]
 _HORIZON_RANGE = (-0.2, 0.7)
@@ -35,8 +35,8 @@ _ORDINARY_HORIZON_RANGE = (-0.2, 0.4)
 _LIT_W_M2 = 30.0
 _PARTS = 3
 _LEAST_MINUTES = 24
-_ALL_FOUR = np.ones((1, 1, 4), dtype=np.bool_)
-_DOUBLED = (1.0 + np.eye(4))[:, None, :]
+_ALL_FACES = np.ones((1, 1, 4), dtype=np.bool_)
+_DOUBLING = (1.0 + np.eye(4))[:, None, :]
 
 
 class Misfits:
@@ -57,34 +57,36 @@ class Misfits:
 
     def __init__(self, faces_w_m2: Array, sun: Array) -> None:
         self._faces, self._sun = faces_w_m2, sun
-        whole, least = self._left_over(faces_w_m2[None])
+        whole, least = self._misfit_and_least(faces_w_m2[None])
         self.whole, self.least = float(whole[0]), float(least[0])
 
     @cached_property
     def without(self) -> Array:
         """By the three others, for each face, shape (4,)."""
-        return self._held_back[0]
+        return self._misfits_without_each[0]
 
     @cached_property
     def least_without(self) -> Array:
         """The same in the part of the time where they agree best."""
-        return self._held_back[1]
+        return self._misfits_without_each[1]
 
     @cached_property
     def swapped(self) -> Array:
         """By all four with two swapped back, for each of `PAIRS`, shape (6,)."""
-        return self._left_over(np.moveaxis(self._faces[:, SWAPS], 0, 1))[0]
+        return self._misfit_and_least(np.moveaxis(self._faces[:, SWAPS], 0, 1))[0]
 
     @cached_property
     def ordinary(self) -> float:
         """By all four where the ground has no snow and the horizon is no brighter than it usually is."""
-        over, _ = self._left_over(self._faces[None], albedos=_WITHOUT_SNOW, horizon_range=_ORDINARY_HORIZON_RANGE)
+        over, _ = self._misfit_and_least(
+            self._faces[None], albedos=_WITHOUT_SNOW, horizon_range=_ORDINARY_HORIZON_RANGE
+        )
         return float(over[0])
 
     @cached_property
     def doubled(self) -> Array:
         """By all four with one read twice, for each face, shape (4,): what a face at half its gain would hide."""
-        return self._left_over(self._faces * _DOUBLED)[0]
+        return self._misfit_and_least(self._faces * _DOUBLING)[0]
 
     @property
     def contradict(self) -> bool:
@@ -96,13 +98,13 @@ class Misfits:
         """The face that is wrong, or two that are swapped; empty where that cannot be told."""
         if not self.contradict:
             return ()
-        swapped, single = _clear(self.swapped), _clear(self.without)
+        swapped, single = _clear_minimum(self.swapped), _clear_minimum(self.without)
         if swapped is not None and single is not None:
             # A face that stands still may for a while look like its neighbour.
             return ()
         if swapped is not None:
             # Where one wrong face explains the readings about as well, it is no swap: half a gain can look like one.
-            alone = float(self.without.min()) < _CLEARLY * float(self.swapped[swapped])
+            alone = float(self.without.min()) < _CLEAR_FACTOR * float(self.swapped[swapped])
             return () if alone else PAIRS[swapped]
         return () if single is None else (single,)
 
@@ -126,13 +128,13 @@ class Misfits:
         return self.whole < AGREEMENT and float(self.swapped[pairs].min(initial=np.inf)) > MISFIT
 
     @cached_property
-    def _held_back(self) -> tuple[Array, Array]:
-        return self._left_over(self._faces[None], OTHERS)
+    def _misfits_without_each(self) -> tuple[Array, Array]:
+        return self._misfit_and_least(self._faces[None], OTHERS)
 
-    def _left_over(
+    def _misfit_and_least(
         self,
         faces: Array,
-        used: NDArray[np.bool_] = _ALL_FOUR,
+        used: NDArray[np.bool_] = _ALL_FACES,
         albedos: Array = _ALBEDOS,
         horizon_range: tuple[float, float] = _HORIZON_RANGE,
     ) -> tuple[Array, Array]:
@@ -140,7 +142,7 @@ class Misfits:
 
         `used` tells which of them count, shape (k or 1, 1, 4).
         """
-        left = _squares_left_over(faces, self._sun, used, albedos, horizon_range)
+        left = _squared_residuals(faces, self._sun, used, albedos, horizon_range)
         there = (used * faces**2).sum(axis=-1)
         parts = zip(np.array_split(left, _PARTS, axis=-1), np.array_split(there, _PARTS, axis=-1), strict=True)
         least = np.min([np.sqrt(over.sum(axis=-1) / all_of_it.sum(axis=-1)) for over, all_of_it in parts], axis=0)
@@ -164,13 +166,13 @@ def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
     return Misfits(faces, up)
 
 
-def _clear(shares: Array) -> int | None:
+def _clear_minimum(shares: Array) -> int | None:
     """Return the place of the one share that is near zero; None if there is none, or more than one."""
     best, second = np.sort(shares)[:2]
-    return int(np.argmin(shares)) if best < _SOLVED and second > max(_CLEARLY * best, AGREEMENT) else None
+    return int(np.argmin(shares)) if best < _SOLVED and second > max(_CLEAR_FACTOR * best, AGREEMENT) else None
 
 
-def _squares_left_over(
+def _squared_residuals(
     faces: Array, sun: Array, used: NDArray[np.bool_], albedos: Array, horizon_range: tuple[float, float]
 ) -> Array:
     """Return the squares left over, shape (k, n), for the albedo that explains the faces best."""

@@ -20,8 +20,8 @@ _REACHED_COSINE = 0.15
 _REACHED_OTHERS = 2
 _JUMPS = 2
 # The median of so many minutes is what a face reads without a jump; a jump of one or two is over within them.
-_MINUTES, _BESIDE = 5, 2
-_ITSELF = np.eye(4, dtype=np.bool_)
+_MINUTES, _MINUTES_BESIDE = 5, 2
+_SAME_FACE = np.eye(4, dtype=np.bool_)
 
 
 class Jumps(NamedTuple):
@@ -46,7 +46,7 @@ class Jumps(NamedTuple):
         """
         reached = (sun @ FACE_NORMALS.T > _REACHED_COSINE) & np.asarray(believed)
         others = reached.sum(axis=-1, keepdims=True) - reached
-        back = (self.sure & (others >= _REACHED_OTHERS))[:-_BESIDE]
+        back = (self.sure & (others >= _REACHED_OTHERS))[:-_MINUTES_BESIDE]
         begun = back[1:] & ~back[:-1]
         result: NDArray[np.bool_] = back[0] + begun.sum(axis=0) >= _JUMPS
         return result
@@ -65,13 +65,13 @@ def jumps(faces_w_m2: Array) -> Jumps:
         return Jumps(np.zeros(faces_w_m2.shape, dtype=np.bool_), faces_w_m2)
     medians = _medians(faces_w_m2)
     # The first five minutes have one median, and so have the last.
-    middle = np.concatenate([medians[:1]] * _BESIDE + [medians] + [medians[-1:]] * _BESIDE)
+    middle = np.concatenate([medians[:1]] * _MINUTES_BESIDE + [medians] + [medians[-1:]] * _MINUTES_BESIDE)
     apart = np.abs(faces_w_m2 - middle)
     unsure = apart > _UNSURE_W_M2
     if not unsure.any():
         # A sure jump is above the unsure bound as well.
         return Jumps(unsure, faces_w_m2)
-    others = np.where(_ITSELF, 0.0, apart[:, None, :]).max(axis=-1)
+    others = np.where(_SAME_FACE, 0.0, apart[:, None, :]).max(axis=-1)
     sure = (apart > _SURE_W_M2) & (others < _SURE_SHARED * apart)
     unsure &= others < _UNSURE_SHARED * apart
     return Jumps(sure, np.where(unsure, middle, faces_w_m2))

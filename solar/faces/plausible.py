@@ -100,13 +100,13 @@ def doubts(faces_w_m2: Sequence[float], voltages_mv: Sequence[float], sun: Array
     dead = _dead(faces_w_m2)
     if _dark(faces_w_m2) and height >= _BRIGHT_DAY_SINE:
         found = [Doubt.DARK] * 4
-    elif _same(voltages_mv):
+    elif _are_paired(voltages_mv):
         found = [Doubt.SAME] * 4
     elif dead[3]:
         # A dead zenith face is no measure for the others.
         found = [Doubt.NONE] * 4
     else:
-        found = [Doubt.OVER if over else Doubt.NONE for over in _over(faces_w_m2, (normals @ sun).tolist())]
+        found = [Doubt.OVER if over else Doubt.NONE for over in _find_too_bright(faces_w_m2, (normals @ sun).tolist())]
     return [Doubt.DEAD if gone else doubt for gone, doubt in zip(dead, found, strict=True)]
 
 
@@ -156,7 +156,7 @@ def responses(faces_w_m2: ArrayLike, sun: ArrayLike, believed: Sequence[bool]) -
     if not height >= LOWEST_SINE or not judged:
         return found
     stillest, least = None, _STAYS_SHARE
-    ordered = np.sort(_by_the_others(faces, up, judged))
+    ordered = np.sort(_predict_by_others(faces, up, judged))
     changes = np.ptp(faces, axis=0).tolist()
     for face, (lowest, second, last_but_one, highest) in zip(judged, ordered[:, [0, 1, -2, -1]].tolist(), strict=True):
         predicted, changed = highest - lowest, changes[face]
@@ -179,7 +179,7 @@ def _can_be_judged(face: int, reached: Sequence[bool], believed: Sequence[bool])
     return reached[face] and lit_beside and all(believed[other] for other in others)
 
 
-def _by_the_others(faces: Array, sun: Array, judged: Sequence[int]) -> Array:
+def _predict_by_others(faces: Array, sun: Array, judged: Sequence[int]) -> Array:
     """Return what each of some faces should read by the other three, shape (faces, n): one fit for all of them."""
     light = light_from_faces(faces, sun, _ALBEDO, OTHERS[judged])
     return irradiance_on(light, sun, _ALBEDO, FACE_NORMALS[judged, None, :])
@@ -187,15 +187,15 @@ def _by_the_others(faces: Array, sun: Array, judged: Sequence[int]) -> Array:
 
 def lit(faces_w_m2: Sequence[float], sun: Array) -> bool:
     """Tell whether there is light enough for a face without doubts to count as sound, as for :func:`doubts`."""
-    return _second(faces_w_m2) > _LIT_W_M2 and bool(sun[2] >= LOWEST_SINE)
+    return _second_brightest(faces_w_m2) > _LIT_W_M2 and bool(sun[2] >= LOWEST_SINE)
 
 
-def _second(faces: Sequence[float]) -> float:
+def _second_brightest(faces: Sequence[float]) -> float:
     return sorted(-math.inf if math.isnan(face) else face for face in faces)[-2]
 
 
 def _dead(faces: Sequence[float]) -> list[bool]:
-    second = _second(faces)
+    second = _second_brightest(faces)
     return [second > _LIT_W_M2 and face < _DEAD_SHARE * second for face in faces]
 
 
@@ -203,16 +203,18 @@ def _dark(faces: Sequence[float]) -> bool:
     return all(abs(face) < _DARK_W_M2 for face in faces)
 
 
-def _same(voltages: Sequence[float]) -> bool:
-    paired = any(all(_alike(voltages[one], voltages[other]) for one, other in pairs) for pairs in _PAIRINGS)
+def _are_paired(voltages: Sequence[float]) -> bool:
+    paired = any(
+        all(_are_equal_voltages(voltages[one], voltages[other]) for one, other in pairs) for pairs in _PAIRINGS
+    )
     return paired and any(abs(voltage) > _SEEN_MV for voltage in voltages)
 
 
-def _alike(one: float, other: float) -> bool:
+def _are_equal_voltages(one: float, other: float) -> bool:
     return abs(one - other) <= _SAME_MV + _SAME_SHARE * max(abs(one), abs(other))
 
 
-def _over(faces: Sequence[float], cosines: Sequence[float]) -> list[bool]:
+def _find_too_bright(faces: Sequence[float], cosines: Sequence[float]) -> list[bool]:
     sun_w_m2 = [_OVER_SHARE * _SOLAR_CONSTANT_W_M2 * max(cosine, 0.0) for cosine in cosines]
     zenith = faces[3]
     # A vertical face sees half of the sky that the zenith face sees, and the ground that this sky lights.

@@ -50,10 +50,10 @@ def horizontal_parts(phi_deg: ArrayLike, n: ArrayLike) -> tuple[Array, Array, Ar
     southward = a * c * w0 + (a * d + b * c) * sine + b * d * both
     upward = a * a * w0 + 2.0 * a * b * sine + b * b * both
     scale = 2.0 * HOURS_PER_RAD
-    return scale * _across(day), scale * southward, scale * upward
+    return scale * _across_integral(day), scale * southward, scale * upward
 
 
-def _across(day: SunPath) -> Array:
+def _across_integral(day: SunPath) -> Array:
     """Integral of cos(alpha) cos(delta) sin w from noon to sunset [rad]: -H11, with both its limits in general.
 
     With the zenith angles at noon and midnight it is (P(noon) - P(sunset))/(2 cos phi), P(s) = asin s + s sqrt(1-s^2).

@@ -27,10 +27,10 @@ _LONGEST_S = 60.0
 _MOST_WAITING = 40
 # So many of the newest links are held, for trackers of one cube are no further apart. If each link held the next, a
 # tracker that hears no more would hold every later one.
-_MOST_KEPT = 60
+_MOST_LINKS = 60
 
 FourNumbers = tuple[float, float, float, float]
-_NONE: FourNumbers = (0.0, 0.0, 0.0, 0.0)
+_FOUR_ZEROS: FourNumbers = (0.0, 0.0, 0.0, 0.0)
 
 
 class Begun(NamedTuple):
@@ -38,8 +38,8 @@ class Begun(NamedTuple):
 
     elapsed_s: float = 0.0
     middle: float = 0.0
-    sums: FourNumbers = _NONE
-    seconds: FourNumbers = _NONE
+    sums: FourNumbers = _FOUR_ZEROS
+    seconds: FourNumbers = _FOUR_ZEROS
 
     def with_reading(self, reading: Reading, elapsed_s: float) -> "Begun":
         """Return the mean with one reading more, which stands for `elapsed_s`."""
@@ -59,7 +59,7 @@ class Begun(NamedTuple):
         return self.middle / self.elapsed_s, self.elapsed_s, faces
 
 
-_NOTHING = Begun()
+_EMPTY_MEAN = Begun()
 
 
 @dataclass(slots=True, weakref_slot=True, eq=False)
@@ -79,11 +79,11 @@ class Heard:
     day: int
     _memory: LightMemory
     _newest_s: float = -math.inf
-    _begun: Begun = _NOTHING
-    _waiting: tuple[tuple[float, float, list[float]], ...] = ()
-    _newest: "deque[Heard]" = field(default_factory=lambda: deque(maxlen=_MOST_KEPT))
-    _after: "tuple[Reading, ref[Heard]] | None" = None
-    _turned: "Heard | None" = None
+    _begun: Begun = _EMPTY_MEAN
+    _waiting_means: tuple[tuple[float, float, list[float]], ...] = ()
+    _newest_links: "deque[Heard]" = field(default_factory=lambda: deque(maxlen=_MOST_LINKS))
+    _next_link: "tuple[Reading, ref[Heard]] | None" = None
+    _day_link: "Heard | None" = None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "Heard":
         """Return itself: what it stands for does not change."""
@@ -91,23 +91,23 @@ class Heard:
 
     def after(self, reading: Reading) -> "Heard":
         """Return the link of a law that has heard this reading as well."""
-        known = self._after[1]() if self._after is not None and self._after[0] == reading else None
+        known = self._next_link[1]() if self._next_link is not None and self._next_link[0] == reading else None
         if known is None:
             day = int(solar_days(reading.utc_s, self.site.longitude_deg))
             known = self.on(day).extended(reading)
-            self._newest.append(known)
-            self._after = (reading, ref(known))
+            self._newest_links.append(known)
+            self._next_link = (reading, ref(known))
         return known
 
     def on(self, day: int) -> "Heard":
         """Return the link of a law that has taken over what the days before this one have taught."""
         if day == self.day:
             return self
-        if self._turned is None or self._turned.day != day:
+        if self._day_link is None or self._day_link.day != day:
             memory = self.memory().copied()
             memory.site.end_of_day()
-            self._turned = self._changed(day=day, _memory=memory)
-        return self._turned
+            self._day_link = self._with_changes(day=day, _memory=memory)
+        return self._day_link
 
     def relearned(self, learned: Learned) -> "Heard":
         """Return the link of a law that has forgotten what was learned of the site, and begins with `learned`."""
@@ -115,7 +115,7 @@ class Heard:
         memory = self.memory().copied()
         memory.site.reset()
         memory.site.learned = learned
-        return self._changed(_memory=memory)
+        return self._with_changes(_memory=memory)
 
     @property
     def learned(self) -> Learned:
@@ -125,31 +125,31 @@ class Heard:
     @property
     def waiting_utc_s(self) -> list[float]:
         """The times of the means that wait to be taken in, in UTC [s]."""
-        return [mean[0] for mean in self._waiting]
+        return [mean[0] for mean in self._waiting_means]
 
     def memory(self, sun: Array | None = None) -> LightMemory:
         """Return the memory of all means so far, to be read only; `sun` are the directions for those that wait."""
-        if self._waiting:
-            utc_s, elapsed_s, faces = zip(*self._waiting, strict=True)
+        if self._waiting_means:
+            utc_s, elapsed_s, faces = zip(*self._waiting_means, strict=True)
             memory = self._memory.copied()
             # One call for all: it costs little more than a single one.
             suns = sun_direction(np.array(utc_s), *self.site) if sun is None else sun
             memory.observe(np.array(faces), suns, np.array(elapsed_s))
-            self._memory, self._waiting = memory, ()
+            self._memory, self._waiting_means = memory, ()
         return self._memory
 
     def extended(self, reading: Reading) -> "Heard":
         """Work out the link after a reading of the same day."""
         elapsed_s = reading.monotonic_s - self._newest_s
-        begun, waiting = self._begun, self._waiting
+        begun, waiting = self._begun, self._waiting_means
         if not (elapsed_s <= _LONGEST_S):
             # The memory ages by the gap. The mean that was begun before it is dropped, for the sun has moved since.
-            unread = (reading.utc_s, elapsed_s - self.scan_every_s, [math.nan] * len(_NONE))
-            begun, waiting = _NOTHING, (*waiting, unread) if math.isfinite(elapsed_s) else waiting
+            unread = (reading.utc_s, elapsed_s - self.scan_every_s, [math.nan] * len(_FOUR_ZEROS))
+            begun, waiting = _EMPTY_MEAN, (*waiting, unread) if math.isfinite(elapsed_s) else waiting
             elapsed_s = self.scan_every_s
         begun = begun.with_reading(reading, elapsed_s)
         if begun.elapsed_s >= _MEAN_S - 1e-3:
-            begun, waiting = _NOTHING, (*waiting, begun.ended())
+            begun, waiting = _EMPTY_MEAN, (*waiting, begun.ended())
         # This runs once a scan for each tracker, and `replace` would take as long as all the rest.
         made = Heard(
             site=self.site,
@@ -158,12 +158,12 @@ class Heard:
             _memory=self._memory,
             _newest_s=reading.monotonic_s,
             _begun=begun,
-            _waiting=waiting,
-            _newest=self._newest,
+            _waiting_means=waiting,
+            _newest_links=self._newest_links,
         )
         if len(waiting) >= _MOST_WAITING:
             made.memory()
         return made
 
-    def _changed(self, **changes: Any) -> "Heard":
-        return replace(self, **changes, _after=None, _turned=None)
+    def _with_changes(self, **changes: Any) -> "Heard":
+        return replace(self, **changes, _next_link=None, _day_link=None)

@@ -15,9 +15,9 @@ from solar.rows.backtrack import closer, lattice, out_of_shade
 from solar.rows.group import TrackerGroup
 
 _COARSE_DEG = 10.0
-_CLOSER = 3
-_TIMES = 4
-_AT_ONCE = 8
+_REFINING_FACTOR = 3
+_REFINEMENTS = 4
+_ROWS_AT_ONCE = 8
 
 
 def taken_by_neighbours(group: TrackerGroup, beam: Array, suns: Sequence[Array], a_deg: Array, b_deg: Array) -> Array:
@@ -55,26 +55,26 @@ def best_among(
     rows_suns = [np.broadcast_to(sun, vector.shape).reshape(rows_beam.size, 3) for sun in suns]
     best_a, best_b = (np.array(np.broadcast_to(angle, shape), dtype=np.float64).ravel() for angle in alone)
     shaded = np.flatnonzero(taken_by_neighbours(group, rows_beam, rows_suns, best_a, best_b) > 0.0)
-    for first in range(0, shaded.size, _AT_ONCE):
-        some = shaded[first : first + _AT_ONCE]
+    for first in range(0, shaded.size, _ROWS_AT_ONCE):
+        some = shaded[first : first + _ROWS_AT_ONCE]
         light = (rows_vector[some, None], rows_beam[some, None], [sun[some, None] for sun in rows_suns])
         turned_back = out_of_shade(group, [sun[some] for sun in rows_suns], best_a[some], best_b[some], limits)
         starts = [np.stack(pair, axis=-1) for pair in zip((best_a[some], best_b[some]), turned_back, strict=True)]
-        best_a[some], best_b[some] = _searched(group, light, starts, limits)
+        best_a[some], best_b[some] = _search_best(group, light, starts, limits)
     return best_a.reshape(shape), best_b.reshape(shape)
 
 
-def _searched(
+def _search_best(
     group: TrackerGroup, light: tuple[Array, Array, Sequence[Array]], starts: Sequence[Array], limits: Limits
 ) -> tuple[Array, Array]:
     vector, beam, suns = light
     everywhere = [np.broadcast_to(angles, (len(beam), angles.size)) for angles in lattice(limits, _COARSE_DEG)]
     tries = [np.concatenate(parts, axis=-1) for parts in zip(starts, everywhere, strict=True)]
     reach = _COARSE_DEG
-    for _ in range(_TIMES):
+    for _ in range(_REFINEMENTS):
         collected = product(vector, *tries) - taken_by_neighbours(group, beam, suns, *tries)
         best = np.argmax(collected, axis=-1)[:, None]
         a, b = (np.take_along_axis(angles, best, axis=-1)[:, 0] for angles in tries)
         tries = list(closer(a, b, reach, limits))
-        reach /= _CLOSER
+        reach /= _REFINING_FACTOR
     return a, b

@@ -37,9 +37,9 @@ _DEAD_SHARE = 0.4
 _DEAD_ZENITH_SHARE = 0.2
 _ZENITH_SHARE = 0.03
 _NOISE_W_M2 = 1.0
-_ALIKE = 1e-6
+_SHARE_TOLERANCE = 1e-6
 # A face that gets no larger share of the beam than this does not show it: the sine of 3 deg.
-_TOLD_SHARE = 0.05
+_LEAST_BEAM_SHARE = 0.05
 
 
 class Light(NamedTuple):
@@ -71,13 +71,13 @@ def usable_faces(faces: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
     readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
     axes = max(readings.ndim, sun.ndim)
     possible = _are_possible(readings)
-    seen, shares = _by_face(np.where(possible, readings, 0.0), axes), beam_shares(sun, axes)
+    seen, shares = _faces_first(np.where(possible, readings, 0.0), axes), beam_shares(sun, axes)
     vertical, zenith = seen[:3], seen[3]
     # Bounds of each face by each face. A face below the bound by itself is below that by the zenith face anyway.
-    bounds = np.where(shares <= (shares + _ALIKE)[:, None], _DEAD_SHARE * vertical, 0.0)
+    bounds = np.where(shares <= (shares + _SHARE_TOLERANCE)[:, None], _DEAD_SHARE * vertical, 0.0)
     least = np.maximum(np.maximum(bounds[:, 0], bounds[:, 1]), np.maximum(bounds[:, 2], _ZENITH_SHARE * zenith))
     believed = np.empty((*least.shape[1:], 4), dtype=np.bool_)
-    _by_face(believed, axes)[:3] = vertical >= least - _NOISE_W_M2
+    _faces_first(believed, axes)[:3] = vertical >= least - _NOISE_W_M2
     believed[..., 3] = _zenith_believed(readings, possible)
     believed &= possible
     return believed
@@ -105,9 +105,9 @@ def tell_beam(usable: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
         Unit vector(s) to the apparent sun, shape (..., 3).
     """
     counts, sun = np.asarray(usable, dtype=np.bool_), np.asarray(sun, dtype=np.float64)
-    east, south, west, zenith = _by_face(counts, counts.ndim)
-    east_told, south_told, west_told = beam_shares(sun) > _TOLD_SHARE
-    shown = east & east_told | south & south_told | west & west_told | zenith & (sun[..., 2] > _TOLD_SHARE)
+    east, south, west, zenith = _faces_first(counts, counts.ndim)
+    east_told, south_told, west_told = beam_shares(sun) > _LEAST_BEAM_SHARE
+    shown = east & east_told | south & south_told | west & west_told | zenith & (sun[..., 2] > _LEAST_BEAM_SHARE)
     result: NDArray[np.bool_] = east & south & west & zenith | shown
     return result
 
@@ -119,7 +119,7 @@ def _are_possible(readings: Array) -> NDArray[np.bool_]:
 
 
 def _zenith_believed(readings: Array, possible: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    east, south, west = _by_face(np.where(possible, readings, np.inf), readings.ndim)[:3]
+    east, south, west = _faces_first(np.where(possible, readings, np.inf), readings.ndim)[:3]
     least = _DEAD_ZENITH_SHARE * np.minimum(np.minimum(east, south), west)
     result: NDArray[np.bool_] = ~(np.isfinite(least) & (readings[..., 3] < least - _NOISE_W_M2))
     return result
@@ -147,11 +147,11 @@ def light_from_faces(
     counts = usable_faces(readings, sun) if usable is None else np.asarray(usable, dtype=np.bool_)
     rho = np.asarray(albedo, dtype=np.float64)
     axes = max(readings.ndim, counts.ndim, sun.ndim, rho.ndim + 1)
-    weight = _by_face(counts.astype(np.float64), axes)
-    readings = _by_face(np.where(counts, readings, 0.0), axes)
+    weight = _faces_first(counts.astype(np.float64), axes)
+    readings = _faces_first(np.where(counts, readings, 0.0), axes)
     towards, height = beam_shares(sun, axes), np.maximum(sun[..., 2], 0.0)
     solution = _solve(weight, readings, towards + 0.5 * rho * height, 0.5 * (1.0 + rho), height)
-    return _possible(solution, weight, towards, height)
+    return _bounded_light(solution, weight, towards, height)
 
 
 def irradiance_on(light: Light, sun: ArrayLike, albedo: ArrayLike, normals: ArrayLike) -> Array:
@@ -231,14 +231,18 @@ def as_far_as_it_pays(
     vector = np.asarray(vector, dtype=np.float64)
     south, east, up = vector[..., 0], vector[..., 1], vector[..., 2]
     upright = np.hypot(south, up) * np.cos(np.radians(best_a_deg))
-    b_deg = _near(np.degrees(np.arctan2(up, south)), upright, here[1], price_w_m2_per_deg)
+    b_deg = _nearest_paying_angle(np.degrees(np.arctan2(up, south)), upright, here[1], price_w_m2_per_deg)
     b_deg = bounded(b_deg, limits.b_min_deg, limits.b_max_deg)
     upright = south * np.cos(np.radians(b_deg)) + up * np.sin(np.radians(b_deg))
-    a_deg = _near(np.degrees(np.arctan2(-east, upright)), np.hypot(upright, east), here[0], price_w_m2_per_deg)
+    a_deg = _nearest_paying_angle(
+        np.degrees(np.arctan2(-east, upright)), np.hypot(upright, east), here[0], price_w_m2_per_deg
+    )
     return bounded(a_deg, limits.a_min_deg, limits.a_max_deg), b_deg
 
 
-def _near(best_deg: Array, most_w_m2: Array, here_deg: ArrayLike, price_w_m2_per_deg: ArrayLike) -> Array:
+def _nearest_paying_angle(
+    best_deg: Array, most_w_m2: Array, here_deg: ArrayLike, price_w_m2_per_deg: ArrayLike
+) -> Array:
     """Return the angle nearest to `here_deg` from which no degree towards the best one gains more than its price."""
     slope = np.asarray(price_w_m2_per_deg) / np.radians(np.maximum(most_w_m2, _SMALLEST))
     left_deg = np.degrees(np.arcsin(np.minimum(slope, 1.0)))
@@ -250,12 +254,12 @@ def beam_shares(sun: Array, axes: int = 0) -> Array:
 
     They have as many axes as `sun`, shape (..., 3), or `axes` if that is more, to broadcast with values by face.
     """
-    south, east, up = _by_face(sun, max(sun.ndim, axes))
+    south, east, up = _faces_first(sun, max(sun.ndim, axes))
     shares: Array = np.maximum((east, south, -east), 0.0) * (up > 0.0)
     return shares
 
 
-def _by_face(values: NDArray[Any], axes: int) -> NDArray[Any]:
+def _faces_first(values: NDArray[Any], axes: int) -> NDArray[Any]:
     """Return a view of values (..., k) as (k, ...) with `axes` axes: one call of numpy then serves all faces."""
     whole = values.reshape((1,) * (axes - values.ndim) + values.shape)
     return whole.transpose(-1, *range(axes - 1))
@@ -294,7 +298,7 @@ def _sum(first: Array | float, vertical: Array) -> Array:
     return total
 
 
-def _possible(solution: tuple[Array, Array, Array], weight: Array, towards: Array, height: Array) -> Light:
+def _bounded_light(solution: tuple[Array, Array, Array], weight: Array, towards: Array, height: Array) -> Light:
     """Bring the beam above zero and below what the zenith face allows, and keep the fitted faces otherwise."""
     beam, uniform, horizon = solution
     zenith = np.maximum(beam * height + uniform, 0.0)

@@ -24,7 +24,7 @@ from solar.laws.words import weighed
 from solar.rows.group import TrackerGroup
 
 DECIDE_EVERY_S = 60.0
-_TOO_MUCH = "the law's budget of motion for the day does not allow it (law.moves_per_day, law.travel_per_day_deg)"
+_BUDGET_FORBIDS = "the law's budget of motion for the day does not allow it (law.moves_per_day, law.travel_per_day_deg)"
 
 
 class LiveOptimalSettings(LawSettings):
@@ -98,14 +98,14 @@ class LiveOptimal(ThreeFacesLaw):
         if kept is not None and kept.day == self._day:
             self._law.resume(kept.travelled_deg, kept.moves)
         # Keep what a later day has used: a machine without a clock of its own is in 1970 until its time is set.
-        self._later = kept if kept is not None and kept.day > self._day else None
+        self._later_day = kept if kept is not None and kept.day > self._day else None
         first = Heard(self.site, tracker.scan_every_s, self._day, self._law.memory)
         alike = (type(self), self.site, tracker.scan_every_s, self._day, *self._law.site.learned.to_dict().values())
-        self._heard: Heard = tracker.common.setdefault(alike, first)
+        self._heard_link: Heard = tracker.common.setdefault(alike, first)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what was learned, and what the day has used of its budget."""
-        kept, later = self._kept(), self._later
+        kept, later = self._state_to_keep(), self._later_day
         if later is not None:
             more = {"travelled_deg": later.travelled_deg + kept.travelled_deg, "moves": later.moves + kept.moves}
             kept = kept.model_copy(update={"day": later.day, **more})
@@ -113,27 +113,27 @@ class LiveOptimal(ThreeFacesLaw):
 
     def shown(self) -> dict[str, dict[str, float]]:
         """Return what was learned apart from what the day has used of its budget."""
-        learned = self._kept().model_dump(exclude={"day"})
+        learned = self._state_to_keep().model_dump(exclude={"day"})
         return {"learned": learned, "today": {name: learned.pop(name) for name in ("travelled_deg", "moves")}}
 
     @property
     def learned(self) -> Learned:
         """What was learned; another object when it has changed."""
-        return self._heard.learned
+        return self._heard_link.learned
 
     def relearn(self) -> None:
         """Forget what was learned of the site."""
-        self._heard = self._heard.relearned(self._fresh)
+        self._heard_link = self._heard_link.relearned(self._fresh)
 
     def turn(self, utc_s: float) -> bool:
         """Begin a new day when the sun has passed its lowest point since the last call, or resume a later one."""
         day = int(solar_days(utc_s, self.site.longitude_deg))
         if day == self._day:
             return False
-        before, later = self._kept(), self._later
-        self._later = before if day < self._day else None
+        before, later = self._state_to_keep(), self._later_day
+        self._later_day = before if day < self._day else None
         self._day = day
-        self._heard = self._heard.on(day)
+        self._heard_link = self._heard_link.on(day)
         self._law.open_budget()
         if later is not None and later.day == day:
             self._law.resume(later.travelled_deg + before.travelled_deg, later.moves + before.moves)
@@ -141,17 +141,17 @@ class LiveOptimal(ThreeFacesLaw):
 
     def observe(self, reading: Reading) -> None:
         """Take in a scan that has just arrived."""
-        self._heard = self._heard.after(reading)
+        self._heard_link = self._heard_link.after(reading)
 
     def aim(self, now: Moment) -> Aim:
         """Return where the law wants to point, with no target where it wants to stay."""
         utc_s = now.utc_s
         # One call for all instants: it costs little more than one instant.
         ahead = (self._settings.lead_s, self._settings.rest_s)
-        instants = np.array([utc_s, *(utc_s + seconds for seconds in ahead), *self._heard.waiting_utc_s])
+        instants = np.array([utc_s, *(utc_s + seconds for seconds in ahead), *self._heard_link.waiting_utc_s])
         suns = sun_position(instants, *self.site)
         directions = direction_from_azimuth(suns.azimuth_deg, suns.elevation_deg, self.site[0])
-        self._law.memory = self._heard.memory(directions[3:])
+        self._law.memory = self._heard_link.memory(directions[3:])
         sun = SunPosition(*(float(values[0]) for values in suns))
         if now.heading is None:
             return Aim(
@@ -164,7 +164,7 @@ class LiveOptimal(ThreeFacesLaw):
         choice = self._law.choose(*now.heading, directions[1], share_of_daylight_left(utc_s, *self.site), directions[2])
         azimuth, elevation = azimuth_from_direction(choice.vector, self.site[0])
         moves = bool(choice.move)
-        hindered = self._hindered(choice, directions[1])
+        hindered = self._hindrance(choice, directions[1])
         why = weighed(float(choice.gain_w_m2), float(choice.price_w_m2), moves=moves, hindered=hindered)
         target = Angles(float(choice.a_deg), float(choice.b_deg)) if moves else None
         light = self._law.light
@@ -199,15 +199,15 @@ class LiveOptimal(ThreeFacesLaw):
             np.full(len(faces), float(learned.albedo)),
         )
 
-    def _hindered(self, choice: Choice, sun_ahead: Array) -> str:
+    def _hindrance(self, choice: Choice, sun_ahead: Array) -> str:
         """Return what forbids every move, or what forbids this one although it pays; empty if nothing does."""
         if not self._law.affords(0.0):
-            return _TOO_MUCH
+            return _BUDGET_FORBIDS
         if choice.move or not choice.gain_w_m2 > choice.price_w_m2:
             return ""
-        return _TOO_MUCH if sun_ahead[2] > 0.0 else "the sun is about to set"
+        return _BUDGET_FORBIDS if sun_ahead[2] > 0.0 else "the sun is about to set"
 
-    def _kept(self) -> Kept:
+    def _state_to_keep(self) -> Kept:
         return Kept(
             **self.learned.to_dict(),
             day=self._day,

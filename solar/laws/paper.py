@@ -41,7 +41,7 @@ def mu_prime(faces: ArrayLike, *, uniform_threshold: float = 0.01) -> Array:
     """
     _check_share("uniform threshold", uniform_threshold)
     east, south, west, zenith, valid = _split(faces)
-    equatorward = _beyond(south - np.minimum(east, west), uniform_threshold * zenith)
+    equatorward = _zero_below(south - np.minimum(east, west), uniform_threshold * zenith)
     return _direction(equatorward, east - west, zenith, valid)
 
 
@@ -87,7 +87,7 @@ def sun_vector(
         _check_share(name, value)
     east, south, west, zenith, valid = _split(faces)
     least = np.minimum(east, west)
-    equatorward = _beyond(south - least, uniform_threshold * zenith)
+    equatorward = _zero_below(south - least, uniform_threshold * zenith)
     up = np.maximum(zenith - (2 * least - albedo * zenith), 0.0)
     beam = np.sqrt(equatorward**2 + (east - west) ** 2 + up**2)
     horizontal = south**2 + least**2 + east**2 + west**2
@@ -147,14 +147,14 @@ def _split(faces: ArrayLike) -> tuple[Array, Array, Array, Array, np.ndarray]:
 def _readings(faces: Any) -> Array:
     is_frame = hasattr(faces, "iloc")
     if is_frame:
-        faces = _in_order(faces)
+        faces = _order_columns(faces)
     try:
         return np.asarray(faces.to_numpy(dtype=np.float64, na_value=np.nan) if is_frame else faces, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"the faces must be numbers [W/m2], NaN where one is missing ({error})") from None
 
 
-def _in_order(frame: Any) -> Any:
+def _order_columns(frame: Any) -> Any:
     """Return the faces of a frame by their names: numpy would take its columns in the order in which they stand."""
     names = list(frame.columns if hasattr(frame, "columns") else frame.index)
     missing = [name for name in _FACES if name not in names]
@@ -168,7 +168,7 @@ def _in_order(frame: Any) -> Any:
     return frame
 
 
-def _beyond(difference: Array, threshold: Array) -> Array:
+def _zero_below(difference: Array, threshold: Array) -> Array:
     return np.where(difference > threshold, difference, 0.0)
 
 

@@ -26,7 +26,7 @@ from solar.frames import Array, joined
 ALBEDO_RANGE = (0.0, 0.9)
 GAIN_RANGE = (0.93, 1.07)
 _STEP = 0.2
-_ENOUGH_S = 3600.0
+_FULL_STEP_S = 3600.0
 _BEAM_W_M2 = 300.0
 _BEAM_SHARE = 0.7
 _HORIZON_SHARE = 0.1
@@ -148,11 +148,11 @@ def step(learned: Learned, sums: DaySums) -> Learned:
     """Return what is known after a day with these sums: at most a fifth of the way to what it showed."""
     teaches = np.where(sums.left_out_s > _MOST_LEFT_OUT_S, 0.0, 1.0)
     sums = DaySums(*(teaches * total for total in sums))
-    albedo = _step(np.asarray(learned.albedo), sums.albedo_s, sums.albedo)
+    albedo = _step_towards(np.asarray(learned.albedo), sums.albedo_s, sums.albedo)
     # The readings were corrected: what they show of the gains is what is left to correct.
     east = np.log(learned.gain_east / learned.gain_south)
     west = np.log(learned.gain_west / learned.gain_south)
-    east, west = _step(east, sums.east_s, sums.east, east), _step(west, sums.west_s, sums.west, west)
+    east, west = _step_towards(east, sums.east_s, sums.east, east), _step_towards(west, sums.west_s, sums.west, west)
     south = -(east + west) / 3.0
     low, high = GAIN_RANGE
     return Learned(
@@ -163,10 +163,10 @@ def step(learned: Learned, sums: DaySums) -> Learned:
     )
 
 
-def _step(now: Array, seconds: Array, total: Array, base: Array | float = 0.0) -> Array:
+def _step_towards(now: Array, seconds: Array, total: Array, base: Array | float = 0.0) -> Array:
     """Go from `now` towards `base` plus the day's mean, by a share that grows with the seconds behind it."""
     mean = np.divide(total, seconds, out=np.zeros_like(total), where=seconds > 0.0)
-    share = _STEP * np.minimum(seconds / _ENOUGH_S, 1.0)
+    share = _STEP * np.minimum(seconds / _FULL_STEP_S, 1.0)
     result: Array = now + share * (base + mean - now)
     return result
 

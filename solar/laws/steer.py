@@ -129,15 +129,15 @@ class _Day:
                 utc_s=begins_utc_s,
             )
         )
-        self._every = max(round(self._law.decide_every_s / weather.step_s), 1)
+        self._decide_every_steps = max(round(self._law.decide_every_s / weather.step_s), 1)
 
     def steer(self, step: int, utc_s: float, reading: Array, mean: Array, heading: Angles) -> Angles:
         law = self._law
-        law.observe(Reading(utc_s, utc_s, _four(reading)))
-        if step % self._every:
+        law.observe(Reading(utc_s, utc_s, _face_tuple(reading)))
+        if step % self._decide_every_steps:
             return heading
         good = int(np.isfinite(mean).sum()) >= law.faces_needed
-        target = checked_aim(law.aim(Moment(utc_s, _four(mean) if good else None, heading)), self._limits).target
+        target = checked_aim(law.aim(Moment(utc_s, _face_tuple(mean) if good else None, heading)), self._limits).target
         if target is None:
             return heading
         distance_deg = abs(target.a_deg - heading.a_deg) + abs(target.b_deg - heading.b_deg)
@@ -147,7 +147,7 @@ class _Day:
         return target
 
 
-def _four(values: Array) -> Faces:
+def _face_tuple(values: Array) -> Faces:
     east, south, west, zenith = values.tolist()
     return east, south, west, zenith
 

@@ -63,7 +63,7 @@ class SunVectorLaw(ThreeFacesLaw, DirectionLaw):
             return NO_DIRECTION
         if not now.sun_known:
             return self._settings.seen(now.mean_w_m2)
-        return _seen(self._settings, np.asarray(now.mean_w_m2), to_sun)
+        return _seen_direction(self._settings, np.asarray(now.mean_w_m2), to_sun)
 
     def reason(self, azimuth_deg: float, elevation_deg: float) -> str:
         """Return where the sun is seen."""
@@ -77,9 +77,9 @@ build = SunVectorLaw
 def steer(settings: SunVectorSettings, weather: DaylightWeather, faces: Array, limits: Limits) -> Steer:
     """Run the law on many days at once, in the paper's rhythm."""
     sun = weather.gridded(weather.sun, np.nan)
-    return by_the_mean(weather, faces, limits, lambda mean: _seen(settings, mean, sun))
+    return by_the_mean(weather, faces, limits, lambda mean: _seen_direction(settings, mean, sun))
 
 
-def _seen(settings: SunVectorSettings, faces: Array, sun: Array) -> Array:
+def _seen_direction(settings: SunVectorSettings, faces: Array, sun: Array) -> Array:
     whole = completed(faces, sun, settings.albedo)
     return paper.complete_poleward(settings.seen(whole), sun)

@@ -17,15 +17,15 @@ from solar.rows.group import TrackerGroup
 
 _COARSE_DEG = 5.0
 _FINE = np.linspace(-1.0, 1.0, 7)
-_CLOSER = 3
-_TIMES = 5
+_REFINING_FACTOR = 3
+_REFINEMENTS = 5
 # Instants that are searched side by side: more need more memory, and are slower.
-_AT_ONCE = 8
+_ROWS_AT_ONCE = 8
 # Added to the squared distance from the wanted pose, which is 4 at most: any steeper pose costs more than every pose
 # that is not, and any pose with shade more than every pose without.
-_STEEPER = 5.0
-_SHADED = 10.0
-_AS_STEEP = 1e-9
+_STEEPER_COST = 5.0
+_SHADED_COST = 10.0
+_STEEPNESS_TOLERANCE = 1e-9
 _FREE_SHARE = 1e-6
 _LOWEST_SUN = 1e-3
 
@@ -56,8 +56,8 @@ def out_of_shade(
     shaded = np.flatnonzero((np.max(shares, axis=0) > _FREE_SHARE) & known)
     rows = instants.reshape(len(instants), -1, 3)
     found_a, found_b = a.reshape(-1), b.reshape(-1)
-    for first in range(0, shaded.size, _AT_ONCE):
-        some = shaded[first : first + _AT_ONCE]
+    for first in range(0, shaded.size, _ROWS_AT_ONCE):
+        some = shaded[first : first + _ROWS_AT_ONCE]
         found_a[some], found_b[some] = _nearest(group, rows[:, some], found_a[some], found_b[some], limits)
     return found_a.reshape(a.shape), found_b.reshape(b.shape)
 
@@ -91,10 +91,10 @@ def _nearest(group: TrackerGroup, suns: Array, a: Array, b: Array, limits: Limit
     wanted = normal_from_angles(a, b)
     tries_a, tries_b = (angles[None, :] for angles in lattice(limits, _COARSE_DEG))
     reach = _COARSE_DEG
-    for _ in range(_TIMES):
+    for _ in range(_REFINEMENTS):
         best_a, best_b = _best(group, suns, wanted, tries_a, tries_b)
         tries_a, tries_b = closer(best_a, best_b, reach, limits)
-        reach /= _CLOSER
+        reach /= _REFINING_FACTOR
     return _best(group, suns, wanted, tries_a, tries_b)
 
 
@@ -103,8 +103,8 @@ def _best(group: TrackerGroup, suns: Array, wanted: Array, tries_a: Array, tries
     share = np.max([group.worst_share(sun[:, None, :], tries_a, tries_b) for sun in suns], axis=0)
     tries = normal_from_angles(tries_a, tries_b)
     cost = np.sum((tries - wanted[:, None, :]) ** 2, axis=-1)
-    cost += np.where(tries[..., 2] < wanted[:, None, 2] - _AS_STEEP, _STEEPER, 0.0)
-    cost += np.where(share > _FREE_SHARE, _SHADED * (1.0 + 1e3 * share), 0.0)
+    cost += np.where(tries[..., 2] < wanted[:, None, 2] - _STEEPNESS_TOLERANCE, _STEEPER_COST, 0.0)
+    cost += np.where(share > _FREE_SHARE, _SHADED_COST * (1.0 + 1e3 * share), 0.0)
     best = np.argmin(cost, axis=-1)[:, None]
     chosen = [np.take_along_axis(np.broadcast_to(tries, cost.shape), best, axis=-1) for tries in (tries_a, tries_b)]
     return chosen[0][:, 0], chosen[1][:, 0]

@@ -88,7 +88,7 @@ class TrackerGroup:
         self.size_m = (float(width_m), float(height_m))
         self.bypass_groups = int(bypass_groups)
         self.only_if_it_pays = only_if_it_pays
-        self.offsets_m, self.weights = _views(positions)
+        self.offsets_m, self.weights = _neighbour_vectors(positions)
         self._distinct_m = np.unique(self.offsets_m.reshape(-1, 3), axis=0)
 
     @classmethod
@@ -121,7 +121,7 @@ class TrackerGroup:
         """
         sun, across, along, normal = _frame(sun, a_deg, b_deg)
         shifts = self._shifts(self._distinct_m, sun, across, along, normal)
-        covered = _covered(*shifts).max(axis=-1)
+        covered = _covered_share(*shifts).max(axis=-1)
         result: Array = np.where(np.sum(sun * normal, axis=-1) > _GRAZING, covered, 1.0)
         return result
 
@@ -144,9 +144,9 @@ class TrackerGroup:
         """Return the shade at every distinct place in the group, shape (..., places); `weights` are their shares."""
         sun, across, along, normal = _frame(sun, a_deg, b_deg)
         by_width, by_height = self._shifts(self.offsets_m, sun, across, along, normal)
-        share = _covered(by_width, by_height)
+        share = _covered_share(by_width, by_height)
         lit = (np.sum(sun * normal, axis=-1) > _GRAZING)[..., None]
-        covered = np.where(lit, _union(by_width, by_height, share), 0.0)
+        covered = np.where(lit, _covered_together(by_width, by_height, share), 0.0)
         touched = np.where(lit, _touched(by_width, share > 0.0, self.bypass_groups), 0.0)
         return Shade(covered, 1.0 - (1.0 - covered) * (1.0 - touched / (self.bypass_groups + 1.0)))
 
@@ -168,7 +168,7 @@ class TrackerGroup:
         return across_m / self.size_m[0], along_m / self.size_m[1]
 
 
-def _views(positions: Array) -> tuple[Array, Array]:
+def _neighbour_vectors(positions: Array) -> tuple[Array, Array]:
     """Return the vectors to the neighbours from each distinct place, (places, neighbours, 3), and the places' shares.
 
     A tracker with fewer neighbours than another has itself for the rest: a vector of no length casts no shade.
@@ -192,7 +192,7 @@ def _frame(sun: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> tuple[Array, A
     return np.asarray(sun, dtype=np.float64), across, along, normal
 
 
-def _covered(by_width: Array, by_height: Array) -> Array:
+def _covered_share(by_width: Array, by_height: Array) -> Array:
     """Return the share of the module that each shadow covers, from shifts in edge lengths."""
     across, along = (1.0 - np.abs(shift) for shift in (by_width, by_height))
     # Written so that NaN, which casts nothing, fails.
@@ -200,7 +200,7 @@ def _covered(by_width: Array, by_height: Array) -> Array:
     return result
 
 
-def _union(by_width: Array, by_height: Array, share: Array) -> Array:
+def _covered_together(by_width: Array, by_height: Array, share: Array) -> Array:
     """Return the share that shadows cover together, over the last axis.
 
     Each shadow is as large as the module, so it covers one of the module's corners. In a strip between two vertical

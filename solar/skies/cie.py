@@ -65,7 +65,7 @@ def cie_sky(
 
     def radiance(dome: Dome, part: slice) -> NDArray[np.float32]:
         smooth = _blended(dome, sun[part], clearness[part])
-        result: NDArray[np.float32] = smooth * np.exp(_waves(dome, utc_s[part], strength[part]))
+        result: NDArray[np.float32] = smooth * np.exp(_cloud_structure(dome, utc_s[part], strength[part]))
         return result
 
     return dome_sky(sun, dni_w_m2, dhi_w_m2, radiance)
@@ -94,12 +94,12 @@ def _blended(dome: Dome, sun: Array, clearness: Array) -> NDArray[np.float32]:
     return blend
 
 
-def _waves(dome: Dome, utc_s: Array, strength: Array) -> NDArray[np.float32]:
+def _cloud_structure(dome: Dome, utc_s: Array, strength: Array) -> NDArray[np.float32]:
     """Return s g of each patch, shape (n, p)."""
     random = np.random.default_rng(15469)
-    length = _between(random, _WAVELENGTHS)
+    length = _random_between(random, _WAVELENGTHS)
     towards, phase = random.uniform(0.0, 2.0 * np.pi, (2, _WAVES))
-    pace = 2.0 * np.pi / _between(random, _CLOUD_LASTS_S) * random.choice((-1.0, 1.0), _WAVES)
+    pace = 2.0 * np.pi / _random_between(random, _CLOUD_LASTS_S) * random.choice((-1.0, 1.0), _WAVES)
     wave = 2.0 * np.pi / length * np.stack([np.cos(towards), np.sin(towards)])
     directions = dome.directions.astype(np.float64)
     # The clouds' plane, compressed as by a fisheye lens: structure near the horizon must not be finer than a patch.
@@ -117,7 +117,7 @@ def _waves(dome: Dome, utc_s: Array, strength: Array) -> NDArray[np.float32]:
     return result
 
 
-def _between(random: np.random.Generator, ends: tuple[float, float]) -> Array:
+def _random_between(random: np.random.Generator, ends: tuple[float, float]) -> Array:
     low, high = np.log(ends).tolist()
     result: Array = np.exp(random.uniform(low, high, _WAVES))
     return result

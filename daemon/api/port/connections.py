@@ -105,11 +105,11 @@ class HttpConnection(PiecewiseProtocol):
 
     def __init__(self, all_of_them: Connections, **server: Any) -> None:
         super().__init__(**server)
-        self._all = all_of_them
+        self._connections = all_of_them
         self._refusals = all_of_them.refusals
-        self._since_s = self._moved_s = 0.0
+        self._waiting_since_s = self._last_progress_s = 0.0
         self._unread = 0
-        self._answering: asyncio.TimerHandle | None = None
+        self._garbage_timer: asyncio.TimerHandle | None = None
         self._garbled = False
         self.address = ""
         self.from_loopback = False
@@ -123,7 +123,7 @@ class HttpConnection(PiecewiseProtocol):
     @property
     def bears_the_token(self) -> bool:
         """Whether the request that it has sent is one with the token."""
-        return self.headers is not None and self._all.token.refusal(Headers(raw=self.headers)) is None
+        return self.headers is not None and self._connections.token.refusal(Headers(raw=self.headers)) is None
 
     @property
     def _waits_for_a_head(self) -> bool:
@@ -132,7 +132,7 @@ class HttpConnection(PiecewiseProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin, if there is room."""
         super().connection_made(transport)
-        self._since_s = self._moved_s = self.loop.time()
+        self._waiting_since_s = self._last_progress_s = self.loop.time()
         # A socket for all of IPv6 shows the address of an IPv4 client wrapped in IPv6.
         if self.server is not None:
             self.server = (without_mapping(self.server[0]), self.server[1])
@@ -140,14 +140,14 @@ class HttpConnection(PiecewiseProtocol):
             self.client = (without_mapping(self.client[0]), self.client[1])
             self.address = self.client[0]
             self.from_loopback = ipaddress.ip_address(self.address).is_loopback
-        if not self._all.admit(self):
+        if not self._connections.admit(self):
             transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End."""
-        self._all.drop(self)
-        if self._answering is not None:
-            self._answering.cancel()
+        self._connections.drop(self)
+        if self._garbage_timer is not None:
+            self._garbage_timer.cancel()
         if isinstance(exc, ConnectionResetError) and self.cycle is not None:
             self.cycle.scope.setdefault("extensions", {})[GIVEN_UP] = {}
         super().connection_lost(exc)
@@ -159,8 +159,8 @@ class HttpConnection(PiecewiseProtocol):
         waited = self._waits_for_a_head
         super().data_received(data)
         if waited and not self._waits_for_a_head:
-            self._since_s = self.loop.time()
-            self._all.used(self)
+            self._waiting_since_s = self.loop.time()
+            self._connections.used(self)
         if self.conn.their_state is not h11.SEND_BODY:
             return
         if self.conn.our_state is h11.DONE:
@@ -171,7 +171,7 @@ class HttpConnection(PiecewiseProtocol):
 
     def on_response_complete(self) -> None:
         """Wait for the next request."""
-        self._since_s = self.loop.time()
+        self._waiting_since_s = self.loop.time()
         super().on_response_complete()
 
     def send_400_response(self, msg: str) -> None:  # noqa: ARG002 - the server's
@@ -183,17 +183,17 @@ class HttpConnection(PiecewiseProtocol):
             self.abort()
             return
         self.flow.pause_reading()
-        self._answering = self.loop.call_later(_GARBAGE_PAUSE_S * self._all.speed, self._answer_garbage)
+        self._garbage_timer = self.loop.call_later(_GARBAGE_PAUSE_S * self._connections.speed, self._answer_garbage)
 
     def check(self) -> None:
         """Close it if it makes no progress."""
         now_s, transport = self.loop.time(), self.transport
         unread = transport.get_write_buffer_size()
         if unread == 0 or unread < self._unread:
-            self._moved_s = now_s
+            self._last_progress_s = now_s
         self._unread = unread
-        waited_s = (now_s - self._since_s) / self._all.speed
-        if (now_s - self._moved_s) / self._all.speed > _READ_WITHIN_S:
+        waited_s = (now_s - self._waiting_since_s) / self._connections.speed
+        if (now_s - self._last_progress_s) / self._connections.speed > _READ_WITHIN_S:
             self._give_up(f"{self.address} does not read its answer")
         elif self._waits_for_a_head and waited_s > (_HEAD_WITHIN_S if self.cycle is None else _NEXT_HEAD_WITHIN_S):
             self._give_up(f"{self.address} has sent no whole request in {waited_s:.0f} s")

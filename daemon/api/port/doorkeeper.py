@@ -24,12 +24,12 @@ from daemon.base.recurrence import RateLimit
 _QUEUE = 4096
 # Accepted at one turn of the loop, so that other tasks get their turn within some milliseconds.
 _AT_ONCE = 64
-_IN_PER_S, _IN_AT_ONCE = 200.0, 100
+_ADMITTED_PER_S, _ADMITTED_AT_ONCE = 200.0, 100
 _MOST_SILENT, _MOST_WAITING = 192, 128
 _SILENT_FOR_S, _LOOK_EVERY_S = 5.0, 1.0
 _AGAIN_AFTER_S = 1.0
 _LONGEST_LOOK = 4096
-_BEARS = re.compile(rb"\r\nauthorization:[ \t]*bearer[ \t]+([^\r\n]+)\r\n", re.IGNORECASE)
+_BEARER_HEADER = re.compile(rb"\r\nauthorization:[ \t]*bearer[ \t]+([^\r\n]+)\r\n", re.IGNORECASE)
 _SORRY = b'{"error":"too many programs ask at once; ask again in a second"}'
 _CROWDED = (
     b"HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/json\r\nretry-after: 1\r\nconnection: close\r\n"
@@ -63,10 +63,10 @@ class Doorkeeper:
         self._token = token
         self._refusals = refusals
         self._speed = speed
-        self._rate = RateLimit(_IN_PER_S / speed, _IN_AT_ONCE)
+        self._rate = RateLimit(_ADMITTED_PER_S / speed, _ADMITTED_AT_ONCE)
         self._silent: dict[_Caller, None] = {}
         self._waiting: dict[_Caller, None] = {}
-        self._of_address: Counter[str] = Counter()
+        self._callers_per_address: Counter[str] = Counter()
         self._timers: dict[Callable[[], None], asyncio.TimerHandle] = {}
         self._entering: set[asyncio.Task[None]] = set()
 
@@ -76,7 +76,7 @@ class Doorkeeper:
         self._loop, self._bound, self._serve = asyncio.get_running_loop(), bound, serve
         bound.setblocking(False)
         bound.listen(_QUEUE)
-        self._take_in()
+        self._start_accepting()
         try:
             yield
         finally:
@@ -87,7 +87,7 @@ class Doorkeeper:
                 self._forget(caller)
                 caller.socket.close()
 
-    def _take_in(self) -> None:
+    def _start_accepting(self) -> None:
         self._loop.add_reader(self._bound, self._accept)
 
     def _accept(self) -> None:
@@ -99,19 +99,19 @@ class Doorkeeper:
             except OSError as error:
                 self._refusals.note("crowded", f"no connection can be accepted: {error.strerror}")
                 self._loop.remove_reader(self._bound)
-                self._after(_AGAIN_AFTER_S, self._take_in)
+                self._after(_AGAIN_AFTER_S, self._start_accepting)
                 return
             accepted.setblocking(False)
-            self._come(_Caller(accepted, without_mapping(address[0]), self._loop.time()))
+            self._handle_new_caller(_Caller(accepted, without_mapping(address[0]), self._loop.time()))
 
-    def _come(self, caller: _Caller) -> None:
-        said = _look(caller)
+    def _handle_new_caller(self, caller: _Caller) -> None:
+        said = _peek(caller)
         if said is None:
-            self._let_wait(caller)
+            self._keep_silent_caller(caller)
         else:
-            self._hear(caller, said)
+            self._admit_or_refuse(caller, said)
 
-    def _let_wait(self, caller: _Caller) -> None:
+    def _keep_silent_caller(self, caller: _Caller) -> None:
         """Keep a client that has sent nothing yet, at the cost of the one that has been silent longest if need be."""
         alone = self._too_many_from(caller.address)
         if alone or len(self._silent) >= _MOST_SILENT:
@@ -122,51 +122,53 @@ class Doorkeeper:
             longest.socket.close()
             if longest is caller:
                 return
-        self._of_address[caller.address] += 1
+        self._callers_per_address[caller.address] += 1
         self._silent[caller] = None
-        self._loop.add_reader(caller.socket, self._listen_to, caller)
-        self._after(_LOOK_EVERY_S, self._look_round)
+        self._loop.add_reader(caller.socket, self._on_readable, caller)
+        self._after(_LOOK_EVERY_S, self._close_silent_callers)
 
     def _too_many_from(self, address: str) -> bool:
         # All clients behind a tunnel or a proxy on this machine come from loopback, which has no limit of its own.
-        return self._of_address[address] >= MOST_OF_AN_ADDRESS and not ipaddress.ip_address(address).is_loopback
+        return (
+            self._callers_per_address[address] >= MOST_OF_AN_ADDRESS and not ipaddress.ip_address(address).is_loopback
+        )
 
-    def _listen_to(self, caller: _Caller) -> None:
-        said = _look(caller)
+    def _on_readable(self, caller: _Caller) -> None:
+        said = _peek(caller)
         if said is not None:
             self._forget(caller)
-            self._hear(caller, said)
+            self._admit_or_refuse(caller, said)
 
-    def _hear(self, caller: _Caller, said: bytes) -> None:
+    def _admit_or_refuse(self, caller: _Caller, said: bytes) -> None:
         if not said:
             caller.socket.close()
         elif self._bears_the_token(said) or (not self._waiting and self._rate.admit(self._loop.time())):
-            self._let_in(caller)
+            self._admit(caller)
         elif len(self._waiting) < _MOST_WAITING and not self._too_many_from(caller.address):
-            self._of_address[caller.address] += 1
+            self._callers_per_address[caller.address] += 1
             self._waiting[caller] = None
-            self._after(1.0 / _IN_PER_S, self._let_next_in)
+            self._after(1.0 / _ADMITTED_PER_S, self._admit_waiting)
         else:
             self._refuse(caller)
 
     def _bears_the_token(self, said: bytes) -> bool:
-        bearer = _BEARS.search(said)
+        bearer = _BEARER_HEADER.search(said)
         return bearer is not None and self._token.is_given(bearer[1])
 
-    def _let_next_in(self) -> None:
+    def _admit_waiting(self) -> None:
         while self._waiting and self._rate.admit(self._loop.time()):
             caller = next(iter(self._waiting))
             self._forget(caller)
-            self._let_in(caller)
+            self._admit(caller)
         if self._waiting:
-            self._after(1.0 / _IN_PER_S, self._let_next_in)
+            self._after(1.0 / _ADMITTED_PER_S, self._admit_waiting)
 
-    def _let_in(self, caller: _Caller) -> None:
-        entering = self._loop.create_task(self._enter(caller))
+    def _admit(self, caller: _Caller) -> None:
+        entering = self._loop.create_task(self._serve_caller(caller))
         self._entering.add(entering)
         entering.add_done_callback(self._entering.discard)
 
-    async def _enter(self, caller: _Caller) -> None:
+    async def _serve_caller(self, caller: _Caller) -> None:
         try:
             await self._serve(caller.socket)
         except OSError:
@@ -188,17 +190,17 @@ class Doorkeeper:
             del self._waiting[caller]
         else:
             return
-        self._of_address[caller.address] -= 1
-        if not self._of_address[caller.address]:
-            del self._of_address[caller.address]
+        self._callers_per_address[caller.address] -= 1
+        if not self._callers_per_address[caller.address]:
+            del self._callers_per_address[caller.address]
 
-    def _look_round(self) -> None:
+    def _close_silent_callers(self) -> None:
         """Send clients away that have been silent for too long."""
         now_s = self._loop.time()
         for caller in list(self._silent):
             silent_s = (now_s - caller.since_s) / self._speed
             if silent_s < _SILENT_FOR_S:
-                self._after(_LOOK_EVERY_S, self._look_round)
+                self._after(_LOOK_EVERY_S, self._close_silent_callers)
                 return
             self._refusals.note("slow", f"{caller.address} has sent nothing for {silent_s:.0f} s")
             self._forget(caller)
@@ -214,7 +216,7 @@ class Doorkeeper:
         call()
 
 
-def _look(caller: _Caller) -> bytes | None:
+def _peek(caller: _Caller) -> bytes | None:
     """Return the first bytes of a caller, empty if it has gone, or None if it has sent nothing yet."""
     try:
         return caller.socket.recv(_LONGEST_LOOK, socket.MSG_PEEK)

@@ -49,10 +49,10 @@ class Alarms:
         self._shown: dict[str, Alarm] = {}
         # By name, the alarm that was acknowledged last: a person who acknowledges it once more is told so.
         self._acknowledged: dict[str, Alarm] = {}
-        self._held: dict[str, tuple[str, Iterable[str]]] = {}
+        self._alarms_on_while_muted: dict[str, tuple[str, Iterable[str]]] = {}
         self._muted = False
         self._started_s = clock.monotonic()
-        self._before: dict[str, KeptAlarm] = {}
+        self._acknowledged_before_start: dict[str, KeptAlarm] = {}
         self._saved: dict[str, KeptAlarm] = {}
         if file is not None:
             self._resume(file.load())
@@ -80,13 +80,13 @@ class Alarms:
         """
         if self._muted:
             if text is None:
-                self._held.pop(name, None)
+                self._alarms_on_while_muted.pop(name, None)
             else:
-                self._held[name] = text, of
+                self._alarms_on_while_muted[name] = text, of
             return
         before = self._shown.get(name)
-        if self._before:
-            self._forget(name, text, of)
+        if self._acknowledged_before_start:
+            self._forget_old_acknowledgement(name, text, of)
         if text is None:
             if before is not None and before.on:
                 self._clear(before)
@@ -137,10 +137,10 @@ class Alarms:
             return
         self._muted = muted
         if muted:
-            self._held = {alarm.name: (alarm.text, ()) for alarm in self._shown.values() if alarm.on}
+            self._alarms_on_while_muted = {alarm.name: (alarm.text, ()) for alarm in self._shown.values() if alarm.on}
             self._shown = {alarm.name: alarm for alarm in self._shown.values() if not alarm.on}
         else:
-            held, self._held = self._held, {}
+            held, self._alarms_on_while_muted = self._alarms_on_while_muted, {}
             for name, (text, of) in held.items():
                 self.set(name, text, of=of)
         self._changed()
@@ -148,7 +148,7 @@ class Alarms:
     def _raise(self, name: str, text: str, before: Alarm | None) -> None:
         now_utc_s = self._clock.utc()
         self._acknowledged.pop(name, None)
-        kept = self._before.pop(name, None)
+        kept = self._acknowledged_before_start.pop(name, None)
         if kept is not None:
             self._shown[name] = kept.alarm(name, text)
         else:
@@ -172,18 +172,20 @@ class Alarms:
         now_utc_s = self._clock.utc()
         for name, found in kept.items():
             if found.acknowledged_utc_s is not None:
-                self._before[name] = found
+                self._acknowledged_before_start[name] = found
             else:
                 cleared_utc_s = now_utc_s if found.cleared_utc_s is None else found.cleared_utc_s
                 self._shown[name] = replace(found.alarm(name, found.text), cleared_utc_s=cleared_utc_s)
         self._saved = kept
 
-    def _forget(self, name: str, text: str | None, of: Iterable[str]) -> None:
+    def _forget_old_acknowledgement(self, name: str, text: str | None, of: Iterable[str]) -> None:
         """Forget an acknowledgement from before the start if its alarm is over or another; after a while forget all."""
         if self._clock.monotonic() - self._started_s > _SAME_AFTER_START_S:
-            self._before = {}
-        elif text is None or (name in self._before and not tells(self._before[name].text, of)):
-            self._before.pop(name, None)
+            self._acknowledged_before_start = {}
+        elif text is None or (
+            name in self._acknowledged_before_start and not tells(self._acknowledged_before_start[name].text, of)
+        ):
+            self._acknowledged_before_start.pop(name, None)
         self._save()
 
     def _save(self) -> None:
@@ -194,7 +196,7 @@ class Alarms:
             for alarm in self._shown.values()
             if alarm.kind.latched or alarm.acknowledged_utc_s is not None
         }
-        whole = self._before | found
+        whole = self._acknowledged_before_start | found
         if whole != self._saved:
             self._saved = whole
             self._file.save(whole)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Span = Callable[["ArchiveReader"], tuple[float, float]]
 
 
-def _all(_reader: "ArchiveReader") -> tuple[float, float]:
+def _whole_span(_reader: "ArchiveReader") -> tuple[float, float]:
     return -math.inf, math.inf
 
 
@@ -29,7 +29,7 @@ def check_readable(store: str) -> None:
 
 
 @contextmanager
-def readable(store: str, span: Span = _all) -> Iterator[tuple[Path, str]]:
+def readable(store: str, span: Span = _whole_span) -> Iterator[tuple[Path, str]]:
     """Yield the folder of a store, and its name for messages; the copy of an archive is deleted afterwards.
 
     Parameters

@@ -21,13 +21,13 @@ class StopKeys:
 
     def __init__(self, pressed: Callable[[], bool]) -> None:
         self._pressed = pressed
-        self._seen = False
+        self._must_stop = False
         self.left = False
 
     def pressed(self) -> bool:
         """Tell whether, since this began, a key has been pressed or the program been told to end."""
-        self._seen = self._seen or self.left or self._pressed()
-        return self._seen
+        self._must_stop = self._must_stop or self.left or self._pressed()
+        return self._must_stop
 
     def leave(self) -> None:
         """Note that the program has been told to end."""

@@ -69,7 +69,7 @@ def setup(
         while (step := dialogue.step()) is not None:
             screen.simulated = dialogue.kept.answers.get(RIG) == A_BENCH
             screen.head(dialogue, step)
-            _one(dialogue, screen, step)
+            _ask_step(dialogue, screen, step)
             keep_answers(place, dialogue.kept)
         _finish(dialogue, screen, file)
     except (KeyboardInterrupt, EOFError):
@@ -86,7 +86,7 @@ def _greet(screen: "SetupScreen", file: Path, place: Path, answered: int) -> Non
         screen.say(f"{counted(answered, 'answer is', 'answers are')} there from before, in {place}.")
 
 
-def _one(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") -> None:
+def _ask_step(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") -> None:
     """Ask one step, and take the answer or say why it does not fit."""
     from daemon.commands.setup.steps import MOVE, SUN
 
@@ -226,10 +226,10 @@ def _finish(dialogue: "SetupDialogue", screen: "SetupScreen", file: Path) -> Non
         screen.say("Not done yet:", "bold")
         for sentence in open_ends:
             screen.say(f"  - {sentence.format(file=file)}")
-    _next(dialogue, screen, file)
+    _say_next_steps(dialogue, screen, file)
 
 
-def _next(dialogue: "SetupDialogue", screen: "SetupScreen", file: Path) -> None:
+def _say_next_steps(dialogue: "SetupDialogue", screen: "SetupScreen", file: Path) -> None:
     from daemon.commands.setup.dialogue import NEW_KEY
     from daemon.commands.setup.finish import start_lines
     from daemon.commands.setup.steps import KEY

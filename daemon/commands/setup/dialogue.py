@@ -47,11 +47,11 @@ class SetupDialogue:
         if file.exists():
             load_settings(file)
             # install.sh installs a file with the site of the paper, which nobody may take by Enter.
-            own = {path: value for path, value in _values_of(file).items() if not _is_the_papers(path, value)}
+            own = {path: value for path, value in _values_of(file).items() if not _is_paper_site_value(path, value)}
         if "tracker" in own:
             raise UserError(f"{file} has tables of trackers, which a setup does not ask for: change that file by hand")
         self._own = own
-        self._of_bench: dict[str, Any] = {}
+        self._bench_values: dict[str, Any] = {}
         try:
             self._read_bench()
         except UserError as error:
@@ -71,7 +71,7 @@ class SetupDialogue:
         bench = self._kept.answers.get(RIG) == A_BENCH
         # A file from practice on a bench has the bench's clock and addresses, which a real rig must not take.
         own = self._own if self._own.get("instruments.bench", False) is bench else {}
-        return Known(self._kept.answers, self._of_bench or own)
+        return Known(self._kept.answers, self._bench_values or own)
 
     def steps(self) -> list[SetupStep]:
         """Return every step that the answers lead to, answered ones included."""
@@ -111,7 +111,7 @@ class SetupDialogue:
                 f"{ascii(said)[:60]} has a key that is no letter, such as an arrow, or a letter that is not UTF-8: type"
                 " it again without that"
             )
-        value = self.offered() if not said else _meant(step, said, self._key(step))
+        value = self.offered() if not said else _parse_answer(step, said, self._key(step))
         if value is None and not step.optional:
             raise UserError(f"this has no default: {self.expected()}")
         self.settle(value)
@@ -150,7 +150,7 @@ class SetupDialogue:
         offered = {**self._kept.offered, name: value}
         self._kept = self._kept.model_copy(update={"answers": answers, "offered": offered})
         if name in (BENCH, RIG):
-            self._of_bench = {}
+            self._bench_values = {}
         return True
 
     def expected(self) -> str:
@@ -159,7 +159,7 @@ class SetupDialogue:
         if step is None:
             return ""
         if step.choices:
-            return f"say {_listed(step.choices)}"
+            return f"say {_join_with_or(step.choices)}"
         key = self._key(step)
         optional = " or none" if step.optional else ""
         return "it is needed" if key is None else f"it takes {_in_words(key)}{optional}"
@@ -209,11 +209,11 @@ class SetupDialogue:
             )
         if folder is None:
             return
-        file = _at_home(str(folder)) / FILE_NAME
+        file = _expand_home(str(folder)) / FILE_NAME
         found = _values_of(file)
         if found.get("instruments.bench") is not True:
             raise UserError(f"{file} was not written by a bench: start one with 'heliocube bench --dir {folder}'")
-        self._of_bench = found
+        self._bench_values = found
 
     def _refusal(self, error: UserError) -> str:
         """Return the first problem, without the name of a file, as a dialogue has none."""
@@ -233,19 +233,19 @@ class SetupDialogue:
             )
 
     def _check_key(self, name: str) -> None:
-        path = self.file.parent / _at_home(self.key_file())
+        path = self.file.parent / _expand_home(self.key_file())
         if name != NEW_KEY:
             load_key(path)
         elif path.exists():
             raise UserError(f"{path} is there already: name it, or move it away for a new one")
 
 
-def _meant(step: SetupStep, said: str, key: keys.Key | None) -> Answer:
+def _parse_answer(step: SetupStep, said: str, key: keys.Key | None) -> Answer:
     """Return the value that the typed words mean; raises `UserError`."""
     if step.optional and said.lower() in _NONE:
         return None
     if step.choices and (key is None or key.takes == {"string"}):
-        return _chosen(step, said)
+        return _match_choice(step, said)
     if key is None:
         return said
     if key.takes & {"number", "integer"}:
@@ -259,7 +259,7 @@ def _meant(step: SetupStep, said: str, key: keys.Key | None) -> Answer:
     return said
 
 
-def _at_home(said: str) -> Path:
+def _expand_home(said: str) -> Path:
     """Return a path with its ~ replaced by the home folder; raises `UserError` if there is no such user."""
     try:
         return Path(said).expanduser()
@@ -267,16 +267,16 @@ def _at_home(said: str) -> Path:
         raise UserError(f"{keys.shown(said)}: there is no such user; write the whole path") from None
 
 
-def _chosen(step: SetupStep, said: str) -> str:
+def _match_choice(step: SetupStep, said: str) -> str:
     """Return the one choice that begins with the words; raises `UserError` if there is not exactly one."""
     word = _YES.get(said.lower(), said.lower()) if step.kind == "confirm" else said.lower()
     found = [name for name in step.choices if name == word] or [name for name in step.choices if name.startswith(word)]
     if len(found) != 1:
-        raise UserError(f"{keys.shown(said)} is not among the answers: say {_listed(step.choices)}")
+        raise UserError(f"{keys.shown(said)} is not among the answers: say {_join_with_or(step.choices)}")
     return found[0]
 
 
-def _listed(words: tuple[str, ...]) -> str:
+def _join_with_or(words: tuple[str, ...]) -> str:
     *others, last = words
     return f"{', '.join(others)} or {last}" if others else last
 
@@ -296,7 +296,7 @@ def _values_of(file: Path) -> dict[str, Any]:
     return found
 
 
-def _is_the_papers(path: str, value: Any) -> bool:
+def _is_paper_site_value(path: str, value: Any) -> bool:
     """Return whether a value of the site is the default, which is that of the paper's site."""
     key = keys.keys().get(path)
     return key is not None and key.section == "site" and value == key.default

@@ -41,7 +41,7 @@ def finish(dialogue: SetupDialogue, file: Path) -> list[str]:
         for path in (key, token):
             if not path.exists():
                 write_key(path, generate_key()) if path == key else write_token(path, generate_token())
-                _owned_like(model, path, alone=path == key)
+                _copy_owner(model, path, alone=path == key)
                 done.append(f"{path}, new")
         if file.exists():
             old = _free_name(file)
@@ -50,7 +50,7 @@ def finish(dialogue: SetupDialogue, file: Path) -> list[str]:
             rewrite_file(file, text)
         else:
             replace_file(file, text)
-        _owned_like(model, file)
+        _copy_owner(model, file)
     except OSError as error:
         raise UserError(f"{error.filename or file.parent} cannot be written: {error.strerror}") from None
     return [f"{file}, the configuration", *done]
@@ -73,7 +73,7 @@ def _free_name(file: Path) -> Path:
     return next(path for path in names if not path.exists())
 
 
-def _owned_like(model: Path | None, path: Path, *, alone: bool = False) -> None:
+def _copy_owner(model: Path | None, path: Path, *, alone: bool = False) -> None:
     """Give a file that root has written to the owner of `model`, since the service's user could not read it otherwise.
 
     With `alone` only its owner may read the file. If the owner of `model` is root, such a file goes to the user who has

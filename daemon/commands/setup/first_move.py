@@ -23,10 +23,10 @@ _STILL_S = 1.0
 _BEGINS_WITHIN_S = 10.0
 _MARGIN_S = 20.0
 # Telemetry has tenths of a degree, and an axis yields a little when the other one moves.
-_ASTRAY_DEG = 0.7
+_POSE_SLACK_DEG = 0.7
 # How far an axis must have gone for the stop to have stopped a motion.
 _UNDER_WAY_DEG = 0.3
-_UNLOCKED = "the stop could not be seen in telemetry: SWITCH THE MOTORS' SUPPLY OFF"
+_STOP_UNSEEN_TEXT = "the stop could not be seen in telemetry: SWITCH THE MOTORS' SUPPLY OFF"
 
 
 class FirstMoveError(DeviceError):
@@ -98,12 +98,12 @@ class Leg:
             return f"it cannot be relied on: {seen.needs_homing}"
         if seen.button_pressed:
             return "somebody presses a button on its box"
-        if not (angle - self.from_deg) * way >= -_ASTRAY_DEG:
+        if not (angle - self.from_deg) * way >= -_POSE_SLACK_DEG:
             went = f"from {self.from_deg:z.1f} to {angle:z.1f} deg, and not to {self.to_deg:z.1f}"
             return f"{name} went the wrong way: {went}"
         if not (angle - self.to_deg) * way <= tolerance_deg:
             return f"{name} went beyond {self.to_deg:z.1f} deg, to {angle:z.1f}"
-        if not abs(other - self.other_deg) <= _ASTRAY_DEG:
+        if not abs(other - self.other_deg) <= _POSE_SLACK_DEG:
             return f"{still} moved, to {other:z.1f} deg, where only {name} should"
         return None
 
@@ -116,15 +116,15 @@ def ready(seen: Telemetry, conflicts: tuple[str, ...], limits: Limits) -> str | 
         return f"it has to be homed first, because of: {why}; 'heliocube home' does that once the service runs"
     if seen.autonomous:
         return "a mode of its own is on and may move it"
-    if not _close_to(limits, seen):
+    if not _is_within_limits(limits, seen):
         where = f"A {seen.a_deg:z.1f}, B {seen.b_deg:z.1f} deg"
         return f"it stands at {where}, outside the limits {limits}; 'back' widens them"
     return None
 
 
-def _close_to(limits: Limits, seen: Telemetry) -> bool:
+def _is_within_limits(limits: Limits, seen: Telemetry) -> bool:
     """Tell whether the angles are within the limits, apart from the error of telemetry; NaN is not."""
-    slack_deg = _ASTRAY_DEG
+    slack_deg = _POSE_SLACK_DEG
     outer = Limits(
         limits.a_min_deg - slack_deg,
         limits.a_max_deg + slack_deg,
@@ -175,13 +175,15 @@ async def _legs(
     a_deg, b_deg = bounds.limits.clip(start.a_deg, start.b_deg)
     axes: tuple[tuple[AxisName, float], ...] = (("a", a_deg), ("b", b_deg))
     for axis, here_deg in axes:
-        for target_deg in (_inside(axis, here_deg, STEP_DEG, bounds.limits), here_deg):
+        for target_deg in (_step_target_deg(axis, here_deg, STEP_DEG, bounds.limits), here_deg):
             leg = await _from_here(positioner, axis, target_deg, bounds, pressed)
             say(f"{axis.upper()} from {leg.from_deg:z.1f} to {leg.to_deg:z.1f} deg, {leg.direction}: any key stops it")
             speeds.append(await follow(positioner, leg, bounds, clock, pressed))
-            await _end_by_a_key(positioner, pressed)
+            await _halt_if_pressed(positioner, pressed)
             say(f"  arrived, at {speeds[-1]:.2f} deg/s")
-    leg = await _from_here(positioner, "a", _inside("a", a_deg, _STOP_TEST_DEG, bounds.limits), bounds, pressed)
+    leg = await _from_here(
+        positioner, "a", _step_target_deg("a", a_deg, _STOP_TEST_DEG, bounds.limits), bounds, pressed
+    )
     begins = await positioner.read_telemetry()
     say(f"now the stop: A goes to {leg.to_deg:z.1f} deg. PRESS ANY KEY on the way, when you see it move")
     await follow(positioner, leg, bounds, clock, pressed)
@@ -198,22 +200,22 @@ async def _from_here(
     positioner: Positioner, axis: AxisName, target_deg: float, bounds: Bounds, pressed: Pressed
 ) -> Leg:
     """Return the leg from where the axes stand; the other axis has to stay there."""
-    await _end_by_a_key(positioner, pressed)
+    await _halt_if_pressed(positioner, pressed)
     seen = await positioner.read_telemetry()
     here = bounds.limits.clip(seen.a_deg, seen.b_deg)
     from_deg, other_deg = here if axis == "a" else (here.b_deg, here.a_deg)
     return Leg(axis, from_deg, target_deg, other_deg)
 
 
-async def _end_by_a_key(positioner: Positioner, pressed: Pressed) -> None:
+async def _halt_if_pressed(positioner: Positioner, pressed: Pressed) -> None:
     """If a key was pressed, halt and raise: an axis may still move although it is within tolerance of its target."""
     if pressed():
-        with _supply_off(FirstMoveError("was stopped by a key")):
+        with _reporting_failed_halt(FirstMoveError("was stopped by a key")):
             await positioner.halt()
         raise FirstMoveError("was stopped by a key, and stands")
 
 
-def _inside(axis: AxisName, here_deg: float, step_deg: float, limits: Limits) -> float:
+def _step_target_deg(axis: AxisName, here_deg: float, step_deg: float, limits: Limits) -> float:
     """Return an angle a step away, or as far as limits allow, preferably up with A, which is west, and down with B."""
     low_deg, high_deg = (limits.a_min_deg, limits.a_max_deg) if axis == "a" else (limits.b_min_deg, limits.b_max_deg)
     up_deg, down_deg = min(step_deg, high_deg - here_deg), min(step_deg, here_deg - low_deg)
@@ -231,25 +233,25 @@ async def follow(positioner: Positioner, leg: Leg, bounds: Bounds, clock: Clock,
     """
     try:
         await positioner.move_to(*leg.targets, first=leg.axis)
-        return await _followed(positioner, leg, bounds, clock, pressed)
+        return await _watch_leg(positioner, leg, bounds, clock, pressed)
     except BaseException as error:
-        with _supply_off(error):
+        with _reporting_failed_halt(error):
             await positioner.halt()
         raise
 
 
 @contextlib.contextmanager
-def _supply_off(first: BaseException) -> Iterator[None]:
+def _reporting_failed_halt(first: BaseException) -> Iterator[None]:
     try:
         yield
     except DeviceError as error:
-        raise FirstMoveError(f"{first}; then {error.message}; {_UNLOCKED}") from error
+        raise FirstMoveError(f"{first}; then {error.message}; {_STOP_UNSEEN_TEXT}") from error
 
 
-async def _followed(positioner: Positioner, leg: Leg, bounds: Bounds, clock: Clock, pressed: Pressed) -> float:
+async def _watch_leg(positioner: Positioner, leg: Leg, bounds: Bounds, clock: Clock, pressed: Pressed) -> float:
     begin_s = clock.monotonic()
     latest_s = begin_s + abs(leg.to_deg - leg.from_deg) / bounds.slowest_deg_per_s + _MARGIN_S
-    track = _Track(begin_s)
+    track = _MotionTimes(begin_s)
     while True:
         await asyncio.sleep(_LOOK_EVERY_S)
         seen, now_s = await positioner.read_telemetry(), clock.monotonic()
@@ -268,7 +270,7 @@ async def _followed(positioner: Positioner, leg: Leg, bounds: Bounds, clock: Clo
             raise FirstMoveError(f"did not arrive: {leg.axis.upper()} stands at {leg.angle(seen):z.1f} deg")
 
 
-class _Track:
+class _MotionTimes:
     """When motion began and ended, by the drive's counts."""
 
     def __init__(self, begin_s: float) -> None:

@@ -20,7 +20,7 @@ class SetupScreen:
     def __init__(self, console: Console, *, simulated: bool = False) -> None:
         self._console = console
         self._chapter = ""
-        self._asked = ""
+        self._last_step_name = ""
         self.simulated = simulated
 
     def say(self, text: str, style: str = "") -> None:
@@ -52,7 +52,7 @@ class SetupScreen:
 
     def first_time(self, step: SetupStep) -> bool:
         """Tell whether another step was asked last, and note this one."""
-        last, self._asked = self._asked, step.name
+        last, self._last_step_name = self._last_step_name, step.name
         return last != step.name
 
     def ask(self, dialogue: SetupDialogue, step: SetupStep) -> str:

@@ -27,8 +27,8 @@ FIRST_LIMITS: Mapping[str, float] = {
     "limits.b_min_deg": 80.0,
     "limits.b_max_deg": 90.0,
 }
-_WHERE = ("port", "server", "line", "resource", "channels")
-_MAY_BE_LEFT_OUT = ("instruments.multiplexer.server",)
+_ADDRESS_KEYS = ("port", "server", "line", "resource", "channels")
+_OPTIONAL_KEYS = ("instruments.multiplexer.server",)
 _OF_THE_SWITCH = (
     "instruments.multiplexer.digital_port",
     "instruments.multiplexer.server",
@@ -228,11 +228,11 @@ def _bridge(known: Known) -> Iterator[SetupStep]:
     if known.role() == "cube":
         send_to = _key(known, "bridge.send_to", chapter)
         grouped = known.basis.get("bridge.multicast_group") is not None
-        yield send_to if grouped or not _stays_here(known, send_to) else replace(send_to, default=None)
+        yield send_to if grouped or not _is_wrongly_local(known, send_to) else replace(send_to, default=None)
     if known.role() == "tracker":
         listen = _key(known, "bridge.listen", chapter, default="0.0.0.0:20571")
         every = f"0.0.0.0:{parse_address(str(listen.default)).port}"
-        yield replace(listen, default=every) if _stays_here(known, listen) else listen
+        yield replace(listen, default=every) if _is_wrongly_local(known, listen) else listen
     if known.role() != "both":
         yield SetupStep(
             name=KEY,
@@ -243,7 +243,7 @@ def _bridge(known: Known) -> Iterator[SetupStep]:
         )
 
 
-def _stays_here(known: Known, step: SetupStep) -> bool:
+def _is_wrongly_local(known: Known, step: SetupStep) -> bool:
     """Return whether the offered address would keep scans on this machine, though cube and tracker are on two machines.
 
     An installation, or an earlier setup, may have left such an address. A bench is on one machine: there it is right.
@@ -318,7 +318,7 @@ def _driver(known: Known, plugged: Plugged, chapter: str, names: tuple[str, ...]
 def _addresses(known: Known, plugged: Plugged, chapter: str) -> Iterator[SetupStep]:
     """Yield the keys that say where the instrument of the chosen driver is, whichever driver that is."""
     for key in keys.keys(known.chosen()).values():
-        if key.section == plugged.path and key.name in _WHERE and not key.only_for:
+        if key.section == plugged.path and key.name in _ADDRESS_KEYS and not key.only_for:
             yield _key(known, key.path, chapter)
 
 
@@ -334,7 +334,7 @@ def _key(known: Known, path: str, chapter: str, **given: Answer) -> SetupStep:
         question=key.description,
         choices=tuple(key.names),
         default=list(found) if isinstance(found, tuple) else found,
-        optional=path in _MAY_BE_LEFT_OUT,
+        optional=path in _OPTIONAL_KEYS,
     )
 
 

@@ -19,14 +19,14 @@ def troubles(state: dict[str, Any], health: dict[str, Any]) -> list[str]:
         The JSON of /api/state and of /healthz.
     """
     alarms = [
-        f"{_of(alarm['tracker'], state)}{alarm['name']} ({_state(alarm)}): {alarm['text']}; {_remedy(alarm, state)}"
+        f"{_prefix(alarm['tracker'], state)}{alarm['name']} ({_state(alarm)}): {alarm['text']}; {_remedy(alarm, state)}"
         for alarm in state["alarms"]
     ]
     cube = f"{_last_scan(state)}; check supply, cables and adapters of the cube, and the link from its process"
     down = [
         f"{text}{cube if text.startswith('cube: ') else ''}"
         for text in health["down"]
-        if not text.startswith(tuple(_told_better(state)))
+        if not text.startswith(tuple(_explained_prefixes(state)))
     ]
     return list(dict.fromkeys([*health["troubles"], *_faults(state), *alarms, *down]))
 
@@ -37,10 +37,10 @@ def _faults(state: dict[str, Any]) -> Iterator[str]:
         why = own["mode"]["why"]
         told = any(why in alarm["text"] for alarm in state["alarms"] if alarm["tracker"] == name)
         if own["mode"]["name"] == "fault" and not told:
-            yield f"{_of(name, state)}fault: {why}"
+            yield f"{_prefix(name, state)}fault: {why}"
 
 
-def _told_better(state: dict[str, Any]) -> Iterator[str]:
+def _explained_prefixes(state: dict[str, Any]) -> Iterator[str]:
     """Yield the beginnings of sentences of /healthz that a fault or an alarm explains as well."""
     for name, own in _trackers(state).items():
         if own["mode"]["name"] == "fault":
@@ -53,7 +53,7 @@ def _told_better(state: dict[str, Any]) -> Iterator[str]:
 def verdict(state: dict[str, Any], health: dict[str, Any]) -> tuple[list[str], ExitCode]:
     """Return the lines of the answer, the first of which sums them up, and the exit code."""
     found = troubles(in_local(state), in_local(health))
-    modes = [f"{_of(name, state)}{mode_words(own)}" for name, own in _trackers(state).items()]
+    modes = [f"{_prefix(name, state)}{mode_words(own)}" for name, own in _trackers(state).items()]
     doing = ", ".join(modes) or "reads the cube"
     simulated = "SIMULATED, " if state["simulated"] else ""
     if not found:
@@ -104,5 +104,5 @@ def _trackers(state: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _of(tracker: str | None, state: dict[str, Any]) -> str:
+def _prefix(tracker: str | None, state: dict[str, Any]) -> str:
     return f"{tracker}: " if tracker and len(_trackers(state)) > 1 else ""

@@ -96,10 +96,10 @@ def line(state: dict[str, Any]) -> str:
     for name, own in _trackers(state).items():
         of = f"{name}: " if name else ""
         parts += [
-            f"{of}{_where(own['tracker'])}{_stale(own['tracker'])}",
+            f"{of}{_pose_text(own['tracker'])}{_stale(own['tracker'])}",
             f"{of}{own['mode']['name']}: {own['mode']['why']}",
         ]
-    parts += [f"ALARM {_named(alarm['name'], alarm, state)}" for alarm in state["alarms"]]
+    parts += [f"ALARM {_with_tracker_name(alarm['name'], alarm, state)}" for alarm in state["alarms"]]
     if state["cube_down_why"]:
         parts.append(state["cube_down_why"])
     return " | ".join(parts)
@@ -146,7 +146,10 @@ def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
         yield _mode(state, time)
     for alarm in state["alarms"]:
         style = "" if alarm["state"] == "acknowledged" else _BAD
-        yield "alarm", Text(f"{_named(alarm['text'], alarm, state)} ({alarm_state(alarm, state)})", style=style)
+        yield (
+            "alarm",
+            Text(f"{_with_tracker_name(alarm['text'], alarm, state)} ({alarm_state(alarm, state)})", style=style),
+        )
         # A service of an earlier version sends no remedy.
         if alarm.get("remedy"):
             yield "  remedy", Text(alarm["remedy"].replace("`", "'"))
@@ -177,17 +180,17 @@ def alarm_state(alarm: dict[str, Any], state: dict[str, Any]) -> str:
     if alarm["state"] == "cleared":
         remedy = f"acknowledge it with 'heliocube alarms ack {alarm['name']}'"
         ended = _since(alarm["cleared_at"], state["time"])
-        return f"{since}; over {ended}: {as_typed(remedy, _whose(alarm, state))}"
+        return f"{since}; over {ended}: {as_typed(remedy, _tracker_of_alarm(alarm, state))}"
     return f"{since}; acknowledged by {alarm['acknowledged_by']}" if alarm["state"] == "acknowledged" else since
 
 
-def _named(text: str, alarm: dict[str, Any], state: dict[str, Any]) -> str:
+def _with_tracker_name(text: str, alarm: dict[str, Any], state: dict[str, Any]) -> str:
     """Return a text of an alarm, with the tracker's name if there are several."""
-    whose = _whose(alarm, state)
+    whose = _tracker_of_alarm(alarm, state)
     return text if whose is None else f"{whose}: {text}"
 
 
-def _whose(alarm: dict[str, Any], state: dict[str, Any]) -> str | None:
+def _tracker_of_alarm(alarm: dict[str, Any], state: dict[str, Any]) -> str | None:
     found: str | None = alarm["tracker"]
     return found if state["mode"] is None else None
 
@@ -227,7 +230,7 @@ def _tracker(tracker: dict[str, Any]) -> Text:
     pose = tracker["pose"]
     if pose is None:
         return Text(tracker["down_why"] or "no telemetry yet", style=_BAD)
-    text = Text(_where(tracker))
+    text = Text(_pose_text(tracker))
     currents = [_number(tracker["motor_current_a"][axis], ".2f") for axis in ("a", "b")]
     if currents != ["-", "-"]:
         text.append(f", motors {currents[0]} and {currents[1]} A")
@@ -261,7 +264,7 @@ def _printable(text: str) -> str:
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
-def _where(tracker: dict[str, Any]) -> str:
+def _pose_text(tracker: dict[str, Any]) -> str:
     pose, target = tracker["pose"], tracker["target"]
     if pose is None:
         return tracker["down_why"] or "no telemetry yet"

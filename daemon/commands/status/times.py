@@ -23,8 +23,8 @@ def moment(iso_utc: str, now: str | None = None, clock: str = _CLOCK) -> str:
     clock
         How the time of day is written.
     """
-    utc, local = _both(iso_utc)
-    dated = now is None or _both(now)[1].date() != local.date()
+    utc, local = _utc_and_local(iso_utc)
+    dated = now is None or _utc_and_local(now)[1].date() != local.date()
     day = local.strftime(f"{_DAY} ") if dated else ""
     if local.utcoffset() == utc.utcoffset():
         return f"{day}{local.strftime(clock)} UTC"
@@ -35,13 +35,13 @@ def moment(iso_utc: str, now: str | None = None, clock: str = _CLOCK) -> str:
 def in_local(said: Any, now: str | None = None) -> Any:
     """Return a text or the JSON of the service, with the times in its sentences written as `moment` does."""
     if isinstance(said, str):
-        return _WRITTEN.sub(lambda found: _retold(found, now), said)
+        return _WRITTEN.sub(lambda found: _moment_of_match(found, now), said)
     if isinstance(said, dict):
         return {name: in_local(value, now) for name, value in said.items()}
     return [in_local(value, now) for value in said] if isinstance(said, list) else said
 
 
-def _retold(found: re.Match[str], now: str | None) -> str:
+def _moment_of_match(found: re.Match[str], now: str | None) -> str:
     day, time, seconds = found.groups()
     try:
         return moment(f"{day}T{time}Z", now, _CLOCK if seconds else _TO_THE_MINUTE)
@@ -51,15 +51,15 @@ def _retold(found: re.Match[str], now: str | None) -> str:
 
 def dated(iso_utc: str) -> str:
     """Return an instant in local time alone, with its date."""
-    return _both(iso_utc)[1].strftime(f"{_DAY} {_CLOCK}")
+    return _utc_and_local(iso_utc)[1].strftime(f"{_DAY} {_CLOCK}")
 
 
 def zone(iso_utc: str) -> str:
     """Return the time zone of what `dated` returns, such as ``local time, UTC+02:00``."""
-    offset = _both(iso_utc)[1].strftime("%z")
+    offset = _utc_and_local(iso_utc)[1].strftime("%z")
     return "UTC" if offset == "+0000" else f"local time, UTC{offset[:3]}:{offset[3:]}"
 
 
-def _both(iso_utc: str) -> tuple[datetime, datetime]:
+def _utc_and_local(iso_utc: str) -> tuple[datetime, datetime]:
     utc = datetime.fromisoformat(iso_utc).astimezone(UTC)
     return utc, local_time(utc.timestamp())

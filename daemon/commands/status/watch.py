@@ -30,7 +30,7 @@ def watch(see: Callable[[], dict[str, Any]], console: Console, sleep: Callable[[
         while True:
             console.print(line(state), highlight=False, soft_wrap=True, markup=False)
             sleep(_LINE_EVERY_S)
-            state, why = _look(see, state)
+            state, why = _read_or_keep_state(see, state)
             if why is not None:
                 console.print(why, highlight=False, soft_wrap=True, markup=False)
     with Live(live_screen(state), console=console, auto_refresh=False, screen=True) as live:
@@ -38,10 +38,10 @@ def watch(see: Callable[[], dict[str, Any]], console: Console, sleep: Callable[[
         while True:
             live.update(_screen(state, why), refresh=True)
             sleep(_EVERY_S)
-            state, why = _look(see, state)
+            state, why = _read_or_keep_state(see, state)
 
 
-def _look(see: Callable[[], dict[str, Any]], before: dict[str, Any]) -> tuple[dict[str, Any], str | None]:
+def _read_or_keep_state(see: Callable[[], dict[str, Any]], before: dict[str, Any]) -> tuple[dict[str, Any], str | None]:
     try:
         return see(), None
     except UserError as error:

@@ -11,7 +11,7 @@ from daemon.base.process import as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, teller
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, checked_seed, chosen_workers
 
-_DRAWN = ("--seeds", "--from", "--hours", "--trackers", "--positioner", "--only", "--without")
+_DRAWING_OPTIONS = ("--seeds", "--from", "--hours", "--trackers", "--positioner", "--only", "--without")
 """The options of schedules that are drawn."""
 
 
@@ -62,11 +62,11 @@ def campaign(
 
     workers = chosen_workers(jobs, cluster)
     if reliability is not None:
-        without_effect = (*_DRAWN, "--schedule", "--show", "--keep")
+        without_effect = (*_DRAWING_OPTIONS, "--schedule", "--show", "--keep")
         _refuse_given(context, "--reliability tries every fault in its own way", without_effect)
         check_outputs([reliability], "--reliability", force=force)
     elif schedule is not None:
-        _refuse_given(context, "--schedule has its own faults and hours", _DRAWN)
+        _refuse_given(context, "--schedule has its own faults and hours", _DRAWING_OPTIONS)
     else:
         check_outputs([keep / f"seed-{seed}.json" for seed in range(first, first + seeds)], "--keep", force=force)
     from daemon.studies.campaign.matrix import chosen_schedules

@@ -112,7 +112,7 @@ def simulate(
         warn(warning)
     with ExitStack() as stack:
         tables = None if out is None else stack.enter_context(writer(out, table_format.value, force=force))
-        keep: Callable[[str, Record], None] = _forget
+        keep: Callable[[str, Record], None] = _drop_record
         if store is not None:
             keep = stack.enter_context(keeping(settings, (T_CUBE, T_CHRONO), store, begin_s))
         with progress_bar(console) as progress:
@@ -335,7 +335,7 @@ def _paper_files(out: Path) -> "Iterator[Path]":
     yield from (out / f"{name}.{ending}" for name in figures for ending in ("png", "svg"))
 
 
-def _forget(_name: str, _record: object) -> None:
+def _drop_record(_name: str, _record: object) -> None:
     """Drop a record: nobody keeps it."""
 
 

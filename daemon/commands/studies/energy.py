@@ -140,11 +140,11 @@ def energy(
             raise UserError("--losses gives no amounts of money: leave out --peak-kw and the prices")
         check_laws_of_losses(names)
         check_outputs([out / f"energy-losses.{ending}" for ending in _ENDINGS], "--out", force=force)
-        laid = _laid_out(weather, place, albedo, speed_deg_per_s)
+        laid = _read_weather(weather, place, albedo, speed_deg_per_s)
         _tell_losses(laid, out, skies, names, seed, as_json=as_json)
         return
     check_outputs([out / f"energy.{ending}" for ending in _ENDINGS], "--out", force=force)
-    laid = _laid_out(weather, place, albedo, speed_deg_per_s)
+    laid = _read_weather(weather, place, albedo, speed_deg_per_s)
     _compare(laid, out, skies, names, prices, as_json=as_json)
 
 
@@ -248,7 +248,7 @@ def _tell_losses(
         _say_written(out, "energy-losses")
 
 
-def _laid_out(
+def _read_weather(
     weather: list[Path], place: tuple[float, float, float], albedo: float, speed_deg_per_s: float | None
 ) -> "tuple[Minutes, DaylightWeather, Terms]":
     """Read the weather and print its warnings; return it, its daylight, and what the benchmark assumes."""

@@ -133,7 +133,7 @@ def gain(
     if plot is not None:
         from daemon.studies.gain import plots
 
-        kind = plot_kind or _fitting(asked)
+        kind = plot_kind or _fitting_plot_kind(asked)
         plots.draw(kind, asked, columns, sky, plot)
         say(f"figure in {plot}", err=True)
     label = sky.label if sky else None
@@ -158,7 +158,7 @@ def _sky(weather: str | None, asked: "Request", lon: float | None, altitude: flo
     return file_sky_source(Path(weather), float(asked.latitudes_deg[0]), lon, altitude, asked.days)
 
 
-def _fitting(asked: "Request") -> PlotKind:
+def _fitting_plot_kind(asked: "Request") -> PlotKind:
     """Return the kind of figure that shows most of a request."""
     if asked.printed:
         return PlotKind.PRINTED

@@ -73,14 +73,14 @@ def report(summary: "Summary", settings: "Settings", out: Path) -> None:
 
 def _lines_of_planes(planes: "Sequence[PlaneInsolation]") -> list[str]:
     if len(planes) <= _MOST_LINES:
-        return [_received(each, several=len(planes) > 1) for each in planes]
+        return [_line_of_plane(each, several=len(planes) > 1) for each in planes]
     least, most = (choose(planes, key=lambda each: each.gain_pct) for choose in (min, max))
     return [f"on the modules of {len(planes)} trackers, from the least to the most:"] + [
-        _received(each, several=True) for each in (least, most)
+        _line_of_plane(each, several=True) for each in (least, most)
     ]
 
 
-def _received(one: "PlaneInsolation", *, several: bool) -> str:
+def _line_of_plane(one: "PlaneInsolation", *, several: bool) -> str:
     of = f" of {one.tracker}" if several else ""
     gain = "no light" if math.isnan(one.gain_pct) else f"{signed(one.gain_pct, 2)} %"
     return (

@@ -75,7 +75,7 @@ def _findings(config: Path, role: RoleChoice | None) -> "Iterator[Finding]":
         yield Finding("service", f"does not run: nothing listens at {settings.api.listen}")
     chosen = _role(settings, role or options.unit_role(config))
     if chosen is not None:
-        yield from _alone(settings, chosen)
+        yield from _findings_without_service(settings, chosen)
 
 
 def _role(settings: "Settings", role: RoleChoice | None) -> "Role | None":
@@ -88,7 +88,7 @@ def _role(settings: "Settings", role: RoleChoice | None) -> "Role | None":
     return next((each for each in (Role.BOTH, Role.TRACKER, Role.CUBE) if not lacking(settings, each)), None)
 
 
-def _alone(settings: "Settings", role: "Role") -> "Iterator[Finding]":
+def _findings_without_service(settings: "Settings", role: "Role") -> "Iterator[Finding]":
     import asyncio
 
     from daemon.commands.upgrade.instruments import instruments

@@ -15,7 +15,7 @@ from daemon.base.process import as_ctrl_c
 _UNITS = tuple(f"heliocube-{name}" for name in ("tracker", "cube", "dashboard", "notify", "archive"))
 _WANTED = ("active", "activating", "reloading", "failed")
 # The installation of a release writes this file last.
-_WHOLE = ".complete"
+_COMPLETE_MARK = ".complete"
 _SYSTEMD = Path("/run/systemd/system")
 _WITHIN_S = 120.0
 LOOK = "look at the tracker, then release it as 'heliocube status' says"
@@ -99,7 +99,7 @@ class Installation:
                 "this heliocube was installed by hand: name the one of the release before with --to"
                 " VENV/bin/heliocube, and the configuration with --config"
             )
-        others = [folder for folder in releases.iterdir() if folder != prefix.resolve() and _whole(folder)]
+        others = [folder for folder in releases.iterdir() if folder != prefix.resolve() and _is_complete(folder)]
         if current.resolve() != prefix.resolve() or len(others) != 1:
             raise UserError(
                 f"{releases} has no release before {current.resolve().name}, which is in use: start the units"
@@ -115,15 +115,15 @@ class Installation:
     def switch(self) -> None:
         """Put the release before in use, in one step, so that no release is left to go back to from there."""
         # Otherwise the command, given again, would take the newer release for the release before.
-        (self.current / _WHOLE).unlink(missing_ok=True)
+        (self.current / _COMPLETE_MARK).unlink(missing_ok=True)
         new = self.current.with_name("current.new")
         new.unlink(missing_ok=True)
         new.symlink_to(Path("releases") / self.before.name)
         new.replace(self.current)
 
 
-def _whole(folder: Path) -> bool:
-    return (folder / _WHOLE).exists() and (folder / "bin" / "heliocube").is_file()
+def _is_complete(folder: Path) -> bool:
+    return (folder / _COMPLETE_MARK).exists() and (folder / "bin" / "heliocube").is_file()
 
 
 def installed() -> Installation:

@@ -30,10 +30,10 @@ async def instruments(settings: Settings, role: Role) -> list[Finding]:
     """
     if not settings.real:
         return [Finding("instruments", "simulated: there is nothing to ask")]
-    return [await _found(subject, ask, own) for subject, ask, own in _asked(settings, role)]
+    return [await _ask_instrument(subject, ask, own) for subject, ask, own in _instruments_of_role(settings, role)]
 
 
-def _asked(settings: Settings, role: Role) -> Iterator[tuple[str, Ask, Settings]]:
+def _instruments_of_role(settings: Settings, role: Role) -> Iterator[tuple[str, Ask, Settings]]:
     if role is not Role.TRACKER:
         if settings.instruments.cube.driver == MULTIPLEXED:
             yield "voltmeter", _voltmeter, settings
@@ -47,7 +47,7 @@ def _asked(settings: Settings, role: Role) -> Iterator[tuple[str, Ask, Settings]
             yield f"load{of}", _load, own
 
 
-async def _found(subject: str, ask: Ask, settings: Settings) -> Finding:
+async def _ask_instrument(subject: str, ask: Ask, settings: Settings) -> Finding:
     try:
         return Finding(subject, *await asyncio.wait_for(ask(settings), _WITHIN_S))
     except TimeoutError:

@@ -59,7 +59,7 @@ def store(settings: Settings) -> Finding:
         require_target(path)
         if not path.exists():
             return Finding("store", f"nothing in {directory} yet: the first start makes it")
-        text, older = _kept(path)
+        text, older = _store_contents(path)
         lacking = no_room(path, path.stat().st_size) if older else None
         return Finding("store", f"{path}: {text}", f"{lacking}: make room before the next start" if lacking else "")
     except UserError as error:
@@ -68,7 +68,7 @@ def store(settings: Settings) -> Finding:
         return Finding("store", f"{path}: {error.strerror}", _AS_ITS_USER)
 
 
-def _kept(path: Path) -> tuple[str, bool]:
+def _store_contents(path: Path) -> tuple[str, bool]:
     """Return a text on what a store holds, and whether it is of an older version."""
     with closing(open_for_reading(path)) as connection:
         try:

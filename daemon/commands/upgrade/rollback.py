@@ -56,18 +56,18 @@ def roll_back(config: Path, to: Program, environment: Mapping[str, str]) -> Iter
                 make_folder(folder)
             with claimed(directory, ("cube", "tracker")):
                 if unit_role(config) is not RoleChoice.cube:
-                    yield from _held(settings, to)
-                yield from _store(directory, to)
+                    yield from _hold_trackers(settings, to)
+                yield from _roll_back_store(directory, to)
                 for folder in (directory, *folders):
                     _give_to_owner(folder)
-        yield from _file(config, to)
+        yield from _roll_back_file(config, to)
     except OSError as error:
         raise UserError(
             f"{error.filename or directory}: {error.strerror}; correct that and give the command again"
         ) from None
 
 
-def _held(settings: Settings, to: Program) -> Iterator[str]:
+def _hold_trackers(settings: Settings, to: Program) -> Iterator[str]:
     """Hold each tracker that has no wish of a person: an earlier release may not hold it by itself."""
     for name, own in settings.trackers:
         folder = StateFolder(own.store.directory)
@@ -85,7 +85,7 @@ def _held(settings: Settings, to: Program) -> Iterator[str]:
             yield f"{name} stays as a person has ordered"
 
 
-def _store(directory: Path, to: Program) -> Iterator[str]:
+def _roll_back_store(directory: Path, to: Program) -> Iterator[str]:
     path, now_utc_s = directory / FILE_NAME, SystemClock().utc()
     wanted, copies = to.store_version(), copies_of(directory)
     if wanted is None:
@@ -109,7 +109,7 @@ def _store(directory: Path, to: Program) -> Iterator[str]:
         yield f"{path}: there is no copy of it any more; a new one begins, and all that was kept is in {newer}"
 
 
-def _file(config: Path, to: Program) -> Iterator[str]:
+def _roll_back_file(config: Path, to: Program) -> Iterator[str]:
     """Put back the configuration from before the upgrade, if the release before accepts only that one."""
     if to.accepts(config):
         yield f"{config}: {to.name} can use it as it is"

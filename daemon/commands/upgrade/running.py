@@ -14,7 +14,7 @@ from daemon.config.settings import Settings
 from daemon.service.rig import Role
 from daemon.store.release_kept import CUBE_FILE_NAME, FILE_NAME, last_started
 
-_TOLD_ALREADY = ("no-wind-source", "nothing-kept", "stow-source-silent")
+_ALARMS_TOLD_ELSEWHERE = ("no-wind-source", "nothing-kept", "stow-source-silent")
 
 
 def asked(settings: Settings, config: Path | None) -> list[Finding] | None:
@@ -43,7 +43,7 @@ def service(state: dict[str, Any], health: dict[str, Any]) -> Iterator[Finding]:
 
     `state` and `health` are the JSON of /api/state and of /healthz.
     """
-    modes = ", ".join(f"{_of(name, state)}{mode_words(own)}" for name, own in state["trackers"].items())
+    modes = ", ".join(f"{_tracker_prefix(name, state)}{mode_words(own)}" for name, own in state["trackers"].items())
     simulated = "SIMULATED, " if state["simulated"] else ""
     remedy = f"{'; '.join(health['troubles'])}: restart it" if health["troubles"] else ""
     yield Finding("service", f"runs as {state['role']}: {simulated}{modes or 'reads the cube'}", remedy)
@@ -54,9 +54,9 @@ def service(state: dict[str, Any], health: dict[str, Any]) -> Iterator[Finding]:
             yield _load(own["load"], _subject("load", name, state))
         yield _wind(own, _subject("wind source", name, state), _remedy("no-wind-source", name, state))
     for alarm in state["alarms"]:
-        if alarm["name"] in _TOLD_ALREADY:
+        if alarm["name"] in _ALARMS_TOLD_ELSEWHERE:
             continue
-        subject = f"alarm {_of(alarm['tracker'], state)}{alarm['name']}"
+        subject = f"alarm {_tracker_prefix(alarm['tracker'], state)}{alarm['name']}"
         yield Finding(subject, f"{alarm['state']} since {moment(alarm['since'])}: {alarm['text']}", alarm["remedy"])
     if state["store"] is not None and state["store"]["down_why"]:
         yield Finding("store", state["store"]["down_why"], "disk full, rights")
@@ -127,5 +127,5 @@ def _subject(what: str, tracker: str, state: dict[str, Any]) -> str:
     return f"{what} of {tracker}" if len(state["trackers"]) > 1 else what
 
 
-def _of(tracker: str | None, state: dict[str, Any]) -> str:
+def _tracker_prefix(tracker: str | None, state: dict[str, Any]) -> str:
     return f"{tracker}: " if tracker and len(state["trackers"]) > 1 else ""

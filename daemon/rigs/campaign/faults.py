@@ -21,7 +21,7 @@ _PlantCall = Callable[[Plant, Value], Awaitable[None] | None]
 
 FORGED_W_M2 = 1234.5
 """The irradiance of every face in a forged scan."""
-_STRANGER = ("127.0.0.1", 9)
+_FORGER_ADDRESS = ("127.0.0.1", 9)
 _FORGED_EVERY_S = 1.0
 
 
@@ -51,7 +51,7 @@ class PlantFault:
     of_all: bool = False
 
 
-def _shared(begin: _PlantCall, end: _PlantCall | None = None) -> PlantFault:
+def _shared_fault(begin: _PlantCall, end: _PlantCall | None = None) -> PlantFault:
     return PlantFault(_by_plant(begin), None if end is None else _by_plant(end), of_all=True)
 
 
@@ -59,7 +59,7 @@ def _by_plant(call: _PlantCall) -> Call:
     return lambda mount, value: call(mount.plant, value)
 
 
-def _injected(name: str, *, lasting: bool, moves: bool = False, by_hand: bool = False) -> PlantFault:
+def _injected_fault(name: str, *, lasting: bool, moves: bool = False, by_hand: bool = False) -> PlantFault:
     if name not in UNIT_FAULTS:
         raise ValueError(f"the simulated positioner has no fault {name!r}")
 
@@ -68,8 +68,8 @@ def _injected(name: str, *, lasting: bool, moves: bool = False, by_hand: bool = 
     return PlantFault(begin, end if lasting else None, moves=moves, by_hand=by_hand, uncounts=uncounts)
 
 
-def _unplugged(device: str) -> PlantFault:
-    return _shared(
+def _unplugged_fault(device: str) -> PlantFault:
+    return _shared_fault(
         lambda plant, _value: plant.plug(device, up=False),
         lambda plant, _value: plant.plug(device, up=True),
     )
@@ -171,7 +171,7 @@ class _Bridge:
             self.kept.send(scan)
 
 
-def _again(plant: Plant) -> None:
+def _call_when_renewed(plant: Plant) -> None:
     plant.when_renewed()
 
 
@@ -181,7 +181,7 @@ def _disturb_bridge(plant: Plant, value: Value, *, kind: str) -> None:
     sender: object = plant.service.sender
     if sender is None:
         # The sender opens a moment after the service has begun. By then the network may be right again.
-        asyncio.get_running_loop().call_later(_OPENS_WITHIN_S, _again, plant)
+        asyncio.get_running_loop().call_later(_OPENS_WITHIN_S, _call_when_renewed, plant)
     elif not isinstance(sender, _Bridge):
         plant.service.sender = _Bridge(plant, kind, *value)  # type: ignore[assignment] # it passes for the sender
 
@@ -219,7 +219,7 @@ async def _forge(plant: Plant, value: Value) -> None:
         receiver = plant.service.receiver
         if plant.is_served and receiver is not None:
             for datagram in _forgeries(plant):
-                receiver.datagram_received(datagram, _STRANGER)
+                receiver.datagram_received(datagram, _FORGER_ADDRESS)
         await asyncio.sleep(_FORGED_EVERY_S)
 
 
@@ -271,59 +271,59 @@ FAULTS: dict[str, PlantFault] = {
     "unplug_positioner": PlantFault(
         lambda mount, _value: mount.plug(up=False), lambda mount, _value: mount.plug(up=True)
     ),
-    **{f"unplug_{device}": _unplugged(device) for device in PLUGGED},
-    "deaf": _injected("deaf", lasting=True),
+    **{f"unplug_{device}": _unplugged_fault(device) for device in PLUGGED},
+    "deaf": _injected_fault("deaf", lasting=True),
     "positioner_silent": PlantFault(partial(_silence, silent=True), partial(_silence, silent=False)),
     GONE: PlantFault(partial(_lose, is_gone=True), partial(_lose, is_gone=False)),
     STOPLESS: PlantFault(partial(_inject, name=STOPLESS), partial(_repair, name=STOPLESS)),
-    "undervoltage": _injected("undervoltage", lasting=True),
-    "own_tracking": _injected("own_tracking", lasting=True, moves=True),
-    "slave_mode": _injected("slave_mode", lasting=True, moves=True),
-    "slave_standby": _injected("slave_standby", lasting=True),
-    "re_reference": _injected("re_reference", lasting=False, moves=True),
-    **{name: _injected(name, lasting=True, by_hand=True) for name in ("button", "button_in", "buttons_both")},
-    "unit_wind": _injected("wind", lasting=True, moves=True),
-    "unit_snow": _injected("snow", lasting=True, moves=True),
-    **{f"{axis}_{kind}": _injected(f"{axis}_{kind}", lasting=True) for axis in "ab" for kind in _AXIS_LASTING},
-    **{f"{axis}_{kind}": _injected(f"{axis}_{kind}", lasting=False) for axis in "ab" for kind in _AXIS_AT_ONCE},
+    "undervoltage": _injected_fault("undervoltage", lasting=True),
+    "own_tracking": _injected_fault("own_tracking", lasting=True, moves=True),
+    "slave_mode": _injected_fault("slave_mode", lasting=True, moves=True),
+    "slave_standby": _injected_fault("slave_standby", lasting=True),
+    "re_reference": _injected_fault("re_reference", lasting=False, moves=True),
+    **{name: _injected_fault(name, lasting=True, by_hand=True) for name in ("button", "button_in", "buttons_both")},
+    "unit_wind": _injected_fault("wind", lasting=True, moves=True),
+    "unit_snow": _injected_fault("snow", lasting=True, moves=True),
+    **{f"{axis}_{kind}": _injected_fault(f"{axis}_{kind}", lasting=True) for axis in "ab" for kind in _AXIS_LASTING},
+    **{f"{axis}_{kind}": _injected_fault(f"{axis}_{kind}", lasting=False) for axis in "ab" for kind in _AXIS_AT_ONCE},
     "reset_position_kept": PlantFault(partial(_restart_unit, keep_position=True)),
     "reset_position_lost": PlantFault(partial(_restart_unit, keep_position=False)),
-    "wind": _shared(_wind, _calm),
-    "wind_silent": _shared(_silence_wind, _calm),
-    "clock_step": _shared(_step_clock, _set_clock_right),
-    "face_stuck": _shared(
+    "wind": _shared_fault(_wind, _calm),
+    "wind_silent": _shared_fault(_silence_wind, _calm),
+    "clock_step": _shared_fault(_step_clock, _set_clock_right),
+    "face_stuck": _shared_fault(
         lambda plant, value: plant.scene.break_sensor(int(value[0]), value[1]),
         lambda plant, value: plant.scene.repair_sensor(int(value[0])),
     ),
-    "face_shaded": _shared(
+    "face_shaded": _shared_fault(
         lambda plant, value: plant.scene.shade(int(value[0]), value[1]),
         lambda plant, value: plant.scene.shade(int(value[0]), 1.0),
     ),
-    "face_noise": _shared(_disturb_sensors, _calm_sensors),
-    "meter_frozen": _shared(
+    "face_noise": _shared_fault(_disturb_sensors, _calm_sensors),
+    "meter_frozen": _shared_fault(
         lambda plant, _value: plant.meter.freeze(), lambda plant, _value: plant.meter.freeze(is_frozen=False)
     ),
-    "meter_garbled": _shared(lambda plant, value: plant.meter.corrupt_next(int(value[0]))),
-    "meter_cut": _shared(lambda plant, value: plant.meter.cut_next(int(value[0]))),
-    "meter_mute": _shared(lambda plant, value: plant.meter.drop_next(int(value[0]))),
-    "meter_late": _shared(_delay_meter, _hurry_meter),
-    "meter_restart": _shared(lambda plant, _value: plant.meter.power_cycle(plant.clock.monotonic())),
-    "switch_fails": _shared(lambda plant, value: plant.switch.fail_next(times=int(value[0]))),
-    "switch_reset": _shared(lambda plant, _value: plant.switch.power_cycle(plant.clock.monotonic())),
-    "switch_line_stuck": _shared(
+    "meter_garbled": _shared_fault(lambda plant, value: plant.meter.corrupt_next(int(value[0]))),
+    "meter_cut": _shared_fault(lambda plant, value: plant.meter.cut_next(int(value[0]))),
+    "meter_mute": _shared_fault(lambda plant, value: plant.meter.drop_next(int(value[0]))),
+    "meter_late": _shared_fault(_delay_meter, _hurry_meter),
+    "meter_restart": _shared_fault(lambda plant, _value: plant.meter.power_cycle(plant.clock.monotonic())),
+    "switch_fails": _shared_fault(lambda plant, value: plant.switch.fail_next(times=int(value[0]))),
+    "switch_reset": _shared_fault(lambda plant, _value: plant.switch.power_cycle(plant.clock.monotonic())),
+    "switch_line_stuck": _shared_fault(
         lambda plant, value: plant.switch.stick(int(value[0]), bool(value[1]), plant.clock.monotonic()),
         lambda plant, _value: plant.switch.unstick(plant.clock.monotonic()),
     ),
-    "bridge_lost": _shared(partial(_disturb_bridge, kind="lost"), _set_bridge_right),
-    "bridge_late": _shared(partial(_disturb_bridge, kind="late"), _set_bridge_right),
-    "bridge_replayed": _shared(partial(_disturb_bridge, kind="replayed"), _set_bridge_right),
-    "bridge_forged": _shared(_forge),
-    "disk_full": _shared(partial(_fill_disk, full=True), partial(_fill_disk, full=False)),
-    "kill": _shared(_kill, _replace_process),
-    "kill_torn": _shared(_kill_while_writing, _replace_process),
-    "suspended": _shared(_suspend),
-    "machine_sleeps": _shared(_sleep),
-    "end": _shared(_end, _replace_process),
+    "bridge_lost": _shared_fault(partial(_disturb_bridge, kind="lost"), _set_bridge_right),
+    "bridge_late": _shared_fault(partial(_disturb_bridge, kind="late"), _set_bridge_right),
+    "bridge_replayed": _shared_fault(partial(_disturb_bridge, kind="replayed"), _set_bridge_right),
+    "bridge_forged": _shared_fault(_forge),
+    "disk_full": _shared_fault(partial(_fill_disk, full=True), partial(_fill_disk, full=False)),
+    "kill": _shared_fault(_kill, _replace_process),
+    "kill_torn": _shared_fault(_kill_while_writing, _replace_process),
+    "suspended": _shared_fault(_suspend),
+    "machine_sleeps": _shared_fault(_sleep),
+    "end": _shared_fault(_end, _replace_process),
 }
 """Every fault that a schedule may name."""
 OF_A_ROTATOR = frozenset(

@@ -35,7 +35,7 @@ UNIT_GOES_TO = Angles(35.0, 30.0)
 """Where the unit's own tracking and its stow modes drive, far from what the service ever asks for by itself."""
 _WRITE_S = 0.004
 """As long as a write to a real port through its thread takes: other events can happen while a packet is on its way."""
-_MOST_PER_DEG = 5.0
+_MOST_MM_PER_DEG = 5.0
 """Most millimetres that an actuator extends for a degree; for a unit that counts degrees it is more than enough."""
 
 
@@ -160,7 +160,7 @@ class PlantTracker:
         """Return the largest count that a degree can have in its unit."""
         positioner = self.settings.instruments.positioner
         by_impulses = positioner.position_unit == "impulse"
-        return float(getattr(positioner, f"{axis}_axis").impulses_per_deg) if by_impulses else _MOST_PER_DEG
+        return float(getattr(positioner, f"{axis}_axis").impulses_per_deg) if by_impulses else _MOST_MM_PER_DEG
 
     def is_lowered(self, axis: AxisName) -> bool:
         """Tell whether an axis counts upwards while its angle goes down."""
@@ -332,13 +332,13 @@ class Plant(HandledRig):
         """Start the service that has been built."""
         self._stop = asyncio.Event()
         self._serving = asyncio.create_task(self.service.run(self._stop), name="service")
-        self._serving.add_done_callback(self._ended)
+        self._serving.add_done_callback(self._report_unexpected_end)
         self.served.set()
         self.served_since_s = self.clock.monotonic()
         for mount in self.mounts:
             mount.witness.service_begins()
 
-    def _ended(self, task: "asyncio.Task[None]") -> None:
+    def _report_unexpected_end(self, task: "asyncio.Task[None]") -> None:
         if task is self._serving and not task.cancelled():
             self.mounts[0].witness.fails("service-died", f"the service ended by itself: {task.exception()!r}")
 
@@ -346,7 +346,7 @@ class Plant(HandledRig):
         """Let the process die at once: it sends no more bytes and changes no file."""
         serving, self._serving = self._serving, None
         self.served.clear()
-        self._hang_up()
+        self._cut_all_lines()
         kept = {path: path.read_bytes() for path in self.kept_files()}
         await self._finish(serving, cancel=True)
         shutil.rmtree(self.directory, ignore_errors=True)
@@ -360,9 +360,9 @@ class Plant(HandledRig):
         self.served.clear()
         self._stop.set()
         await self._finish(serving, cancel=False)
-        self._hang_up()
+        self._cut_all_lines()
 
-    def _hang_up(self) -> None:
+    def _cut_all_lines(self) -> None:
         """Let the process send no more bytes."""
         for mount in self.mounts:
             mount.line.dead = True

@@ -45,19 +45,19 @@ class SleeplessRotator:
         self.core = build_rotator(settings, own, clock)
         self.core.turns = turns = replace(self.core.turns, speed_deg_per_s=_SPEED_DEG_PER_S)
         self._truth = rotator_truth(self.core, settings)
-        self._at = clock.slept_too
+        self._world_time_s = clock.slept_too
         ranges = (turns.azimuth_min_deg, turns.azimuth_max_deg, turns.elevation_min_deg, turns.elevation_max_deg)
         mount = Mount(*ranges, equator_azimuth_deg(settings.site.latitude_deg))
-        self._away = mount.place(sent_to.a_deg, sent_to.b_deg)
+        self._away_axes_deg = mount.place(sent_to.a_deg, sent_to.b_deg)
         self.limits: dict[AxisName, tuple[float, float]] = {"a": ranges[:2], "b": ranges[2:]}
 
     def truth(self, now: float) -> Angles:
         """Return where it really points, as A and B."""
-        return self._truth(self._at(now))
+        return self._truth(self._world_time_s(now))
 
     def axes(self, now: float) -> Angles:
         """Return where its axes really stand: azimuth and elevation."""
-        return Angles(*self.core.position(self._at(now)))
+        return Angles(*self.core.position(self._world_time_s(now)))
 
     def next_event(self, _now: float) -> float | None:
         """Return None: nothing begins by itself."""
@@ -66,12 +66,12 @@ class SleeplessRotator:
     def changes(self, now: float) -> int:
         """Return a number that changes whenever its course changes."""
         destination = self.core.destination()
-        return hash((destination, self.core.position(self._at(now)) == destination))
+        return hash((destination, self.core.position(self._world_time_s(now)) == destination))
 
     def course(self, name: AxisName, now: float) -> tuple[float, float]:
         """Return position and destination [deg] of an axis."""
         at = 0 if name == "a" else 1
-        return self.core.position(self._at(now))[at], self.core.destination()[at]
+        return self.core.position(self._world_time_s(now))[at], self.core.destination()[at]
 
     def shown_deg(self, name: AxisName, now: float) -> float:
         """Return the angle [deg] that it shows for an axis."""
@@ -82,7 +82,7 @@ class SleeplessRotator:
         if fault in (DEAF, GONE, STOPLESS):
             self.core.faults.add(fault)
         elif fault == SENT_AWAY:
-            self.core.order(*self._away, self._at(now))
+            self.core.order(*self._away_axes_deg, self._world_time_s(now))
         else:
             raise ValueError(f"a rotator has no fault {fault!r}")
 

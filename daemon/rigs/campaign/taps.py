@@ -52,58 +52,58 @@ class Sleepless:
 
     def __init__(self, core: PositionerCore, slept_too: Callable[[float], float]) -> None:
         self._core = core
-        self._at = slept_too
+        self._world_time_s = slept_too
 
     def feed(self, data: bytes, now: float) -> None:
         """Take in bytes from the host."""
-        self._core.feed(data, self._at(now))
+        self._core.feed(data, self._world_time_s(now))
 
     def enumerate_usb(self, now: float) -> None:
         """Connect the cable."""
-        self._core.enumerate_usb(self._at(now))
+        self._core.enumerate_usb(self._world_time_s(now))
 
     def next_event(self, now: float) -> float | None:
         """Return when the state next changes by itself, or None; the machine may sleep meanwhile."""
-        due_s = self._core.next_event(self._at(now))
-        return None if due_s is None else due_s - self._at(0.0)
+        due_s = self._core.next_event(self._world_time_s(now))
+        return None if due_s is None else due_s - self._world_time_s(0.0)
 
     def truth(self, now: float) -> Angles:
         """Return where the axes really stand."""
-        return self._core.truth(self._at(now))
+        return self._core.truth(self._world_time_s(now))
 
     axes = truth
 
     def screens(self, now: float) -> bytes:
         """Return all screens."""
-        return self._core.screens(self._at(now))
+        return self._core.screens(self._world_time_s(now))
 
     def live_screens(self, now: float) -> bytes:
         """Return the screens that change while axes move."""
-        return self._core.live_screens(self._at(now))
+        return self._core.live_screens(self._world_time_s(now))
 
     def changes(self, now: float) -> int:
         """Return how often anything has changed so far."""
-        return self._core.changes(self._at(now))
+        return self._core.changes(self._world_time_s(now))
 
     def course(self, name: AxisName, now: float) -> tuple[float, float]:
         """Return position and destination of an axis."""
-        return self._core.course(name, self._at(now))
+        return self._core.course(name, self._world_time_s(now))
 
     def shown_deg(self, name: AxisName, now: float) -> float:
         """Return the angle [deg] that the unit shows for an axis."""
-        return self._core.shown_deg(name, self._at(now))
+        return self._core.shown_deg(name, self._world_time_s(now))
 
     def inject(self, fault: str, now: float) -> None:
         """Cause a fault."""
-        self._core.inject(fault, self._at(now))
+        self._core.inject(fault, self._world_time_s(now))
 
     def repair(self, fault: str, now: float) -> None:
         """End a condition that `inject` began."""
-        self._core.repair(fault, self._at(now))
+        self._core.repair(fault, self._world_time_s(now))
 
     def power_cycle(self, now: float, *, keep_position: bool) -> None:
         """Switch off and on."""
-        self._core.power_cycle(self._at(now), keep_position=keep_position)
+        self._core.power_cycle(self._world_time_s(now), keep_position=keep_position)
 
 
 class UnitTap:

@@ -15,7 +15,7 @@ from solar.ephemeris import Site, sun_position
 from solar.frames import Array
 
 MEAN_S = 60.0
-_NORMAL = 1.96
+_NORMAL_QUANTILE = 1.96
 _WIDEST_GAP = 1.5
 
 
@@ -116,7 +116,7 @@ def compare(
     utc_s = utc_s - (known or 0.0)
     reference_zero = zero_of(reference, site)
     dark, dark_error, nights = night_offset(utc_s, voltage, site)
-    minute, ghi, mv = _common(reference, utc_s, voltage)
+    minute, ghi, mv = _common_minutes(reference, utc_s, voltage)
     spans = f"{reference.source} has {span_text(reference.utc_s)}, {readings.source} has {span_text(utc_s)}"
     if not minute.size:
         raise UserError(f"reference and sensors do not overlap: {spans}; check the files and that times are UTC")
@@ -135,7 +135,7 @@ def compare(
     minute, ghi, mv = minute[clear], ghi[clear], mv[clear]
     faces = {}
     for place, name in enumerate(FACES):
-        offset = Interval(float(dark[place]), float(_NORMAL * dark_error[place])) if nights else None
+        offset = Interval(float(dark[place]), float(_NORMAL_QUANTILE * dark_error[place])) if nights else None
         faces[name] = _face(
             name,
             minute,
@@ -164,7 +164,7 @@ def compare(
     )
 
 
-def _common(reference: ReferenceReadings, utc_s: Array, voltage: Array) -> tuple[Array, Array, Array]:
+def _common_minutes(reference: ReferenceReadings, utc_s: Array, voltage: Array) -> tuple[Array, Array, Array]:
     """Take means over minutes, and interpolate those of the sensors to the instants of the reference's.
 
     Two means of the same minute may be almost a minute apart in time, as readings a moment apart may fall in different

@@ -35,7 +35,7 @@ _MV, _W_M2 = "_mv", "_w_m2"
 _REFERENCE_NAMES = ("ghi", "ghi_w_m2")
 # Largest voltage of a sensor, of either sign: at a gain of 10 W/m2/mV it means four times what the sun can give.
 _LARGEST_MV = 1000.0
-_MADE_UP = "SELECT MAX(simulated) FROM runs WHERE run IN (SELECT run FROM scans WHERE time >= ? AND time < ?)"
+_ANY_SIMULATED_SQL = "SELECT MAX(simulated) FROM runs WHERE run IN (SELECT run FROM scans WHERE time >= ? AND time < ?)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ def read_reference(path: Path) -> ReferenceReadings:
     name = next((name for name in _REFERENCE_NAMES if name in frame), None)
     if name is None:
         raise UserError(f"{path} has no column ghi; found: {', '.join(map(str, frame.columns))}")
-    ghi, wrong = _possible(path, frame, [name])
+    ghi, wrong = _possible_values(path, frame, [name])
     note = "; ".join(filter(None, (told, wrong)))
     there = np.isfinite(ghi[:, 0])
     if not there.any():
@@ -115,7 +115,7 @@ def read_csv(path: Path) -> FaceReadings:
     for face, name in zip(FACES, names, strict=True):
         if f"{face}_quality" in frame:
             frame[name] = frame[name].where(frame[f"{face}_quality"] == "ok", "")
-    faces, wrong = _possible(path, frame, names)
+    faces, wrong = _possible_values(path, frame, names)
     made_with = frozenset(frame["calibration"]) if "calibration" in frame else frozenset({""})
     return FaceReadings(
         source=str(path),
@@ -139,7 +139,7 @@ def read_store(directory: Path, start: datetime | None, end: datetime | None) ->
         try:
             utc_s, faces = stored_faces(connection, low, high)
             made_with = connection.execute(f"SELECT DISTINCT {known} {span}", (low, high)).fetchall()
-            simulated = bool(connection.execute(_MADE_UP, (low, high)).fetchone()[0])
+            simulated = bool(connection.execute(_ANY_SIMULATED_SQL, (low, high)).fetchone()[0])
         except sqlite3.Error as error:
             raise UserError(f"the store {path} cannot be read: {error}") from None
     if not utc_s.size:
@@ -226,7 +226,7 @@ def _line_of(path: Path, row: int) -> int:
     return int(np.flatnonzero(lines["text"].str.strip(" \t,;") != "")[row + 1]) + 1
 
 
-def _possible(path: Path, frame: pd.DataFrame, names: Sequence[str]) -> tuple[Array, str]:
+def _possible_values(path: Path, frame: pd.DataFrame, names: Sequence[str]) -> tuple[Array, str]:
     """Return columns of one unit, NaN where a number is missing or impossible, and a note on impossible ones."""
     numbers = np.stack([_numbers(path, frame[name]) for name in names], axis=-1)
     low, high = (-_LARGEST_MV, _LARGEST_MV) if names[0].endswith(_MV) else (LOWEST_W_M2, HIGHEST_W_M2)

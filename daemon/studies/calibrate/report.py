@@ -73,7 +73,7 @@ def comparison_lines(found: Comparison) -> list[str]:
             for label, field in _ROWS
         ]
         lines += ["", *_aligned(table)]
-    if strayed := _strayed(found):
+    if strayed := _sensors_in_doubt(found):
         told = (
             f"{DOUBT}most of the series of {', '.join(strayed)} were dropped, and the rest may agree by chance; "
             "check that all times are UTC, the lag of the clocks (--lag), and that all lie level."
@@ -82,7 +82,7 @@ def comparison_lines(found: Comparison) -> list[str]:
     return lines
 
 
-def _strayed(found: Comparison) -> list[str]:
+def _sensors_in_doubt(found: Comparison) -> list[str]:
     """Return the sensors with a gain that most of their series disagree with."""
     return [name for name, face in found.faces.items() if face.series.kept.mean() < 0.5]
 
@@ -94,7 +94,7 @@ def comparison_page(found: Comparison) -> dict[str, Any]:
         "common_minutes": found.minutes,
         "lag_s": found.lag_s,
         "lag_known": found.lag_known,
-        "doubtful": bool(_strayed(found)),
+        "doubtful": bool(_sensors_in_doubt(found)),
         "agreement": {
             name: {"before": face.before._asdict(), "after": face.after._asdict()} for name, face in found.faces.items()
         },
@@ -194,7 +194,7 @@ def comparison_calibration(
         }
         for name, face in found.faces.items()
     }
-    return _made(
+    return _make_calibration(
         _dates(float(found.utc_s[-1]), valid_days)
         | {
             "method": "beside a reference",
@@ -227,7 +227,7 @@ def field_calibration(
         }
         for place, name in enumerate(FACES)
     }
-    return _made(
+    return _make_calibration(
         _dates(float(fit.shape.utc_s[-1]), valid_days)
         | {
             "method": "in place",
@@ -240,7 +240,7 @@ def field_calibration(
     )
 
 
-def _made(values: dict[str, Any]) -> CubeCalibration:
+def _make_calibration(values: dict[str, Any]) -> CubeCalibration:
     """Return the calibration; `UserError` for a number that no sensor has."""
     try:
         return new_calibration(values)

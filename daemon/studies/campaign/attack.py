@@ -42,7 +42,7 @@ class Attack:
         self._schedules = schedules
         self._workers = workers
         self._say = say
-        self._keep = keep
+        self._failure_folder = keep
         self._show = show
         self.summary = CampaignSummary()
 
@@ -58,7 +58,7 @@ class Attack:
             nonlocal done
             done += 1
             progress(done / len(self._schedules))
-            self._tell(schedule, outcome)
+            self._report_outcome(schedule, outcome)
 
         self.summary = summary = run_many(self._schedules, self._workers, note, with_log=self._show)
         for line in summary.lines():
@@ -83,7 +83,7 @@ class Attack:
                 self._say(f"ended before these seeds were reduced: {seeds}")
                 return
 
-    def _tell(self, schedule: Schedule, outcome: CampaignOutcome) -> None:
+    def _report_outcome(self, schedule: Schedule, outcome: CampaignOutcome) -> None:
         if self._show:
             self._say(schedule.text())
             for at_s, level, name, text in outcome.lines:
@@ -105,7 +105,7 @@ class Attack:
         self._say(reduced.text())
 
     def _write(self, schedule: Schedule) -> Path:
-        path = self._keep / f"seed-{schedule.seed}.json"
+        path = self._failure_folder / f"seed-{schedule.seed}.json"
         try:
             replace_file(path, schedule.json() + "\n")
         except OSError as error:

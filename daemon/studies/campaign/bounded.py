@@ -51,13 +51,13 @@ class Bounded(logging.Handler):
         super().__init__(logging.INFO)
         self._now = now
         self.lines: list[LogLine] = []
-        self._alive_when_warm: int | None = None
+        self._objects_when_warm: int | None = None
 
     def warm(self, records: Sequence[Record]) -> None:
         """Count what is in memory, to be compared with at the end."""
-        self._alive_when_warm = self._alive(records)
+        self._objects_when_warm = self._count_objects(records)
 
-    def _alive(self, records: Sequence[Record]) -> int:
+    def _count_objects(self, records: Sequence[Record]) -> int:
         """Return how much is in memory, apart from what the campaign itself keeps."""
         gc.collect()
         found = gc.get_objects()
@@ -80,9 +80,9 @@ class Bounded(logging.Handler):
                 fails("moves", f"{count} moves in hour {hour}, {allowed} allowed")
 
     def _check_memory(self, schedule: Schedule, records: Sequence[Record], fails: Callable[[str, str], None]) -> None:
-        if self._alive_when_warm is None:
+        if self._objects_when_warm is None:
             return
-        more, allowed = self._alive(records) - self._alive_when_warm, schedule.trackers * MOST_MORE
+        more, allowed = self._count_objects(records) - self._objects_when_warm, schedule.trackers * MOST_MORE
         if more > allowed:
             fails("leak", f"{more} more objects and items in memory than after the first hour, {allowed} allowed")
 

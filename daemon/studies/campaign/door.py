@@ -60,7 +60,7 @@ class Together:
 
     def __init__(self, door: Door) -> None:
         self._door = door
-        self._given: asyncio.Task[DoorReply] | None = None
+        self._reply_task: asyncio.Task[DoorReply] | None = None
 
     def has(self, name: str) -> bool:
         """Tell whether there is a command."""
@@ -75,6 +75,6 @@ class Together:
         place: int | None = None,  # noqa: ARG002 - whoever asks, it is for all
     ) -> DoorReply:
         """Give the command, if nobody has yet, and wait for its answer."""
-        if self._given is None:
-            self._given = asyncio.create_task(self._door.give(service, name, value, why, None), name=name)
-        return await self._given
+        if self._reply_task is None:
+            self._reply_task = asyncio.create_task(self._door.give(service, name, value, why, None), name=name)
+        return await self._reply_task

@@ -110,8 +110,8 @@ _BAD = ((math.nan, 60.0), (0.0, math.nan), (51.0, 60.0), (-50.0001, 60.0), (0.0,
 _PAUSES_S = (150.0, 150.0, 600.0, 2400.0)
 """Mean pauses between episodes: from a rig that never has a rest to one that is left alone for most of an hour."""
 _LEFT_AT_END_S = 300.0
-_TO_ALL = 0.25
-_RELEASED_TOGETHER = 0.6
+_SHARE_TO_ALL = 0.25
+_SHARE_RELEASES_TO_ALL = 0.6
 
 
 def draw(
@@ -158,14 +158,16 @@ def draw(
         rehome=random.choice(("operator", "operator", "automatic")),
         synchronous=random.random() < 0.2,
         sky=random.choice(((700.0, 90.0), (700.0, 90.0), (0.0, 150.0), (300.0, 200.0))),
-        events=_among(trackers, seed, sorted((event for event in events if event.at_s < hours * 3600), key=_at_s)),
+        events=_assign_trackers(
+            trackers, seed, sorted((event for event in events if event.at_s < hours * 3600), key=_at_s)
+        ),
         trackers=trackers,
         positioner=positioner,
         settings=draw_settings(seed, law, positioner),
     )
 
 
-def _among(trackers: int, seed: int, events: Sequence[Happening]) -> tuple[Happening, ...]:
+def _assign_trackers(trackers: int, seed: int, events: Sequence[Happening]) -> tuple[Happening, ...]:
     """Return the events, each of one tracker or of all."""
     if trackers == 1:
         return tuple(events)
@@ -179,7 +181,7 @@ def _among(trackers: int, seed: int, events: Sequence[Happening]) -> tuple[Happe
 def _tracker(random: Random, trackers: int, event: Happening, shared: Collection[str]) -> int | None:
     if event.what == "fault" and event.name in shared:
         return 0
-    to_all = _RELEASED_TOGETHER if event.name in ("auto", "clear") else _TO_ALL
+    to_all = _SHARE_RELEASES_TO_ALL if event.name in ("auto", "clear") else _SHARE_TO_ALL
     return None if random.random() < to_all else random.randrange(trackers)
 
 

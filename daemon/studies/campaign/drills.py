@@ -81,7 +81,7 @@ class Drill:
         for schedule, outcome in zip(schedules, outcomes, strict=True):
             begin_s = schedule.events[0].at_s
             over_s = schedule.events[-1].at_s if self.commands else begin_s + self.lasts_s
-            reached.append(_first_s(outcome, self.mode, begin_s) if self.mode else 0.0)
+            reached.append(_time_to_mode_s(outcome, self.mode, begin_s) if self.mode else 0.0)
             back.append(works_from_s(outcome, over_s))
             broken += [violation.promise for violation in outcome.violations]
         return WorstSeen(max(reached), max(back), tuple(sorted(set(broken))), len(outcomes))
@@ -140,7 +140,7 @@ def person_says(commands: Sequence[str], over_s: float) -> Iterator[tuple[float,
         at_s += _HOMES_WITHIN_S if name == "home" else _NEXT_COMMAND_S
 
 
-def _first_s(outcome: CampaignOutcome, modes: tuple[Mode, ...], begin_s: float) -> float:
+def _time_to_mode_s(outcome: CampaignOutcome, modes: tuple[Mode, ...], begin_s: float) -> float:
     """Return how long after `begin_s` one of the modes was entered, infinite for never."""
     return next((at_s - begin_s for at_s, mode in outcome.entered if at_s >= begin_s and mode in modes), float("inf"))
 

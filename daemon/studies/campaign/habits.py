@@ -4,8 +4,8 @@ from random import Random
 
 from daemon.studies.campaign.schedule import Chosen
 
-_DEFAULTS_ALONE = 0.3
-_CHANGED = 0.35
+_CHANCE_OF_DEFAULTS = 0.3
+_CHANCE_OF_CHANGE = 0.35
 CHOICES: tuple[tuple[Chosen, ...], ...] = (
     (
         {"site": {"latitude_deg": -33.9}},
@@ -95,10 +95,10 @@ def draw_settings(seed: int, law: str, positioner: str) -> Chosen:
     """
     random = Random(f"{seed} settings")  # noqa: S311 - reproducibility is the point; nothing secret depends on it
     chosen: Chosen = {}
-    if random.random() < _DEFAULTS_ALONE:
+    if random.random() < _CHANCE_OF_DEFAULTS:
         return chosen
     for ways in (*CHOICES, BUILT) if positioner == "pozsol" else CHOICES:
-        if random.random() >= _CHANGED:
+        if random.random() >= _CHANCE_OF_CHANGE:
             continue
         for section, values in random.choice(ways).items():
             chosen.setdefault(section, {}).update(values)

@@ -129,13 +129,13 @@ def run_all(
 ) -> list[CampaignOutcome]:
     """Carry out schedules and return what each showed, in their order; `progress` takes the share done, 0..1."""
     outcomes: dict[int, CampaignOutcome] = {}
-    for place, outcome in spread(_run_once, schedules, workers, apart=True):
+    for place, outcome in spread(_run_without_healing, schedules, workers, apart=True):
         outcomes[place] = outcome
         progress(len(outcomes) / len(schedules))
     return [outcomes[place] for place in range(len(schedules))]
 
 
-def _run_once(schedule: Schedule) -> CampaignOutcome:
+def _run_without_healing(schedule: Schedule) -> CampaignOutcome:
     return replace(run_schedule(schedule, heal=False), lines=())
 
 

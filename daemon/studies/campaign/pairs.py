@@ -30,19 +30,24 @@ from daemon.studies.spread.workers import Workers
 _BEGINS_S: dict[Phase, float] = {"at rest": 300.0, "in mid-move": 45.0}
 _SECOND_AFTER_S: dict[Phase, float] = {"at rest": 7.0, "in mid-move": 0.2}
 # A person's hold or a stow may come before the move that would show a fault of one axis: then either mode is right.
-_STRONGER = (({*HOLD}, {*HOLD, *FAULT}), ({*STOW}, {*STOW, *FAULT}), ({*FAULT}, {*FAULT}), ({*FALLBACK}, {*FALLBACK}))
+_MODES_BY_STRENGTH = (
+    ({*HOLD}, {*HOLD, *FAULT}),
+    ({*STOW}, {*STOW, *FAULT}),
+    ({*FAULT}, {*FAULT}),
+    ({*FALLBACK}, {*FALLBACK}),
+)
 # Only a move shows these, and without readings there may be none.
 _SHOWN_BY_A_MOVE = frozenset(("deaf", "undervoltage", "a_ignores_targets", "a_hall_loss", "b_hall_loss"))
-_OF_THE_PROCESS = frozenset((*PROCESS, "suspended"))
-_UNSEEN_MEANWHILE = _OF_THE_PROCESS | {"unplug_positioner", "positioner_silent"}
+_PROCESS_FAULTS = frozenset((*PROCESS, "suspended"))
+_HIDING_FAULTS = _PROCESS_FAULTS | {"unplug_positioner", "positioner_silent"}
 _HOMES_MOST = 3
 _LEAVE_NO_MARK = ("a_slip", "b_slip", "a_switch_closed", "b_switch_closed")
 _NO_PAIRS = (
-    _OF_THE_PROCESS,
+    _PROCESS_FAULTS,
     {"a_switch_open", "a_switch_closed"},
     {"b_switch_open", "b_switch_closed"},
     {"clock_step", "suspended"},
-    *({missed, process} for missed in _LEAVE_NO_MARK for process in _OF_THE_PROCESS),
+    *({missed, process} for missed in _LEAVE_NO_MARK for process in _PROCESS_FAULTS),
 )
 
 LEFT_OUT = (
@@ -73,13 +78,13 @@ class Pair:
         declared = {*self.first.mode, *self.second.mode}
         if declared == {*FAULT, *FALLBACK} and any(one.fault in _SHOWN_BY_A_MOVE for one in (self.first, self.second)):
             return frozenset(declared)
-        return frozenset(next((allowed for asked, allowed in _STRONGER if asked & declared), WORKS))
+        return frozenset(next((allowed for asked, allowed in _MODES_BY_STRENGTH if asked & declared), WORKS))
 
     @property
     def within_s(self) -> float:
         """How soon after the second fault began [s]; longer if the service is away and sees nothing meanwhile."""
         bounds = self.first.within_s, self.second.within_s
-        return sum(bounds) if self._are & _OF_THE_PROCESS else max(bounds)
+        return sum(bounds) if self._fault_names & _PROCESS_FAULTS else max(bounds)
 
     @property
     def back_s(self) -> float:
@@ -93,8 +98,8 @@ class Pair:
         A homing that finds a count wrong reports one axis only, so it is repeated while a count is in doubt.
         """
         asked = {*self.first.commands, *self.second.commands}
-        hidden = (asked and self._are & _UNSEEN_MEANWHILE) or {"auto", "home"} <= asked
-        if hidden or "deaf" in self._are:
+        hidden = (asked and self._fault_names & _HIDING_FAULTS) or {"auto", "home"} <= asked
+        if hidden or "deaf" in self._fault_names:
             asked.add("clear")
         said: list[str] = [name for name in ("auto", "clear") if name in asked]
         if "home" in asked:
@@ -102,7 +107,7 @@ class Pair:
         return tuple(said)
 
     @property
-    def _are(self) -> set[str]:
+    def _fault_names(self) -> set[str]:
         return {self.first.fault, self.second.fault}
 
     @property
@@ -111,7 +116,7 @@ class Pair:
         return begin_s, begin_s + _SECOND_AFTER_S[self.first.phase]
 
     @property
-    def _over_s(self) -> float:
+    def _both_over_s(self) -> float:
         """When both are over and seen, and a storm has passed: a person comes then."""
         return max(
             begin_s + max(one.lasts_s, one.within_s) + (one.back_s if one.mode == STOW and self.commands else 0.0)
@@ -124,15 +129,15 @@ class Pair:
             Happening(at_s=begin_s, what="fault", name=one.fault, value=one.value, lasts_s=one.lasts_s)
             for begin_s, one in zip(self._begins_s, (self.first, self.second), strict=True)
         ]
-        said = [Happening(at_s, "command", name) for at_s, name in person_says(self.commands, self._over_s)]
-        ends_s = (said[-1].at_s if said else self._over_s) + self.back_s + WATCHED_S
+        said = [Happening(at_s, "command", name) for at_s, name in person_says(self.commands, self._both_over_s)]
+        ends_s = (said[-1].at_s if said else self._both_over_s) + self.back_s + WATCHED_S
         return drill_schedule([*events, *said], ends_s)
 
     def measure(self, schedule: Schedule, outcome: CampaignOutcome) -> WorstSeen:
         """Return what its run showed."""
         begun_s = self._begins_s[1]
-        over_s = schedule.events[-1].at_s if self.commands else self._over_s
-        reached_s = _in_one_of_s(outcome, self.modes, begun_s)
+        over_s = schedule.events[-1].at_s if self.commands else self._both_over_s
+        reached_s = _time_to_modes_s(outcome, self.modes, begun_s)
         broken = tuple(sorted({violation.promise for violation in outcome.violations}))
         return WorstSeen(reached_s, works_from_s(outcome, over_s), broken, 1)
 
@@ -174,7 +179,7 @@ def pair_rows(pairs: Sequence[Pair], seen: Sequence[WorstSeen]) -> Iterator[str]
         yield f"{modes} | {len(some)} | {within_s:g} s | {reached_s:.1f} s | {back_s:g} s | {worst_back_s:.1f} s"
 
 
-def _in_one_of_s(outcome: CampaignOutcome, modes: frozenset[Mode], begun_s: float) -> float:
+def _time_to_modes_s(outcome: CampaignOutcome, modes: frozenset[Mode], begun_s: float) -> float:
     """Return how long after `begun_s` the tracker first was in one of the modes, infinite for never."""
     before = [mode for at_s, mode in outcome.entered if at_s <= begun_s]
     if before and before[-1] in modes:

@@ -39,7 +39,7 @@ class Person:
         self._door = door
         self._mount = mount
         self._watch = watch
-        self._given = 0
+        self._commands_given = 0
 
     async def give(self, name: str, value: tuple[float, ...] = (), for_all: Door | None = None) -> None:
         """Give a command as soon as a service is there, and check what comes of it.
@@ -47,21 +47,21 @@ class Person:
         `for_all` is the door of one command that is given for all trackers, or None.
         """
         await self._mount.plant.served.wait()
-        self._given += 1
+        self._commands_given += 1
         self._watch.storms.disturbed(self._now_s)
         if name == "bad" or (name == "goto" and not self._mount.settings.limits.limits().contain(*value)):
             await self._give_wrong(value)
             return
         stopped_before = self._watch.stopped and self._now_s > self._watch.stop_asked_s
         maintained_before = self._watch.maintained
-        self._begins(name)
-        given, mount, watch = self._given, self._mount, self._watch
+        self._note_command(name)
+        given, mount, watch = self._commands_given, self._mount, self._watch
         generation, asked_s = mount.service, self._now_s
         try:
             answer = await (for_all or self._door).give(mount.service, name, value, self._why(for_all), mount.place)
         except asyncio.CancelledError:
             if self._now_s - asked_s < _KEPT_WITHIN_S:
-                self._dies(name, was_stopped=stopped_before, was_maintained=maintained_before)
+                self._forget_lost_command(name, was_stopped=stopped_before, was_maintained=maintained_before)
             raise
         except CommandError as error:
             if name == "maintenance" and not maintained_before and "could not be sent" not in str(error):
@@ -93,7 +93,7 @@ class Person:
                 if why.startswith(_WHY) and why not in own:
                     self._watch.fails("mixed-up", f"{name} is in force here, and was asked with the words '{why}'")
 
-    def _begins(self, name: str) -> None:
+    def _note_command(self, name: str) -> None:
         if name == "stop":
             self._watch.stop_is_asked()
         elif name == "maintenance":
@@ -105,7 +105,7 @@ class Person:
             # From here on a person answers for the count.
             self._watch.reference.excused = True
 
-    def _dies(self, name: str, *, was_stopped: bool, was_maintained: bool) -> None:
+    def _forget_lost_command(self, name: str, *, was_stopped: bool, was_maintained: bool) -> None:
         if name == "stop" and not was_stopped:
             self._watch.stop_is_released()
         elif name == "maintenance" and not was_maintained:
@@ -150,7 +150,7 @@ class Person:
         mount = self._mount
         before, mode = mount.truth(), mount.mode
         await asyncio.sleep(0.1)
-        after, undisturbed = mount.truth(), given == self._given and mount.mode is mode
+        after, undisturbed = mount.truth(), given == self._commands_given and mount.mode is mode
         turned_deg = max(abs(before.a_deg - after.a_deg), abs(before.b_deg - after.b_deg))
         if turned_deg > STANDS_DEG and undisturbed and not self._watch.disturbed(0.3):
             self._watch.fails("false-done", f"{name} is said to be done, and an axis turns: {text}")

@@ -39,8 +39,8 @@ def reduce(
             return False
 
     if broken_s is not None:
-        schedule = _first_that(fails, [_until(schedule, broken_s)], schedule)
-        late = [_from(schedule, round(share * len(schedule.events))) for share in _SHARES]
+        schedule = _first_that(fails, [_up_to_time(schedule, broken_s)], schedule)
+        late = [_from_event(schedule, round(share * len(schedule.events))) for share in _SHARES]
         schedule = _first_that(fails, late, schedule)
     for section, values in schedule.settings.items():
         for name in values:
@@ -71,12 +71,12 @@ def _with_default(schedule: Schedule, section: str, name: str) -> Schedule:
     return replace(schedule, settings={each: values for each, values in settings.items() if values})
 
 
-def _until(schedule: Schedule, end_s: float) -> Schedule:
+def _up_to_time(schedule: Schedule, end_s: float) -> Schedule:
     events = tuple(event for event in schedule.events if event.at_s <= end_s)
     return replace(schedule, hours=min(schedule.hours, (end_s + _AFTER_LAST_S) / 3600), events=events)
 
 
-def _from(schedule: Schedule, first: int) -> Schedule:
+def _from_event(schedule: Schedule, first: int) -> Schedule:
     """Return the schedule from shortly before an event on, with the sun where it was."""
     if not 0 < first < len(schedule.events):
         return schedule

@@ -44,7 +44,7 @@ again within the sum of the two bounds for coming back.
 | Mode | Pairs | Bound, at most | Worst | Back: bound, at most | Worst |
 |---|---|---|---|---|---|
 """
-_UNSEEN = """
+_UNSEEN_HEAD = """
 These faults have no row above; the campaign uses them all the same:
 
 | Fault | Why |
@@ -76,7 +76,7 @@ def write_reliability(path: Path, workers: Workers, progress: Callable[[float], 
         replace_file(path, page(drills, results, pairs, seen))
     except OSError as error:
         raise UserError(f"--reliability: {path} cannot be written: {error}") from error
-    return [*_beyond_all(drills, results), *_pairs_beyond(pairs, seen)]
+    return [*_drill_failures(drills, results), *_pair_failures(pairs, seen)]
 
 
 def measure_drills(drills: Sequence[Drill], workers: Workers, progress: Callable[[float], None]) -> list[WorstSeen]:
@@ -91,15 +91,15 @@ def beyond(drill: Drill, measured: WorstSeen) -> Iterator[str]:
     yield from not_kept(f"{drill.fault} {drill.phase}", _modes(drill), drill.within_s, drill.back_s, measured)
 
 
-def _beyond_all(drills: Sequence[Drill], results: Sequence[WorstSeen]) -> list[str]:
+def _drill_failures(drills: Sequence[Drill], results: Sequence[WorstSeen]) -> list[str]:
     return [text for drill, measured in zip(drills, results, strict=True) for text in beyond(drill, measured)]
 
 
-def _pairs_beyond(pairs: Sequence[Pair], seen: Sequence[WorstSeen]) -> list[str]:
+def _pair_failures(pairs: Sequence[Pair], seen: Sequence[WorstSeen]) -> list[str]:
     return [text for pair, found in zip(pairs, seen, strict=True) for text in pair.beyond(found)]
 
 
-def _kept(broken: Sequence[str]) -> str:
+def _verdict(broken: Sequence[str]) -> str:
     return f"Not kept: {'; '.join(broken)}." if broken else "Every bound is kept, and no promise was broken."
 
 
@@ -107,14 +107,16 @@ def page(
     drills: Sequence[Drill], results: Sequence[WorstSeen], pairs: Sequence[Pair], seen: Sequence[WorstSeen]
 ) -> str:
     """Return the page."""
-    kept = _kept(_beyond_all(drills, results))
+    kept = _verdict(_drill_failures(drills, results))
     runs = sum(measured.runs for measured in results)
     text = _HEAD.format(runs=f"{results[0].runs if results else 0}", broken=f"{kept} {runs} runs in all.")
     for drill, measured in zip(drills, results, strict=True):
         text += f"| {_row(drill, measured)} |\n"
-    text += _PAIRS.format(left_out=LEFT_OUT, broken=f"{_kept(_pairs_beyond(pairs, seen))} {len(pairs)} runs in all.")
+    text += _PAIRS.format(
+        left_out=LEFT_OUT, broken=f"{_verdict(_pair_failures(pairs, seen))} {len(pairs)} runs in all."
+    )
     text += "".join(f"| {row} |\n" for row in pair_rows(pairs, seen))
-    text += _UNSEEN + "".join(f"| `{name}` | {why} |\n" for name, why in UNSEEN.items())
+    text += _UNSEEN_HEAD + "".join(f"| `{name}` | {why} |\n" for name, why in UNSEEN.items())
     text += _MATRIX
     return text + "".join(f"| {row} |\n" for component in COMPONENTS for row in _component_rows(component))
 

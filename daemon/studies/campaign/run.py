@@ -30,7 +30,7 @@ RECOVERS_WITHIN_S = 3000.0
 _MEMORY = Path("/dev/shm")  # noqa: S108 - only a place for a directory of our own
 _HANDLES = Path("/proc/self/fd")
 _ASKED_AGAIN_AFTER = 10
-_SERVED_AGAIN_S = 60.0
+_WARM_RETRY_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +101,8 @@ class CampaignRun:
             Person(mount, watch, door) for mount, watch in zip(self.plant.mounts, self.watches, strict=True)
         ]
         self._bounded = bounded
-        self._acting: set[asyncio.Task[None]] = set()
-        self._lasting: Counter[tuple[str, int]] = Counter()
+        self._fault_tasks: set[asyncio.Task[None]] = set()
+        self._lasting_faults: Counter[tuple[str, int]] = Counter()
         loop.set_exception_handler(self._unhandled)
 
     def _fails(self, promise: str, text: str) -> None:
@@ -116,34 +116,34 @@ class CampaignRun:
         plant, events = self.plant, list(self._schedule.events)
         while events and events[0].at_s < 0:
             # Before there is a service.
-            self._act(events.pop(0))
+            self._start_event(events.pop(0))
             await asyncio.sleep(0)
         plant.start()
         watching = [asyncio.create_task(watch.run(), name="watch") for watch in self.watches]
-        self._warming = asyncio.get_running_loop().call_later(WARM_AFTER_S, self._warm)
+        self._warm_timer = asyncio.get_running_loop().call_later(WARM_AFTER_S, self._count_warm_memory)
         try:
             for event in events:
                 await asyncio.sleep(max(event.at_s - plant.clock.monotonic(), 0.0))
-                self._act(event)
+                self._start_event(event)
             await asyncio.sleep(max(self._schedule.hours * 3600 - plant.clock.monotonic(), 0.0))
             if heal:
-                await self._set_right()
-                await asyncio.gather(*map(self._see_it_work, self._persons, self.watches))
+                await self._end_all_faults()
+                await asyncio.gather(*map(self._check_recovery, self._persons, self.watches))
             self._bounded.check(self._schedule, plant.records, self._fails)
         finally:
-            self._warming.cancel()
-            await self._leave(watching)
+            self._warm_timer.cancel()
+            await self._end_tasks(watching)
 
-    def _warm(self) -> None:
+    def _count_warm_memory(self) -> None:
         if self.plant.is_served:
             self._bounded.warm(self.plant.records)
         else:
             # Without a service there would be less in memory than at the end.
-            self._warming = asyncio.get_running_loop().call_later(_SERVED_AGAIN_S, self._warm)
+            self._warm_timer = asyncio.get_running_loop().call_later(_WARM_RETRY_S, self._count_warm_memory)
 
-    async def _leave(self, watching: "list[asyncio.Task[None]]") -> None:
+    async def _end_tasks(self, watching: "list[asyncio.Task[None]]") -> None:
         plant = self.plant
-        acting = {*self._acting, *plant.commands}
+        acting = {*self._fault_tasks, *plant.commands}
         for task in acting:
             task.cancel()
         await asyncio.gather(*acting, return_exceptions=True)
@@ -160,7 +160,7 @@ class CampaignRun:
         if left:
             self._fails("leak", f"tasks that outlive their service: {left}")
 
-    def _act(self, event: Happening) -> None:
+    def _start_event(self, event: Happening) -> None:
         shared = event.what == "fault" and FAULTS[event.name].of_all
         places = range(len(self.watches)) if event.tracker is None and not shared else (event.tracker or 0,)
         # One command for all trackers where the service has such a command, otherwise one for each tracker.
@@ -172,12 +172,12 @@ class CampaignRun:
                 self.plant.commands.add(task)
             else:
                 task = asyncio.create_task(self._fault(event, place), name=event.name)
-                self._acting.add(task)
-            task.add_done_callback(self._acted)
+                self._fault_tasks.add(task)
+            task.add_done_callback(self._finish_event)
 
-    def _acted(self, task: "asyncio.Task[None]") -> None:
+    def _finish_event(self, task: "asyncio.Task[None]") -> None:
         self.plant.commands.discard(task)
-        self._acting.discard(task)
+        self._fault_tasks.discard(task)
         if not task.cancelled() and task.exception() is not None:
             self._fails("defect", f"{task.get_name()} ended in {task.exception()!r}")
         for person in self._persons:
@@ -188,11 +188,11 @@ class CampaignRun:
         if event.name in PROCESS and not plant.is_served:
             return
         key = event.name, 0 if fault.of_all else place
-        mount, watches = plant.mounts[place], self._concerned(*key)
+        mount, watches = plant.mounts[place], self._watches_of_fault(*key)
         for watch in watches:
-            _note(watch, event.name, event.value, fault)
-        self._lasting[key] += 1
-        await _done(fault.begin(mount, event.value))
+            _note_fault_begin(watch, event.name, event.value, fault)
+        self._lasting_faults[key] += 1
+        await _await_if_needed(fault.begin(mount, event.value))
         for watch in watches:
             watch.lasting += 1
         try:
@@ -208,29 +208,29 @@ class CampaignRun:
             for watch in watches:
                 if event.value[0] >= watch.mount.settings.safety.stow_wind_m_s:
                     watch.gust()
-        self._lasting[key] -= 1
-        if fault.end is not None and not self._lasting[key]:
-            await _done(fault.end(mount, event.value))
+        self._lasting_faults[key] -= 1
+        if fault.end is not None and not self._lasting_faults[key]:
+            await _await_if_needed(fault.end(mount, event.value))
             for watch in watches:
-                _note_end(watch, event.name, fault)
+                _note_fault_end(watch, event.name, fault)
 
-    def _concerned(self, name: str, place: int) -> list[TruthWatch]:
+    def _watches_of_fault(self, name: str, place: int) -> list[TruthWatch]:
         """Return the watches of the trackers to which a fault happens; all others must go on as without the fault."""
         return self.watches if FAULTS[name].of_all else [self.watches[place]]
 
-    async def _set_right(self) -> None:
+    async def _end_all_faults(self) -> None:
         """End whatever still lasts."""
-        lasting = [task for task in self._acting if not task.done()]
+        lasting = [task for task in self._fault_tasks if not task.done()]
         for task in lasting:
             task.cancel()
         await asyncio.gather(*lasting, return_exceptions=True)
-        for (name, place), count in self._lasting.items():
+        for (name, place), count in self._lasting_faults.items():
             fault = FAULTS[name]
             if count and fault.end is not None and name not in PROCESS:
                 value = next(event.value for event in self._schedule.events if event.name == name)
-                await _done(fault.end(self.plant.mounts[place], value))
-                for watch in self._concerned(name, place):
-                    _note_end(watch, name, fault)
+                await _await_if_needed(fault.end(self.plant.mounts[place], value))
+                for watch in self._watches_of_fault(name, place):
+                    _note_fault_end(watch, name, fault)
         for device in self.plant.plugged:
             self.plant.plug(device, up=True)
         for mount in self.plant.mounts:
@@ -238,7 +238,7 @@ class CampaignRun:
         if not self.plant.is_served:
             self.plant.renew()
 
-    async def _see_it_work(self, person: Person, watch: TruthWatch) -> None:
+    async def _check_recovery(self, person: Person, watch: TruthWatch) -> None:
         """Set a tracker right as a person would, with `clear`, `auto` and `home`; then it has to work."""
         mount, begun_s = watch.mount, self.plant.clock.monotonic()
         settings = mount.settings
@@ -268,7 +268,7 @@ class CampaignRun:
             watch.fails("believes-a-wrong-count", text)
 
 
-def _note(watch: TruthWatch, name: str, value: tuple[float, ...], fault: PlantFault) -> None:
+def _note_fault_begin(watch: TruthWatch, name: str, value: tuple[float, ...], fault: PlantFault) -> None:
     if fault.moves:
         watch.moves_itself()
     if name == "deaf":
@@ -288,7 +288,7 @@ def _note(watch: TruthWatch, name: str, value: tuple[float, ...], fault: PlantFa
         watch.disturbs()
 
 
-def _note_end(watch: TruthWatch, name: str, fault: PlantFault) -> None:
+def _note_fault_end(watch: TruthWatch, name: str, fault: PlantFault) -> None:
     if fault.moves:
         watch.moves_itself()
     if fault.by_hand:
@@ -302,7 +302,7 @@ def _note_end(watch: TruthWatch, name: str, fault: PlantFault) -> None:
     watch.disturbs()
 
 
-async def _done(result: Any) -> None:
+async def _await_if_needed(result: Any) -> None:
     if result is not None:
         await result
 
@@ -333,7 +333,7 @@ def run_schedule(schedule: Schedule, door: Door | None = None, *, heal: bool = T
         loop = runner.get_loop()
         assert isinstance(loop, VirtualTimeLoop)  # noqa: S101 - narrowing; it has just been made
         bounded = Bounded(loop.time)
-        with _listening(bounded):
+        with _capture_log(bounded):
             running = CampaignRun(loop, schedule, Path(folder), bounded, door or DirectDoor())
             runner.run(running.carry_out(heal=heal))
     watches, plant = running.watches, running.plant
@@ -356,7 +356,7 @@ def _at_s(violation: Violation) -> float:
 
 
 @contextmanager
-def _listening(handler: logging.Handler) -> Iterator[None]:
+def _capture_log(handler: logging.Handler) -> Iterator[None]:
     """Let the service's log go to the handler and nowhere else."""
     logger = logging.getLogger("heliocube")
     level, propagate = logger.level, logger.propagate

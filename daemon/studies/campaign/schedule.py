@@ -9,7 +9,7 @@ from pydantic import AfterValidator, ConfigDict, Field, JsonValue, TypeAdapter, 
 
 from daemon.config.rules import END_OF_STARTS, FIRST_START
 
-_AS_WRITTEN = ConfigDict(extra="forbid", strict=True)
+_STRICT_CONFIG = ConfigDict(extra="forbid", strict=True)
 MOST_TRACKERS = 10
 _Place = Annotated[int, Field(ge=0, lt=MOST_TRACKERS)]
 _YEAR_S = 31_536_000.0
@@ -21,7 +21,7 @@ Chosen = dict[_Section, dict[str, JsonValue]]
 """Settings that are not the defaults, by section and key; ``positioner`` stands for ``instruments.positioner``."""
 
 
-def _instant(text: str) -> str:
+def _check_start(text: str) -> str:
     found = datetime.fromisoformat(text)
     # The same range as in every simulation: the bridge takes scans of other years for forged.
     if found.tzinfo is not None or not FIRST_START <= found.replace(tzinfo=UTC) < END_OF_STARTS:
@@ -50,7 +50,7 @@ class Happening:
         To which of several it happens, from 0; None: to all at once. A fault of something that they share ignores it.
     """
 
-    __pydantic_config__: ClassVar = _AS_WRITTEN
+    __pydantic_config__: ClassVar = _STRICT_CONFIG
 
     at_s: _Instant
     what: Literal["fault", "command"]
@@ -94,11 +94,11 @@ class Schedule:
         Those that are not the defaults, by section and key.
     """
 
-    __pydantic_config__: ClassVar = _AS_WRITTEN
+    __pydantic_config__: ClassVar = _STRICT_CONFIG
 
     seed: int
     hours: Annotated[float, Field(gt=0, le=8760)]
-    start: Annotated[str, AfterValidator(_instant)]
+    start: Annotated[str, AfterValidator(_check_start)]
     law: str
     rehome: Literal["operator", "automatic"]
     synchronous: bool

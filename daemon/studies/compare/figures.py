@@ -83,17 +83,21 @@ def power_figure(day: Pairs, bias: ChainBias | None, title: str) -> Figure:
     left = figure.subplots()
     cube, chrono = day.names
     left.plot(
-        *_parted(day.utc_s, day.chrono.pmpp_w), color=_CHRONO, linewidth=0.9, linestyle=_CHRONO_LINE, label=chrono
+        *_break_at_gaps(day.utc_s, day.chrono.pmpp_w),
+        color=_CHRONO,
+        linewidth=0.9,
+        linestyle=_CHRONO_LINE,
+        label=chrono,
     )
-    left.plot(*_parted(day.utc_s, corrected_power(day, bias)), color=_CUBE, linewidth=0.9, label=cube)
+    left.plot(*_break_at_gaps(day.utc_s, corrected_power(day, bias)), color=_CUBE, linewidth=0.9, label=cube)
     left.set(ylabel="Pmpp [W]", title=title)
     left.set_ylim(bottom=0.0)
     if np.isfinite(day.diffuse_fraction).any():
         right = left.twinx()
-        fraction = _parted(day.utc_s, day.diffuse_fraction)
+        fraction = _break_at_gaps(day.utc_s, day.diffuse_fraction)
         right.plot(*fraction, color=_SKY, linewidth=0.8, linestyle="-.", label="diffuse fraction")
         right.set(ylabel="diffuse fraction [-]", ylim=(0.0, 1.05))
-    _clock(left, day.utc_s)
+    _label_time_axis(left, day.utc_s)
     figure.legend(frameon=False, loc="outside lower center", ncols=3)
     return figure
 
@@ -105,15 +109,15 @@ def movement_figure(day: Pairs, site: Site, title: str) -> Figure:
     sun = sun_position(day.utc_s, *site)
     path = (90.0 - sun.elevation_deg, _about_equator(sun.azimuth_deg, site))
     for axes, angle in zip((upper, lower), path, strict=True):
-        axes.plot(*_parted(day.utc_s, angle), color=_SUN, linewidth=1.6, linestyle=":", label="sun")
+        axes.plot(*_break_at_gaps(day.utc_s, angle), color=_SUN, linewidth=1.6, linestyle=":", label="sun")
     sides = zip(day.names, (day.cube, day.chrono), (_CUBE, _CHRONO), ("-", _CHRONO_LINE), strict=True)
     for name, side, colour, line in sides:
-        for axes, angle in zip((upper, lower), _facing(side, site), strict=True):
-            axes.plot(*_parted(day.utc_s, angle), color=colour, linewidth=1.0, linestyle=line, label=name)
+        for axes, angle in zip((upper, lower), _inclination_and_azimuth(side, site), strict=True):
+            axes.plot(*_break_at_gaps(day.utc_s, angle), color=colour, linewidth=1.0, linestyle=line, label=name)
     upper.set(ylabel="inclination, zenith angle [deg]", ylim=(-3.0, 95.0), title=title)
     lower.set(ylabel="azimuth [deg]" if site.latitude_deg >= 0.0 else "azimuth [deg]\nwest of north below 0")
     lower.set_title(f"no azimuth while a tracker lies flat within {_FLAT_DEG:g} deg", fontsize=9)
-    _clock(lower, day.utc_s)
+    _label_time_axis(lower, day.utc_s)
     figure.legend(*upper.get_legend_handles_labels(), frameon=False, loc="outside lower center", ncols=3)
     return figure
 
@@ -128,7 +132,7 @@ def save(figure: Figure, folder: Path, name: str) -> Path:
     return path
 
 
-def _facing(side: Side, site: Site) -> tuple[Array, Array]:
+def _inclination_and_azimuth(side: Side, site: Site) -> tuple[Array, Array]:
     azimuth, elevation = azimuth_from_direction(normal_from_angles(side.a_deg, side.b_deg), site.latitude_deg)
     return 90.0 - elevation, np.where(90.0 - elevation > _FLAT_DEG, _about_equator(azimuth, site), np.nan)
 
@@ -141,14 +145,14 @@ def _about_equator(azimuth_deg: Array, site: Site) -> Array:
     return np.where(leaps, np.nan, about)
 
 
-def _parted(utc_s: Array, values: Array) -> tuple[NDArray[np.datetime64], Array]:
+def _break_at_gaps(utc_s: Array, values: Array) -> tuple[NDArray[np.datetime64], Array]:
     """Return a line with NaN in each gap over which no energy is counted, so that no line is drawn across it."""
     behind = np.flatnonzero(np.diff(utc_s) > longest_gap_s(utc_s)) + 1
     time = (np.insert(utc_s, behind, utc_s[behind]) * 1e3).astype("datetime64[ms]")
     return time, np.insert(values, behind, np.nan)
 
 
-def _clock(axes: Axes, utc_s: Array) -> None:
+def _label_time_axis(axes: Axes, utc_s: Array) -> None:
     axes.xaxis.set_major_formatter(DateFormatter("%H:%M"))  # type: ignore[no-untyped-call]  # matplotlib has no type there
     first, last = (datetime.fromtimestamp(at, UTC) for at in utc_s[[0, -1]].tolist())
     # A day of the site may consist of parts of two days in UTC.

@@ -127,7 +127,7 @@ def pair(frame: pd.DataFrame, names: tuple[str, str], within_s: float = TOGETHER
             raise UserError(
                 f"there are no powers of '{name}', only of {known}: name the two trackers with --cube and --chrono"
             )
-    ours, theirs = (_of(usable, name) for name in names)
+    ours, theirs = (_rows_of_tracker(usable, name) for name in names)
     within: Any = within_s  # the stubs know times only, and ours are numbers
     both = pd.merge_asof(ours, theirs, on="time", direction="nearest", tolerance=within, suffixes=("_cube", "_chrono"))
     both = both[np.isfinite(both["pmpp_w_chrono"])]
@@ -180,7 +180,7 @@ def _read(path: Path) -> tuple[pd.DataFrame, tuple[str, str]]:
     found = pd.DataFrame({"time": _times(table["time"], path), "tracker": _trackers(table["tracker"], path)})
     for name in _NUMBERS:
         found[name] = _numbers(table[name], path) if name in table else np.nan
-    found[SIMULATED] = _truths(table[SIMULATED], path) if SIMULATED in table else False
+    found[SIMULATED] = _booleans(table[SIMULATED], path) if SIMULATED in table else False
     low, high = _POWER_W
     wild = found["pmpp_w"].notna() & ~found["pmpp_w"].between(low, high)
     if wild.any():
@@ -280,7 +280,7 @@ def _numbers(column: "pd.Series[float]", path: Path) -> "pd.Series[float]":
     return numbers
 
 
-def _truths(column: "pd.Series[Any]", path: Path) -> "pd.Series[bool]":
+def _booleans(column: "pd.Series[Any]", path: Path) -> "pd.Series[bool]":
     words = column.astype(str).str.lower()
     wrong = ~words.isin(("true", "false"))
     if wrong.any():
@@ -291,7 +291,7 @@ def _truths(column: "pd.Series[Any]", path: Path) -> "pd.Series[bool]":
     return words == "true"
 
 
-def _of(frame: pd.DataFrame, name: str) -> pd.DataFrame:
+def _rows_of_tracker(frame: pd.DataFrame, name: str) -> pd.DataFrame:
     own = frame[frame["tracker"] == name].drop(columns="tracker")
     return own.sort_values("time", kind="stable").drop_duplicates("time")
 

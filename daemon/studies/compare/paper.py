@@ -37,7 +37,7 @@ _BEGIN_HOUR, _DAY_SHARE = 5, 12.5 / 24.0
 _FLAT_START, _FLAT_DAYS = datetime(2022, 8, 3, 3, tzinfo=UTC), 18.0 / 24.0
 
 
-def _at(day: int, hour: int, minute: int = 0) -> float:
+def _october_utc_s(day: int, hour: int, minute: int = 0) -> float:
     return datetime(2022, 10, day, hour, minute, tzinfo=UTC).timestamp()
 
 
@@ -53,10 +53,10 @@ class Printed:
 
 # The afternoon's end is not printed; sunset is at 17:10.
 PRINTED = (
-    Printed(Span("clear", _at(12, 7), _at(12, 10, 20)), -0.15, -0.5, 0.1),
-    Printed(Span("overcast", _at(12, 10, 20), _at(12, 12, 10)), 12.7, 10.0, np.inf),
-    Printed(Span("variable", _at(12, 12, 10), _at(12, 17, 15)), -1.0, -2.0, 1.0),
-    Printed(Span("overcast day", _at(14, 5), _at(14, 17, 30)), 40.5, 25.0, np.inf),
+    Printed(Span("clear", _october_utc_s(12, 7), _october_utc_s(12, 10, 20)), -0.15, -0.5, 0.1),
+    Printed(Span("overcast", _october_utc_s(12, 10, 20), _october_utc_s(12, 12, 10)), 12.7, 10.0, np.inf),
+    Printed(Span("variable", _october_utc_s(12, 12, 10), _october_utc_s(12, 17, 15)), -1.0, -2.0, 1.0),
+    Printed(Span("overcast day", _october_utc_s(14, 5), _october_utc_s(14, 17, 30)), 40.5, 25.0, np.inf),
 )
 
 
@@ -82,7 +82,7 @@ class Correction:
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
+class _RunRequest:
     """What a run depends on; sky and seed are among the settings."""
 
     settings: Settings
@@ -129,17 +129,17 @@ def run_paper(
         Called with the share done, 0..1.
     """
     asked = [
-        _Asked(
+        _RunRequest(
             override(settings, {"simulation": {"sky": sky, "seed": seed}}), afternoon, cube_law, found,
             with_pairs=sky == skies[0] and seed == 1,
         )
         for sky in skies for seed in range(1, seeds + 1)
     ]  # fmt: skip
-    return gather(_both_days, asked, workers, progress)
+    return gather(_run_both_days, asked, workers, progress)
 
 
-def _both_days(asked: _Asked) -> Run:
-    days: tuple[tuple[int, Parts], ...] = ((12, _twelfth(asked.afternoon)), (14, [(0.0, "overcast")]))
+def _run_both_days(asked: _RunRequest) -> Run:
+    days: tuple[tuple[int, Parts], ...] = ((12, _weather_of_twelfth(asked.afternoon)), (14, [(0.0, "overcast")]))
     laws = (asked.cube_law, FALLBACK_LAW)
     pairs = tuple(
         _one_day(asked.settings, laws, datetime(2022, 10, day, _BEGIN_HOUR, tzinfo=UTC), _DAY_SHARE, parts)
@@ -172,8 +172,12 @@ def _one_day(
     return pair(frame_of(measured), NAMES)
 
 
-def _twelfth(afternoon: WeatherName) -> Parts:
-    return [(_at(12, 0), "clear"), (_at(12, 10, 20), "overcast"), (_at(12, 12, 10), afternoon)]
+def _weather_of_twelfth(afternoon: WeatherName) -> Parts:
+    return [
+        (_october_utc_s(12, 0), "clear"),
+        (_october_utc_s(12, 10, 20), "overcast"),
+        (_october_utc_s(12, 12, 10), afternoon),
+    ]
 
 
 def ceilings(site: Site, limits: Limits, albedo: float = 0.2) -> list[tuple[str, str, float]]:

@@ -53,7 +53,7 @@ def experiment_figures(pairs: Pairs, found: Fit | None, site: Site) -> list[Show
     bias = None if found is None else found.bias
     days = solar_days(pairs.utc_s, site.longitude_deg)
     cube, chrono = pairs.names
-    mark = _mark(pairs)
+    mark = _simulated_prefix(pairs)
     for day in np.unique(days).tolist():
         part = pairs.where(days == day)
         if part.utc_s.size < 2:
@@ -81,7 +81,7 @@ def experiment_figures(pairs: Pairs, found: Fit | None, site: Site) -> list[Show
 def bias_shown(flat: Pairs, found: Fit) -> Shown:
     """Return the figure of the fit."""
     caption = f"{flat.names[0]} against {flat.names[1]} while both lay flat (the paper's Figure 4)."
-    return Shown("bias", _mark(flat) + caption, stamped(figures.bias_figure(flat, found), flat.simulated))
+    return Shown("bias", _simulated_prefix(flat) + caption, stamped(figures.bias_figure(flat, found), flat.simulated))
 
 
 def modelled_curve(pairs: Pairs) -> Shown | None:
@@ -97,7 +97,7 @@ def modelled_curve(pairs: Pairs) -> Shown | None:
     figure = figures.curve_figure(
         voltage,
         np.maximum(curve(Q_PEAK_G4_1_305, light, warmth, voltage), 0.0),
-        f"{_mark(pairs)}{pairs.names[0]}, {when}Z, by the model of the module",
+        f"{_simulated_prefix(pairs)}{pairs.names[0]}, {when}Z, by the model of the module",
     )
     caption = (
         f"I(V) and P(V) of {pairs.names[0]}'s module at {light:.0f} W/m2 and {warmth:.0f} degC, by the model of the"
@@ -110,7 +110,7 @@ def modelled_curve(pairs: Pairs) -> Shown | None:
 def kept_curve_shown(kept: KeptCurve, pairs: Pairs) -> Shown:
     """Return the figure of a measured I-V curve."""
     name, when = pairs.names[0], iso_utc(kept.time_utc_s)[:19]
-    figure = figures.curve_figure(kept.voltage_v, kept.current_a, f"{_mark(pairs)}{name}, {when}Z")
+    figure = figures.curve_figure(kept.voltage_v, kept.current_a, f"{_simulated_prefix(pairs)}{name}, {when}Z")
     caption = (
         f"I(V) and P(V) of {name}'s module as {_source(pairs)}, the curve of its highest power (the paper's Figure 3)."
     )
@@ -207,7 +207,7 @@ def write_report(
         notes.append(f"{far}.")
     if pairs.simulated:
         notes.insert(0, "SIMULATED: powers here come from a model or a bench and not from modules on a roof.")
-    title = f"{_mark(pairs)}{pairs.names[0]} and {pairs.names[1]}"
+    title = f"{_simulated_prefix(pairs)}{pairs.names[0]} and {pairs.names[1]}"
     write_page(out / "report.html", title, notes, tables, shown)
     return rows
 
@@ -243,7 +243,7 @@ def write_page(path: Path, title: str, notes: Sequence[str], tables: Sequence[Ta
         raise UserError(f"{path} cannot be written: {error.strerror}") from None
 
 
-def _mark(pairs: Pairs) -> str:
+def _simulated_prefix(pairs: Pairs) -> str:
     return "SIMULATED: " if pairs.simulated else ""
 
 

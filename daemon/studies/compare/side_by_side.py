@@ -34,7 +34,7 @@ ASSUMED_AIR_DEGC, ASSUMED_WIND_M_S = 15.0, 1.0
 # The paper's trackers had no such limits of a day's motion.
 _UNLIMITED = {"travel_per_day_deg": 100000.0, "moves_per_day": 10000}
 _PROGRESS_EVERY_S = 900.0
-_AT_ONCE = 20_000
+_ROWS_AT_ONCE = 20_000
 
 
 # Assumed, so that there is a bias to find: T-Cube's module gives less current and has more resistance, which makes it
@@ -203,8 +203,8 @@ def _measure(
     found = np.frombuffer(poses.found).reshape(-1, 5)
     random = np.random.default_rng([settings.simulation.seed, 2])
     measurements: list[Measurement] = []
-    for first in range(0, len(found), _AT_ONCE):
-        part = found[first : first + _AT_ONCE]
+    for first in range(0, len(found), _ROWS_AT_ONCE):
+        part = found[first : first + _ROWS_AT_ONCE]
         utc_s = part[:, 0]
         light, air, wind = pair.overhead(utc_s)
         air = np.where(np.isfinite(air), air, ASSUMED_AIR_DEGC)

@@ -121,15 +121,15 @@ def _measurements(connection: sqlite3.Connection, name: str | None, path: Path) 
         if curves.empty:
             continue
         poses = _table(connection, "poses", _POSES, (run, own), ["time", "a_deg", "b_deg"])
-        both = _joined(curves, poses, "backward", _POSE_HOLDS_S)
-        whole = _joined(both, light, "nearest", _SCAN_WITHIN_S)
+        both = _join_by_time(curves, poses, "backward", _POSE_HOLDS_S)
+        whole = _join_by_time(both, light, "nearest", _SCAN_WITHIN_S)
         found.append(whole.assign(tracker=name or own or f"run {run}", simulated=_simulated(connection, run)))
     if not found:
-        raise UserError(_why_none(f"the store {path}", name, list(_trackers(connection))))
+        raise UserError(_no_curve_sentence(f"the store {path}", name, list(_trackers(connection))))
     return pd.concat(found, ignore_index=True).reindex(columns=list(Measurement._fields))
 
 
-def _why_none(called: str, name: str | None, trackers: Sequence[tuple[int, str, bool]]) -> str:
+def _no_curve_sentence(called: str, name: str | None, trackers: Sequence[tuple[int, str, bool]]) -> str:
     """Return the sentence for a store without a usable curve."""
     if not trackers:
         return f"{called} holds no I-V curves: they need an electronic load, section load of the configuration"
@@ -172,7 +172,7 @@ def _simulated(connection: sqlite3.Connection, run: int) -> bool:
     return bool(connection.execute("SELECT simulated FROM runs WHERE run = ?", (run,)).fetchone()[0])
 
 
-def _joined(
+def _join_by_time(
     left: pd.DataFrame, right: pd.DataFrame, direction: Literal["backward", "nearest"], within_s: float
 ) -> pd.DataFrame:
     within: Any = within_s  # the stubs know times only, and ours are numbers

@@ -47,13 +47,13 @@ UNLIMITED = (
 )
 IDEAL = Drive(np.inf, 0.0, 1)
 _HEADS = ("law", "kWh/m2", "gain %", *DAY_TYPES, "share %", "worst clear", "deg/day", "return", "moves")
-_BY_TYPE = tuple(f"gain_{day_type}_pct" for day_type in DAY_TYPES)
+_TYPE_GAIN_COLUMNS = tuple(f"gain_{day_type}_pct" for day_type in DAY_TYPES)
 # Where less than this share of the daylight is known, the ways from and to the night position weigh too much.
-_MOSTLY_WHOLE = 0.9
+_LEAST_WHOLE_SHARE = 0.9
 # The tables show a smaller gain as 0.00 %, and a share of so little could be any number.
 _LEAST_ROOM_PCT = 0.005
-_OF_TRAVEL = ("travel_deg_per_day", "return_deg_per_day", "moves_per_day")
-CSV_NUMBERS = ("energy_kwh_m2", "gain_pct", *_BY_TYPE, "share_pct", "worst_clear_day_pct", *_OF_TRAVEL)
+_TRAVEL_COLUMNS = ("travel_deg_per_day", "return_deg_per_day", "moves_per_day")
+CSV_NUMBERS = ("energy_kwh_m2", "gain_pct", *_TYPE_GAIN_COLUMNS, "share_pct", "worst_clear_day_pct", *_TRAVEL_COLUMNS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +162,7 @@ def run_benchmark(
             progress((done + 1) / total)
             done += 1
             if name == BOUND:
-                yield summarise(name, _never_moving(bound))
+                yield summarise(name, _harvest_without_travel(bound))
             else:
                 yield summarise(name, _harvest_of(name, days))
     progress(1.0)
@@ -179,10 +179,10 @@ def _harvest_of(name: str, days: DaysUnderSky) -> Harvest:
     except Exception as error:
         raise UserError(f"the law {name} has failed: {_cause(error)}") from error
     # The benchmark begins each day at the night position. A fixed plane was never there, and has no travel.
-    return _never_moving(found.energy_kwh_m2) if name.startswith(FIXED) else found
+    return _harvest_without_travel(found.energy_kwh_m2) if name.startswith(FIXED) else found
 
 
-def _never_moving(energy_kwh_m2: Array) -> Harvest:
+def _harvest_without_travel(energy_kwh_m2: Array) -> Harvest:
     nothing = np.full(len(energy_kwh_m2), np.nan)
     return Harvest(energy_kwh_m2, nothing, nothing, nothing)
 
@@ -214,16 +214,16 @@ def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *
         "Travel adds A and B from the night position on; the way back to it at night is in its own column. A day of"
         " which half is missing counts half."
     )
-    lines += [line for text in (travel, UNLIMITED, *_of_parts(weather)) for line in wrap(text, WIDTH)]
+    lines += [line for text in (travel, UNLIMITED, *_partial_days_caution(weather)) for line in wrap(text, WIDTH)]
     for name in dict.fromkeys(row.sky for row in rows):
         lines += ["", f"sky {name}", *table([_HEADS, *(_cells(row) for row in rows if row.sky == name)])]
     return "\n".join(lines) + "\n"
 
 
-def _of_parts(weather: DaylightWeather) -> list[str]:
+def _partial_days_caution(weather: DaylightWeather) -> list[str]:
     """Return a caution on means per day where most days are known only in part; else nothing."""
     whole_days, lit = weather.whole_days(), int(np.count_nonzero(weather.day_types() >= 0))
-    if whole_days > _MOSTLY_WHOLE * lit:
+    if whole_days > _LEAST_WHOLE_SHARE * lit:
         return []
     text = (
         f"The records are of parts of {counted(lit, 'day')}, which count as {whole_days:.2f} whole days. The ways from"

@@ -46,7 +46,7 @@ CAUSES: tuple[Cause, ...] = get_args(Cause)
 KEPT = "kept"
 NOISE_SHARE, NOISE_W_M2 = 0.01, 1.0
 MISSING_SHARE = 0.01
-_FREE = {"thrift": THRIFT_RANGE[0], "travel_per_day_deg": 100000.0, "moves_per_day": 1440}
+_UNTHRIFTY_SETTINGS = {"thrift": THRIFT_RANGE[0], "travel_per_day_deg": 100000.0, "moves_per_day": 1440}
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ def run_losses(
             progress((done + 0.5) / (len(skies) * len(law_names)))
             done += 1
             settings = cast("LiveOptimalSettings", choice(name).settings)
-            harvests = np.stack([days.bound_kwh_m2, *_burdened(days, settings, np.random.default_rng(seed))])
+            harvests = np.stack([days.bound_kwh_m2, *_energy_by_burden(days, settings, np.random.default_rng(seed))])
             yield Losses(sky, name, room, -np.diff(harvests, axis=0) @ members.T)
     progress(1.0)
 
@@ -160,7 +160,9 @@ def as_page(found: Sequence[Losses], *, simulated: bool) -> dict[str, Any]:
     }
 
 
-def _burdened(days: DaysUnderSky, settings: LiveOptimalSettings, random: np.random.Generator) -> Iterator[Array]:
+def _energy_by_burden(
+    days: DaysUnderSky, settings: LiveOptimalSettings, random: np.random.Generator
+) -> Iterator[Array]:
     """Yield the energy of each day [kWh/m2], shape (days,), after each burden is added."""
     weather, faces, terms = days.weather, days.faces, days.terms
 
@@ -170,7 +172,7 @@ def _burdened(days: DaysUnderSky, settings: LiveOptimalSettings, random: np.rand
     light = light_from_faces(faces, weather.sun, terms.albedo)
     best = aim_vector(light, weather.sun, terms.albedo)
     yield days.run(towards(weather, best, terms.limits), IDEAL).energy_kwh_m2
-    yield by_the_law(settings.model_copy(update=_FREE), faces, IDEAL)
+    yield by_the_law(settings.model_copy(update=_UNTHRIFTY_SETTINGS), faces, IDEAL)
     yield by_the_law(settings, faces, IDEAL)
     yield by_the_law(settings, faces, terms.drive)
     noisy = faces * (1.0 + NOISE_SHARE * random.standard_normal(faces.shape))

@@ -191,28 +191,28 @@ def _name_laws(axes: Axes, rows: Sequence[EnergyRow]) -> None:
     marks = axes.transData.transform(np.reshape([(row.travel_deg_per_day, row.share_pct) for row in rows], (-1, 2)))
     taken = [Bbox([mark - _MARK_PX, mark + _MARK_PX]) for mark in marks]
     taken += [text.get_window_extent() for text in axes.texts]
-    taken += [Bbox([point, point + 1.0]) for line in axes.lines for point in _along(line)]
+    taken += [Bbox([point, point + 1.0]) for line in axes.lines for point in _points_along(line)]
     laws = np.array([_law_of(row) for row in rows])
     highest = {_law_of(row): row.sky for row in sorted(rows, key=lambda row: row.share_pct)}
     tried = {_law_of(row) for row in rows if ":" in row.law}
     for row, mark in zip(rows, marks, strict=True):
         if _law_of(row) in tried and row.sky == highest[_law_of(row)]:
-            number = axes.text(0.0, 0.0, _tried(row.law)[1], ha="center", va="center", fontsize="small")
-            _put(number, _around(mark, number.get_window_extent(), frame), taken)
+            number = axes.text(0.0, 0.0, _tried_parameter(row.law)[1], ha="center", va="center", fontsize="small")
+            _put(number, _places_around_mark(mark, number.get_window_extent(), frame), taken)
     for law in dict.fromkeys(laws.tolist()):
-        called = f"{law}, by {_tried(law)[0]}" if law in tried else law
+        called = f"{law}, by {_tried_parameter(law)[0]}" if law in tried else law
         name = axes.text(0.0, 0.0, called, ha="center", va="center")
-        _put(name, _beside(marks[laws == law], name.get_window_extent(), frame, len(rows)), taken)
+        _put(name, _places_beside_marks(marks[laws == law], name.get_window_extent(), frame, len(rows)), taken)
 
 
-def _tried(name: str) -> tuple[str, str]:
+def _tried_parameter(name: str) -> tuple[str, str]:
     """Return the name of a law's one parameter, and its value in this name of the command line."""
     settings = choice(name).settings
     assert settings is not None and settings.knob is not None  # noqa: S101, PT018 - nothing else has two values
     return settings.knob, f"{getattr(settings, settings.knob):g}"
 
 
-def _along(line: Line2D) -> Array:
+def _points_along(line: Line2D) -> Array:
     """Return points along a drawn line, one every few pixels [pixels]."""
     corners = np.asarray(line.get_transform().transform(line.get_xydata()))
     reached = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))))
@@ -229,7 +229,7 @@ def _put(text: Text, places: Sequence[Bbox], taken: list[Bbox]) -> None:
     text.set_position((x, y))
 
 
-def _around(mark: Array, size: BboxBase, frame: BboxBase) -> list[Bbox]:
+def _places_around_mark(mark: Array, size: BboxBase, frame: BboxBase) -> list[Bbox]:
     """Return the places of a text of some size around a mark [pixels], inside the frame, nearest first."""
     reach = np.array([size.width, size.height]) / 2.0 + _MARK_PX
     ways = np.array([(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)])
@@ -238,7 +238,7 @@ def _around(mark: Array, size: BboxBase, frame: BboxBase) -> list[Bbox]:
     return [box for box in boxes if frame.contains(box.x0, box.y0) and frame.contains(box.x1, box.y1)] or boxes
 
 
-def _beside(marks: Array, size: BboxBase, frame: BboxBase, lines: int) -> list[Bbox]:
+def _places_beside_marks(marks: Array, size: BboxBase, frame: BboxBase, lines: int) -> list[Bbox]:
     """Return the places of a name of some size above and below its marks [pixels], inside the frame, nearest first."""
     width, height = size.width, size.height
     x = np.clip(marks[:, 0].mean(), frame.x0 + 0.55 * width, frame.x1 - 0.55 * width)

@@ -73,11 +73,11 @@ def years_known(utc_s: Array, weather: DaylightWeather) -> float:
     noon is between the instants. A gap of more than half a year is no polar night: there are no records of that time.
     """
     stretches = np.split(utc_s, np.flatnonzero(np.diff(utc_s) > _LONGEST_NIGHT_S) + 1)
-    sunless = sum(_sunless_between(float(stretch[0]), float(stretch[-1]), weather.site) for stretch in stretches)
+    sunless = sum(_count_sunless_days(float(stretch[0]), float(stretch[-1]), weather.site) for stretch in stretches)
     return (weather.whole_days() + sunless) / _YEAR_DAYS
 
 
-def _sunless_between(start_utc_s: float, end_utc_s: float, site: Site) -> int:
+def _count_sunless_days(start_utc_s: float, end_utc_s: float, site: Site) -> int:
     east_s = site.longitude_deg * 240.0
     first, last = ((at_s + east_s) / DAY_S - 0.5 for at_s in (start_utc_s, end_utc_s))
     noons_utc_s = (np.arange(np.ceil(first), np.floor(last) + 1.0) + 0.5) * DAY_S - east_s

@@ -29,7 +29,7 @@ def evaluate(
     """
     latitudes, blocks = request.latitudes_deg.tolist(), list[Columns]()
     for latitude in latitudes:
-        blocks.append(_one_latitude(request, latitude, sky))
+        blocks.append(_evaluate_latitude(request, latitude, sky))
         progress(len(blocks) / len(latitudes))
     return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
@@ -73,7 +73,7 @@ def tilts_at(request: Request, latitude: float) -> DeviceTilts:
     return DeviceTilts(static[None, :, None], vertical[None, :, None], horizontal[None, :, None])
 
 
-def _one_latitude(request: Request, latitude: float, sky: "SkySource | None") -> Columns:
+def _evaluate_latitude(request: Request, latitude: float, sky: "SkySource | None") -> Columns:
     tilts, azimuths = tilts_at(request, latitude), request.azimuths_deg[None, :, None]
     against, year = request.against, request.days is None
     days = gain.DAYS if request.days is None else request.days

@@ -16,11 +16,11 @@ from daemon.studies.gain.evaluate import Columns
 from daemon.studies.text_table import signed, table
 
 MOST_ROWS, MOST_ROWS_BESIDE_A_FIGURE = 200, 12
-_NOTHING = 1e-9
+_SHOWN_AS_ZERO = 1e-9
 _CSV_BLOCK_ROWS = 50_000
 _NAMES = {Device.STATIC: "static panel", Device.VERTICAL: "vertical axis", Device.HORIZONTAL: "horizontal axis"}
 _RATIO = {Device.STATIC: "K_DS_clip", Device.VERTICAL: "K_DV", Device.HORIZONTAL: "K_DH"}
-_ASKED = ("phi_deg", "beta_deg", "lambda_deg", "n")
+_INPUT_COLUMNS = ("phi_deg", "beta_deg", "lambda_deg", "n")
 _LEGEND = """\
 K: the dual axis over a static panel (K_DS; _clip for one face, _abs for both),
 a vertical axis (K_DV) or the paper's horizontal axis (K_DH).
@@ -75,7 +75,7 @@ def _show(columns: Columns, console: Console, sky_label: str | None, most_rows: 
         return
     if sky_label:
         _print(f"Under the sky: {sky_label}.\n", console)
-    told = [name for name in _ASKED if name in columns and np.ptp(columns[name]) > 0.0] or ["phi_deg"]
+    told = [name for name in _INPUT_COLUMNS if name in columns and np.ptp(columns[name]) > 0.0] or ["phi_deg"]
     ordered = told + [name for name in columns if name not in {*told, "simulated"}]
     texts = [[name, *(_number(name, value) for value in columns[name][:most_rows])] for name in ordered]
     _print_aligned(list(zip(*texts, strict=True)), console, keys=len(told))
@@ -151,7 +151,7 @@ def _number(name: str, value: float) -> str:
     # A search for the best tilt may end some 1e-15 deg beside zero.
     if np.isnan(value):
         return "-"
-    value = 0.0 if abs(value) < _NOTHING else value
+    value = 0.0 if abs(value) < _SHOWN_AS_ZERO else value
     return f"{value:.0f}" if name == "n" else f"{value:.6g}" if name.endswith("_deg") else f"{value:.5g}"
 
 

@@ -86,7 +86,7 @@ def gain_map(request: Request, columns: Columns, sky: SkySource | None) -> Figur
             # On the brightest levels white numbers need a dark edge.
             for text in panel.clabel(lines, fmt="%g", fontsize=8):
                 text.set_path_effects([withStroke(linewidth=2.0, foreground="#333333")])
-            best = _lowest(tilts, percent)
+            best = _tilt_of_lowest(tilts, percent)
             panel.plot(
                 latitudes,
                 np.abs(best) if device is Device.VERTICAL else best,
@@ -163,7 +163,7 @@ def daily_gain(request: Request, sky: SkySource | None) -> Figure:
             known = np.flatnonzero(np.isfinite(percent))
             some = known[:: max(known.size // _MOST_DOTS, 1)]
             panel.plot(gain.DAYS[some], percent[some], _DOTS[device], color=colour, markersize=4)
-    _months(panel)
+    _label_months(panel)
     shown = np.concatenate([line.get_ydata() for line in panel.lines])
     finite = shown[np.isfinite(shown)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
@@ -221,13 +221,13 @@ def printed_against_exact(request: Request) -> Figure:
         panel.set_title(f"tilt {_tilt(tilts, device):.1f}°", fontsize=10, loc="left")
         panel.legend(fontsize=9, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False)
         panel.grid(alpha=0.3, which="both")
-        _plain_log(panel)
-    _months(axes[-1])
+        _label_log_plainly(panel)
+    _label_months(axes[-1])
     figure.suptitle(f"The paper's printed ratios against the exact ones at latitude {latitude:g}°{_azimuth(request)}")
     return figure
 
 
-def _lowest(tilts: Array, percent: Array) -> Array:
+def _tilt_of_lowest(tilts: Array, percent: Array) -> Array:
     """Return the tilt of each column's lowest value; NaN where a column has no value.
 
     Where the tilts are evenly spaced, a parabola finds it between them.
@@ -277,13 +277,13 @@ def _azimuth(request: Request) -> str:
     return f", azimuth {azimuth:g}° from south to east" if azimuth else ""
 
 
-def _months(panel: Axes) -> None:
+def _label_months(panel: Axes) -> None:
     panel.set_xlim(1, 365)
     panel.set_xticks(_MONTH_STARTS, _MONTHS, ha="left")
     panel.grid(alpha=0.3)
 
 
-def _plain_log(panel: Axes) -> None:
+def _label_log_plainly(panel: Axes) -> None:
     """Label a logarithmic axis with plain numbers, as many as fit between its ends."""
     low, high = panel.get_ylim()
     decades = log10(high / low)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 Node = ET.Element
 Part = Node | str
 
-_FIGURE = re.compile(r"([+−]?[\d.]+( %| deg)?|–)\Z")
+_NUMBER_TEXT = re.compile(r"([+−]?[\d.]+( %| deg)?|–)\Z")
 _SHORT = 20
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 
@@ -71,7 +71,7 @@ def picture(figure: Figure, name: str, about: str, colours: dict[str, str]) -> N
         value.removeprefix("#") for node in root.iter() for key, value in node.items() if key.endswith("}href")
     }
     for node in root.iter():
-        _settle(node, name, used, colours)
+        _fit_into_page(node, name, used, colours)
     for metadata in root.findall("metadata"):
         root.remove(metadata)
     svg = element("svg", viewBox=root.get("viewBox", ""), role="img", aria_label=about)
@@ -111,7 +111,7 @@ def _head(texts: Sequence[str], rows: Sequence[Sequence[str]]) -> list[Node]:
 
 def _kind(text: str) -> str:
     """Return the class of a cell: figures are set on the right, short texts in one line."""
-    if _FIGURE.match(text):
+    if _NUMBER_TEXT.match(text):
         return "figure"
     return "short" if len(text) <= _SHORT else "words"
 
@@ -124,7 +124,7 @@ def _row(cells: Sequence[str]) -> Node:
     return found
 
 
-def _settle(node: Node, name: str, used: set[str], colours: dict[str, str]) -> None:
+def _fit_into_page(node: Node, name: str, used: set[str], colours: dict[str, str]) -> None:
     """Make an element of a drawing fit the page: without namespaces, with unique names and the page's colours."""
     node.tag = node.tag.rpartition("}")[2]
     for key, value in list(node.items()):

@@ -23,13 +23,13 @@ from solar.frames import Array, Limits
 from solar.tables import broken_line, unreadable, utc_times
 
 # Columns that no figure needs: those of a month would fill the memory.
-_LEFT_OUT = {"session", "source", "sequence", "calibration", "curve", "ghi", *(f"{face}_time" for face in FACES)}
+_UNUSED_COLUMNS = {"session", "source", "sequence", "calibration", "curve", "ghi", *(f"{face}_time" for face in FACES)}
 # The last record belongs to the span.
 _LAST_S = 1.0
-_NOTHING = ToldBefore()
+_NOTHING_TOLD = ToldBefore()
 _DAMAGED = "it is damaged or cut off; export it anew"
 _NUMBERS = {kind: [column.name for column in columns if column.holds == "float"] for kind, columns in COLUMNS.values()}
-_TRUTHS = ("moving", "simulated")
+_BOOLEAN_COLUMNS = ("moving", "simulated")
 _NEEDED = {
     "scans": [f"{face}_{what}" for face in FACES for what in ("w_m2", "quality")],
     "decisions": ["mode", "target_a_deg", "target_b_deg"],
@@ -39,7 +39,7 @@ _NEEDED = {
     "events": ["subject", "text"],
     "curves": ["pmpp_w", "quality"],
 }
-_WORDS_AGAIN = {"mode", "law", "tracker", *(f"{face}_quality" for face in FACES)}
+_CATEGORY_COLUMNS = {"mode", "law", "tracker", *(f"{face}_quality" for face in FACES)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ class Material:
     source: str
     runs: tuple[StoredRun, ...]
     tables: dict[str, pd.DataFrame]
-    before: ToldBefore = _NOTHING
+    before: ToldBefore = _NOTHING_TOLD
     budget_deg: float | None = None
     budget_moves: int | None = None
     stow_wind_m_s: float | None = None
@@ -175,7 +175,7 @@ def of_tables(
     source: str,
     *,
     runs: tuple[StoredRun, ...] = (),
-    before: ToldBefore = _NOTHING,
+    before: ToldBefore = _NOTHING_TOLD,
 ) -> list[Material]:
     """Return the material of every tracker in tables; `UserError` for tables without a record in the span."""
     inside = within(tables, span)
@@ -270,7 +270,7 @@ def _checked(path: Path, kind: str, table: pd.DataFrame) -> pd.DataFrame:
             numbers = pd.to_numeric(table[name], errors="coerce")
             _refuse(path, table[name], numbers.isna() & table[name].notna(), ", which is not a number")
             table[name] = numbers
-    for name in _TRUTHS:
+    for name in _BOOLEAN_COLUMNS:
         if name in table and not is_bool_dtype(table[name]):
             _refuse(path, table[name], ~table[name].isin([True, False]) & table[name].notna(), "; write true or false")
     # The clock may have been set back while the records were written.
@@ -302,10 +302,10 @@ def _read_days(directory: Path, span: ReportSpan, progress: Callable[[float], No
             for kind, table in from_tables(Path(folder), "parquet").items():
                 parts[kind].append(table)
         progress((number + 1) / len(days))
-    return {kind: _together(tables) for kind, tables in parts.items()}
+    return {kind: _join_days(tables) for kind, tables in parts.items()}
 
 
-def _together(tables: list[pd.DataFrame]) -> pd.DataFrame:
+def _join_days(tables: list[pd.DataFrame]) -> pd.DataFrame:
     filled = [table for table in tables if len(table)]
     if len(filled) <= 1:
         return filled[0] if filled else tables[0]
@@ -314,13 +314,13 @@ def _together(tables: list[pd.DataFrame]) -> pd.DataFrame:
 
 
 def _as_text(table: pd.DataFrame) -> pd.DataFrame:
-    return table.astype({name: "object" for name in table.columns if name in _WORDS_AGAIN})
+    return table.astype({name: "object" for name in table.columns if name in _CATEGORY_COLUMNS})
 
 
 def _slim(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table without columns that no figure needs, its repeated words held once."""
-    kept = table.drop(columns=[name for name in table.columns if name in _LEFT_OUT])
-    return kept.astype({name: "category" for name in kept.columns if name in _WORDS_AGAIN})
+    kept = table.drop(columns=[name for name in table.columns if name in _UNUSED_COLUMNS])
+    return kept.astype({name: "category" for name in kept.columns if name in _CATEGORY_COLUMNS})
 
 
 def _trackers(tables: Iterable[pd.DataFrame]) -> list[str]:

@@ -20,7 +20,7 @@ NOT_RECORDED = "not recorded"
 SILENT_S = 900.0
 """A longer time without any record counts as not recorded."""
 _EDGE_S = 120.0
-_OTHERS_WANT = (Mode.STOW, Mode.SNOW, Mode.MAINTENANCE, Mode.HOLD)
+_EXCUSED_MODES = (Mode.STOW, Mode.SNOW, Mode.MAINTENANCE, Mode.HOLD)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ def motion_of(material: Material) -> RecordedMotion:
     travel_a, travel_b = (_travel(material, angle) for angle in ("a_deg", "b_deg"))
     begun = material.times_of("moves")
     days = [(begun >= day.start_utc_s) & (begun < day.end_utc_s) for day in days_of(material)]
-    mean, p95, available = _at_set_point(material, stretches)
+    mean, p95, available = _deviation_and_availability(material, stretches)
     return RecordedMotion(
         stretches=stretches,
         outcomes={str(name): int(count) for name, count in moves["outcome"].value_counts().items()}
@@ -123,7 +123,7 @@ def _travel(material: Material, angle: str) -> Array:
 def _stretches(material: Material) -> tuple[Stretch, ...]:
     """Return the modes, with ``not recorded`` where there are no records for long."""
     found: list[Stretch] = []
-    for start, end in _recorded(material):
+    for start, end in _recorded_spans(material):
         found += _modes_between(material, start, end)
     filled: list[Stretch] = []
     at = material.span.start_utc_s
@@ -137,7 +137,7 @@ def _stretches(material: Material) -> tuple[Stretch, ...]:
     return tuple(filled)
 
 
-def _recorded(material: Material) -> list[tuple[float, float]]:
+def _recorded_spans(material: Material) -> list[tuple[float, float]]:
     """Return begin and end of each stretch of time with records of any kind and no long pause."""
     every = np.sort(np.concatenate([material.times_of(kind) for kind in material.tables]))
     start, end = material.span.start_utc_s, material.span.end_utc_s
@@ -176,11 +176,11 @@ def _mode_before(material: Material, start: float) -> str:
     return str(decisions["mode"].iloc[int(later[0])]) if later.size else "no change of mode recorded"
 
 
-def _at_set_point(material: Material, stretches: tuple[Stretch, ...]) -> tuple[float, float, float]:
+def _deviation_and_availability(material: Material, stretches: tuple[Stretch, ...]) -> tuple[float, float, float]:
     """Return mean and 95th percentile of the deviation at rest in daylight [deg], and the availability [%]."""
     span = material.span
     utc_s = np.arange(span.start_utc_s + DAYLIGHT_EVERY_S / 2.0, span.end_utc_s, DAYLIGHT_EVERY_S)
-    counts = (sun_up(material, utc_s) > 0.0) & ~_while(stretches, utc_s, _OTHERS_WANT)
+    counts = (sun_up(material, utc_s) > 0.0) & ~_mask_of_modes(stretches, utc_s, _EXCUSED_MODES)
     set_points = [newest(*set_points_of(material, angle), utc_s, DAY_S) for angle in ("a_deg", "b_deg")]
     stands = [held(material, "poses", angle, utc_s, SILENT_S) for angle in ("a_deg", "b_deg")]
     apart = np.maximum(*(np.abs(wanted - is_at) for wanted, is_at in zip(set_points, stands, strict=True)))
@@ -195,7 +195,7 @@ def _at_set_point(material: Material, stretches: tuple[Stretch, ...]) -> tuple[f
     return float(apart[still].mean()), float(np.percentile(apart[still], 95.0)), 100.0 * float(within.mean())
 
 
-def _while(stretches: tuple[Stretch, ...], utc_s: Array, modes: tuple[Mode, ...]) -> NDArray[np.bool_]:
+def _mask_of_modes(stretches: tuple[Stretch, ...], utc_s: Array, modes: tuple[Mode, ...]) -> NDArray[np.bool_]:
     inside = np.zeros(utc_s.shape, dtype=np.bool_)
     for stretch in stretches:
         if stretch.mode in modes:

@@ -199,10 +199,10 @@ def _modes(found: Findings) -> Iterator[Part]:
     special = [one for one in motion.stretches if one.mode not in ("night", "tracking", "starting")]
     if special:
         listed = [
-            (one.mode, *_when(one.start_utc_s, found), length(one.duration_s), one.why or NO_FIGURE)
+            (one.mode, *_time_cells(one.start_utc_s, found), length(one.duration_s), one.why or NO_FIGURE)
             for one in special[:_MOST_LINES]
         ]
-        name = _of_many("When it neither tracked nor slept", len(special))
+        name = _caption_of_many("When it neither tracked nor slept", len(special))
         yield table(("Mode", "UTC", "local", "for", "why"), listed, name)
 
 
@@ -270,10 +270,10 @@ def _quality(found: Findings) -> Iterator[Part]:
         yield table(("Face", *reasons), by_face, "Readings in daylight by quality; all but ok are flagged and not used")
     if quality.gaps:
         gaps = [
-            (*_when(gap.start_utc_s, found), length(gap.end_utc_s - gap.start_utc_s))
+            (*_time_cells(gap.start_utc_s, found), length(gap.end_utc_s - gap.start_utc_s))
             for gap in quality.gaps[:_MOST_LINES]
         ]
-        yield table(("UTC", "local", "for"), gaps, _of_many("Gaps without scans", len(quality.gaps)))
+        yield table(("UTC", "local", "for"), gaps, _caption_of_many("Gaps without scans", len(quality.gaps)))
 
 
 def _outages(found: Findings) -> Iterator[Part]:
@@ -284,8 +284,8 @@ def _outages(found: Findings) -> Iterator[Part]:
     begins_s = found.material.span.start_utc_s
     rows = [
         (
-            *_when(alarm.start_utc_s, found, day=(alarm.start_utc_s or begins_s) < begins_s),
-            _lasted(alarm, found),
+            *_time_cells(alarm.start_utc_s, found, day=(alarm.start_utc_s or begins_s) < begins_s),
+            _alarm_length(alarm, found),
             alarm.text,
             alarm.acknowledged or NO_FIGURE,
         )
@@ -294,11 +294,11 @@ def _outages(found: Findings) -> Iterator[Part]:
     yield table(
         ("UTC", "local", "for", "alarm", "acknowledged by"),
         rows,
-        _of_many("Alarms, as they were raised", len(found.alarms)),
+        _caption_of_many("Alarms, as they were raised", len(found.alarms)),
     )
 
 
-def _lasted(alarm: AlarmSpan, found: Findings) -> str:
+def _alarm_length(alarm: AlarmSpan, found: Findings) -> str:
     if alarm.start_utc_s is None:
         return "on since before"
     if alarm.end_utc_s is None:
@@ -314,7 +314,7 @@ def _runs(found: Findings) -> Iterator[Part]:
     rows = [
         (
             f"{run.run}",
-            *_when(run.origin.started_utc_s, found, day=True),
+            *_time_cells(run.origin.started_utc_s, found, day=True),
             run.origin.version,
             run.origin.role,
             "SIMULATED" if run.origin.simulated else "real",
@@ -324,11 +324,13 @@ def _runs(found: Findings) -> Iterator[Part]:
     yield table(
         ("Run", "started UTC", "local", "version", "role", "instruments"), rows, "Runs with records of this time"
     )
-    changes = [(*_when(note.utc_s, found, day=True), note.text) for note in found.notes if note.subject == SUBJECT]
+    changes = [
+        (*_time_cells(note.utc_s, found, day=True), note.text) for note in found.notes if note.subject == SUBJECT
+    ]
     if not changes:
         yield element("p", "No change of the configuration was recorded.")
     else:
-        name = _of_many("Changes of the configuration, found at a start", len(changes))
+        name = _caption_of_many("Changes of the configuration, found at a start", len(changes))
         yield table(("UTC", "local", "key"), changes[:_MOST_LINES], name)
 
 
@@ -336,8 +338,8 @@ def _events(found: Findings) -> Iterator[Part]:
     if not found.notes:
         return
     yield element("h2", "Events")
-    rows = [(*_when(note.utc_s, found), note.subject, note.text) for note in found.notes[:_MOST_LINES]]
-    yield table(("UTC", "local", "about", "what"), rows, _of_many("Messages of the service", len(found.notes)))
+    rows = [(*_time_cells(note.utc_s, found), note.subject, note.text) for note in found.notes[:_MOST_LINES]]
+    yield table(("UTC", "local", "about", "what"), rows, _caption_of_many("Messages of the service", len(found.notes)))
 
 
 def _foot(found: Findings) -> Node:
@@ -347,9 +349,9 @@ def _foot(found: Findings) -> Node:
     return element("footer", element("p", text, class_="soft"))
 
 
-def _when(utc_s: float | None, found: Findings, day: bool = False) -> tuple[str, str]:
+def _time_cells(utc_s: float | None, found: Findings, day: bool = False) -> tuple[str, str]:
     return clock(utc_s, found.zone, day=day or found.long)
 
 
-def _of_many(what: str, count: int) -> str:
+def _caption_of_many(what: str, count: int) -> str:
     return what if count <= _MOST_LINES else f"{what}: the first {_MOST_LINES} of {count}"

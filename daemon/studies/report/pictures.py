@@ -102,7 +102,7 @@ def light_picture(drawing: Drawing) -> Figure:
         lower.plot(*_thinned(light.utc_s, fraction, pause_s), color=GREY)
         lower.set(ylabel="diffuse\nfraction [-]", ylim=(0.0, 1.05))
         _legend(upper, 4)
-        return _finished(figure, lower, drawing)
+        return _finish_time_axis(figure, lower, drawing)
 
 
 def angles_picture(drawing: Drawing) -> Figure:
@@ -121,7 +121,7 @@ def angles_picture(drawing: Drawing) -> Figure:
         panels[0].set_ylabel("A [deg]\neast − , west +")
         panels[1].set_ylabel("B [deg]\n90 is flat")
         _legend(panels[0], 3)
-        return _finished(figure, panels[-1], drawing)
+        return _finish_time_axis(figure, panels[-1], drawing)
 
 
 def received_picture(drawing: Drawing) -> Figure:
@@ -142,7 +142,7 @@ def received_picture(drawing: Drawing) -> Figure:
         lower.set_ylabel("gained over\nchronometric\n[Wh/m²]")
         lower.axhline(0.0, color=INK, linewidth=0.8)
         _legend(upper, 3)
-        return _finished(figure, lower, drawing)
+        return _finish_time_axis(figure, lower, drawing)
 
 
 def motion_picture(drawing: Drawing) -> Figure:
@@ -178,7 +178,7 @@ def motion_picture(drawing: Drawing) -> Figure:
         travel.set_ylim(bottom=0.0)
         travel.legend(loc="upper left")
         _legend(strip, 5)
-        return _finished(figure, travel, drawing)
+        return _finish_time_axis(figure, travel, drawing)
 
 
 def power_picture(drawing: Drawing) -> Figure:
@@ -192,7 +192,7 @@ def power_picture(drawing: Drawing) -> Figure:
         axes.plot(*_thinned(utc_s, power, longest_interval_s(utc_s)), color=BLUE)
         axes.set_ylabel("maximum power\nof the module [W]")
         axes.set_ylim(bottom=0.0)
-        return _finished(figure, axes, drawing)
+        return _finish_time_axis(figure, axes, drawing)
 
 
 def wind_picture(drawing: Drawing) -> Figure:
@@ -212,7 +212,7 @@ def wind_picture(drawing: Drawing) -> Figure:
         axes.set_ylabel("wind [m/s]")
         axes.set_ylim(bottom=0.0)
         _legend(axes, 2)
-        return _finished(figure, axes, drawing)
+        return _finish_time_axis(figure, axes, drawing)
 
 
 def days_picture(names: Sequence[str], yields: Sequence[Yield], simulated: bool) -> Figure:
@@ -243,7 +243,7 @@ def days_picture(names: Sequence[str], yields: Sequence[Yield], simulated: bool)
         return stamped(figure, simulated)
 
 
-_DRAWN = (
+_ALL_SERIES = (
     Series("irradiance of the faces and diffuse fraction", light_picture),
     Series("A and B, set and actual, and the sun's path", angles_picture),
     Series("estimated irradiance in the plane: actual, chronometric, best", received_picture),
@@ -251,7 +251,7 @@ _DRAWN = (
     Series("wind and what it stows from", wind_picture),
     Series("maximum power of the module by its I-V curves", power_picture),
 )
-PICTURES = dict(zip(NAMES, _DRAWN, strict=True))
+PICTURES = dict(zip(NAMES, _ALL_SERIES, strict=True))
 """Each picture by the name that the command line gives it."""
 
 
@@ -272,7 +272,7 @@ def _legend(axes: Axes, columns: int) -> None:
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2, handlelength=2.6)
 
 
-def _finished(figure: Figure, lowest: Axes, drawing: Drawing) -> Figure:
+def _finish_time_axis(figure: Figure, lowest: Axes, drawing: Drawing) -> Figure:
     """Give the axis of time its ticks, in UTC and by the local clock."""
     span = drawing.material.span
     first, last = _dates(np.array([span.start_utc_s, span.end_utc_s]))
@@ -288,7 +288,7 @@ def _finished(figure: Figure, lowest: Axes, drawing: Drawing) -> Figure:
         lowest.xaxis.set_major_locator(DayLocator())  # type: ignore[no-untyped-call]  # as above
     else:
         lowest.xaxis.set_major_locator(AutoDateLocator(maxticks=12))  # type: ignore[no-untyped-call]  # as above
-    lowest.xaxis.set_major_formatter(FuncFormatter(_clock(drawing)))
+    lowest.xaxis.set_major_formatter(FuncFormatter(_tick_formatter(drawing)))
     if span.duration_s > 1.5 * DAY_S:
         # The ticks of a long span are days: the years of the first and the last of them.
         ticks = -(-span.start_utc_s // DAY_S) * DAY_S, span.end_utc_s // DAY_S * DAY_S
@@ -308,7 +308,7 @@ def _years(first: str, last: str) -> str:
     return first if first == last else f"{first} to {last}"
 
 
-def _clock(drawing: Drawing) -> Callable[[float, int], str]:
+def _tick_formatter(drawing: Drawing) -> Callable[[float, int], str]:
     """Return the function that writes the text of a tick."""
     long = drawing.material.span.duration_s > 1.5 * DAY_S
 

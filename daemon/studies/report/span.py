@@ -11,7 +11,7 @@ from solar.ephemeris import DAY_S
 
 MOST_DAYS = 62
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}\Z")
-_WORDS = {"today": 0, "yesterday": 1}
+_DAYS_AGO = {"today": 0, "yesterday": 1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class Wanted:
             raise UserError("name either --day DAY, or --from and --to")
         if self.day is None and (self.start is None or self.end is None):
             raise UserError("--from and --to belong together: name both")
-        if self.day is not None and self.day not in _WORDS:
+        if self.day is not None and self.day not in _DAYS_AGO:
             _date(self.day, "--day")
         for text, option in ((self.start, "--from"), (self.end, "--to")):
             if text is not None:
@@ -69,7 +69,7 @@ class Wanted:
     @property
     def by_the_clock(self) -> bool:
         """Whether the day is given relative to today."""
-        return self.day in _WORDS
+        return self.day in _DAYS_AGO
 
     def span(self, longitude_deg: float, now_utc_s: float) -> ReportSpan:
         """Return the span at a site [degrees east]; raises `UserError` if it is empty, too long or in the future."""
@@ -99,9 +99,9 @@ def times(utc_s: float, zone: tzinfo | None) -> tuple[datetime, datetime]:
 
 
 def _day(text: str, longitude_deg: float, now_utc_s: float) -> ReportSpan:
-    if text in _WORDS:
+    if text in _DAYS_AGO:
         now = datetime.fromtimestamp(now_utc_s + longitude_deg * DAY_S / 360.0, UTC)
-        day = now.date() - timedelta(days=_WORDS[text])
+        day = now.date() - timedelta(days=_DAYS_AGO[text])
     else:
         day = _date(text, "--day")
     start = solar_midnight_s(day, longitude_deg)

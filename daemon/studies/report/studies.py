@@ -44,7 +44,7 @@ def report_simulation(
     """Write the report of a simulation from its tables; returns the paths of its pages."""
     site, source = settings.site, f"the simulation in {tables}"
     found = of_tables(from_tables(tables, table_format), span_of(*span), site.place(), site.name, source)
-    return _written(found, settings, out, zone, force=force)
+    return _write_pages(found, settings, out, zone, force=force)
 
 
 def report_replay(
@@ -76,15 +76,17 @@ def report_replay(
         settings.site.name,
         f"the replay in {positions}",
     )
-    return _written(found, settings, out, zone, force=force)
+    return _write_pages(found, settings, out, zone, force=force)
 
 
-def _written(found: list[Material], settings: Settings, out: Path, zone: tzinfo | None, *, force: bool) -> list[Path]:
+def _write_pages(
+    found: list[Material], settings: Settings, out: Path, zone: tzinfo | None, *, force: bool
+) -> list[Path]:
     known = [with_settings(material, settings) for material in found]
-    return write_reports(known, out, zone, _unwatched, force=force)
+    return write_reports(known, out, zone, _ignore_progress, force=force)
 
 
-def _unwatched(_share: float) -> None:
+def _ignore_progress(_share: float) -> None:
     """Take the share that is done and ignore it: nobody waits for it."""
 
 

@@ -9,7 +9,7 @@ _ALARM = "alarm"
 _CHANGE = re.compile(r"(raised|cleared) ([\w-]+): (.*)\Z", re.DOTALL)
 _ACKNOWLEDGED = re.compile(r"acknowledged ([\w-]+) by (.*)\Z", re.DOTALL)
 # Older services recorded an alarm as its text alone, and its end with this before the text.
-_OVER = "over: "
+_OVER_PREFIX = "over: "
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ def _change(said: str) -> tuple[str, str, str]:
     if found is not None:
         what, name, text = found.groups()
         return what, name, text
-    return ("cleared", "", said.removeprefix(_OVER)) if said.startswith(_OVER) else ("raised", "", said)
+    return ("cleared", "", said.removeprefix(_OVER_PREFIX)) if said.startswith(_OVER_PREFIX) else ("raised", "", said)
 
 
 def _notes(material: Material) -> list[Note]:

@@ -57,10 +57,14 @@ def summary(
     alarms: list[AlarmSpan],
 ) -> list[str]:
     """Return the three sentences: the sky, the gain, and how well it all went."""
-    return [_sky(material, light, gained), _gain(gained), _working(motion, quality, alarms)]
+    return [
+        _sky_sentence(material, light, gained),
+        _gain_sentence(gained),
+        _operation_sentence(motion, quality, alarms),
+    ]
 
 
-def _sky(material: Material, light: RecordedLight, gained: Yield) -> str:
+def _sky_sentence(material: Material, light: RecordedLight, gained: Yield) -> str:
     span = material.span
     hours = dict.fromkeys(("clear", "variable", "overcast"), 0.0)
     for period in light.periods():
@@ -77,7 +81,7 @@ def _sky(material: Material, light: RecordedLight, gained: Yield) -> str:
     )
 
 
-def _gain(gained: Yield) -> str:
+def _gain_sentence(gained: Yield) -> str:
     if not gained.known_s:
         return "What the tracker's plane received is not known: there are no good readings in daylight."
     than = "more" if gained.gain_pct >= 0.0 else "less"
@@ -88,7 +92,7 @@ def _gain(gained: Yield) -> str:
     )
 
 
-def _working(motion: RecordedMotion, quality: Availability, alarms: list[AlarmSpan]) -> str:
+def _operation_sentence(motion: RecordedMotion, quality: Availability, alarms: list[AlarmSpan]) -> str:
     moves = f"{counted(motion.moves, 'move')} over {number(motion.travel_a_deg + motion.travel_b_deg, 0)} degrees"
     valid = number(quality.daylight.valid_pct if quality.daylight.expected else quality.period.valid_pct)
     where = "in daylight" if quality.daylight.expected else "of the period"

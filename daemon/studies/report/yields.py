@@ -86,12 +86,12 @@ class Yield:
     @property
     def gain_pct(self) -> float:
         """Gain of the tracker over chronometric tracking [%]; NaN without light."""
-        return _over(self.actual_kwh_m2, self.chronometric_kwh_m2)
+        return _percent_over(self.actual_kwh_m2, self.chronometric_kwh_m2)
 
     @property
     def bound_pct(self) -> float:
         """Gain of the best pointing over chronometric tracking [%]; NaN without light."""
-        return _over(self.best_kwh_m2, self.chronometric_kwh_m2)
+        return _percent_over(self.best_kwh_m2, self.chronometric_kwh_m2)
 
     @property
     def of_bound_pct(self) -> float:
@@ -222,5 +222,5 @@ def _albedo(material: Material, utc_s: Array) -> tuple[Array, bool]:
     ), True
 
 
-def _over(value: float, reference: float) -> float:
+def _percent_over(value: float, reference: float) -> float:
     return 100.0 * (value / reference - 1.0) if reference > 0.0 else np.nan

@@ -20,7 +20,7 @@ from daemon.studies.stamp import stamped
 from solar.frames import Array
 
 MOST_MAPS = 4
-_PLANE = "flat"
+_FLAT_LAW = "flat"
 _LEAST_SPAN_DEG, _MARGIN = 4.0, 0.08
 _STEPS_DEG = (1, 2, 5, 10, 15, 30, 60)
 _LINES = 7
@@ -68,7 +68,7 @@ def draw_map(outcomes: Sequence[SiteOutcome], path: Path) -> None:
 def shown_laws(outcomes: Sequence[SiteOutcome]) -> list[str]:
     """Return the laws that get a map."""
     laws = list(dict.fromkeys(row.law for outcome in outcomes for row in outcome.rows))
-    moving = [law for law in laws if law not in (BOUND, FALLBACK_LAW, _PLANE) and not law.startswith(FIXED)]
+    moving = [law for law in laws if law not in (BOUND, FALLBACK_LAW, _FLAT_LAW) and not law.startswith(FIXED)]
     return (moving or laws)[:MOST_MAPS]
 
 

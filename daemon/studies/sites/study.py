@@ -91,11 +91,11 @@ def _run_site(task: _Task) -> SiteOutcome:
         minutes = _minutes(asked, site, benchmark.seed)
         days = lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, site)
     except (UserError, ValueError) as error:
-        return _refused(asked, error)
+        return _refused_outcome(asked, error)
     try:
         rows = tuple(run_benchmark(days, benchmark.skies, benchmark.laws, benchmark.terms, lambda _share: None))
     except UserError as error:
-        return _refused(asked, error)
+        return _refused_outcome(asked, error)
     return SiteOutcome(
         site=asked,
         days=max(round(days.whole_days()), 1),
@@ -105,7 +105,7 @@ def _run_site(task: _Task) -> SiteOutcome:
     )
 
 
-def _refused(asked: AskedSite, error: Exception) -> SiteOutcome:
+def _refused_outcome(asked: AskedSite, error: Exception) -> SiteOutcome:
     return SiteOutcome(site=asked, days=0, rows=(), simulated=False, warnings=(), refused=str(error))
 
 

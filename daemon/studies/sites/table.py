@@ -66,7 +66,7 @@ def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
             names = [name.strip().lower() for name in next(rows, (1, []))[1]]
             _check_columns(path, names)
             sites = [
-                _site(path, line, names, cells, model, separator) for line, cells in rows if any(map(_says, cells))
+                _site(path, line, names, cells, model, separator) for line, cells in rows if any(map(_is_filled, cells))
             ]
     except UnicodeDecodeError:
         raise not_utf8(f"--sites: {path}") from None
@@ -80,7 +80,7 @@ def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
     return sites
 
 
-def _says(cell: str) -> bool:
+def _is_filled(cell: str) -> bool:
     return bool(cell.strip())
 
 

@@ -37,7 +37,7 @@ def alone(work: Callable[[Task], Result], task: Task) -> Result:
 
 
 def _main() -> None:
-    threading.Thread(target=_end_with, args=(int(sys.argv[1]),), daemon=True).start()
+    threading.Thread(target=_exit_with_parent, args=(int(sys.argv[1]),), daemon=True).start()
     with os.fdopen(os.dup(1), "wb") as answer:
         os.dup2(2, 1)
         work, task = pickle.load(sys.stdin.buffer)  # noqa: S301
@@ -48,7 +48,7 @@ def _main() -> None:
         pickle.dump((found, failed), answer)
 
 
-def _end_with(parent: int) -> None:
+def _exit_with_parent(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(_LOOKS_EVERY_S)
     os._exit(1)

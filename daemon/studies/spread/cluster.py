@@ -26,12 +26,12 @@ _CLOSES_WITHIN_S = 5.0
 _COUNTS_EVERY_S = 5.0
 _TASKS_A_THREAD = 2
 # Another release of these may change a last digit. A study gives the same bytes everywhere, or refuses and says why.
-_COUNT = ("heliocube", "numpy", "pandas", "pvlib", "scipy")
+_COMPARED_PACKAGES = ("heliocube", "numpy", "pandas", "pvlib", "scipy")
 # These loggers print tracebacks of a lost connection for as long as the program runs. Errors here say what matters.
-_TALKATIVE = ("distributed", "distributed.client", "tornado.application")
+_NOISY_LOGGERS = ("distributed", "distributed.client", "tornado.application")
 _UNREADABLE = "deserialization of the task graph"
 # One task at a time in a process, whatever the number of the worker's threads.
-_ALONE = threading.Lock()
+_TASK_LOCK = threading.Lock()
 
 
 @contextmanager
@@ -45,7 +45,7 @@ def cluster_pool(address: str, *, apart: bool) -> "Iterator[ClusterPool]":
             "--cluster needs dask.distributed: pip install --require-hashes -r deploy/lock/cluster.txt,"
             " or 'heliocube[cluster]'; or take --jobs"
         ) from None
-    _hush()
+    _mute_loggers()
     try:
         parse_host_port(parse_address(address)[1])
     except ValueError as error:
@@ -83,12 +83,12 @@ class ClusterPool:
         self._address = address
         self._apart = apart
         self._threads = 0
-        self._counted = -math.inf
+        self._last_count_s = -math.inf
         self._missing_since: float | None = None
 
     def room(self) -> int:
         """Return twice the number of threads, so that no worker waits for its next task to arrive."""
-        if time.monotonic() - self._counted > _COUNTS_EVERY_S:
+        if time.monotonic() - self._last_count_s > _COUNTS_EVERY_S:
             self._count()
         return max(_TASKS_A_THREAD * self._threads, 1)
 
@@ -105,8 +105,8 @@ class ClusterPool:
         try:
             self._client.wait_for_workers(1, timeout=CONNECTS_WITHIN_S)
         except TimeoutError:
-            raise self._idle() from None
-        self._refuse_others()
+            raise self._no_workers_error() from None
+        self._check_releases()
 
     def look(self) -> None:
         """Count the workers; there may be none for up to a minute, while they are started again."""
@@ -117,14 +117,14 @@ class ClusterPool:
         now = time.monotonic()
         self._missing_since = self._missing_since or now
         if now - self._missing_since > WORKERS_WITHIN_S:
-            raise self._idle()
+            raise self._no_workers_error()
 
     def gone(self) -> WorkersError:
         """Return what to say when the scheduler has gone away."""
         return WorkersError(f"--cluster: the scheduler at {self._address} is gone: start it and its workers again")
 
-    def _idle(self) -> WorkersError:
-        if self._counted > -math.inf:
+    def _no_workers_error(self) -> WorkersError:
+        if self._last_count_s > -math.inf:
             return WorkersError(
                 f"--cluster: all workers of the scheduler at {self._address} are gone: their logs say why; a worker"
                 f" without this heliocube ends at its first task; then start 'dask worker {self._address}' again"
@@ -138,9 +138,9 @@ class ClusterPool:
             self._threads = sum(self._client.nthreads().values())
         except (OSError, TimeoutError, ValueError):
             raise self.gone() from None
-        self._counted = time.monotonic()
+        self._last_count_s = time.monotonic()
 
-    def _refuse_others(self) -> None:
+    def _check_releases(self) -> None:
         """Raise `WorkersError` for a worker with other releases: one without heliocube dies over its first task."""
         try:
             told = self._client.get_versions(packages=[name for name, _ in _versions()[1:]])["workers"]
@@ -149,7 +149,7 @@ class ClusterPool:
         for worker, known in told.items():
             for name, wanted in _versions()[1:]:
                 if known and (there := known["packages"].get(name)) != wanted:
-                    raise _other(f"at {worker}", name, there, wanted)
+                    raise _release_error(f"at {worker}", name, there, wanted)
 
 
 def _connected(connect: Callable[..., Any], address: str) -> Any:
@@ -166,18 +166,18 @@ def _connected(connect: Callable[..., Any], address: str) -> Any:
         ) from None
 
 
-def _hush() -> None:
-    for name in _TALKATIVE:
+def _mute_loggers() -> None:
+    for name in _NOISY_LOGGERS:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
 
 
 @lru_cache
 def _versions() -> tuple[tuple[str, str], ...]:
     major, minor, _ = platform.python_version_tuple()
-    return (("Python", f"{major}.{minor}"), *((name, version(name)) for name in _COUNT))
+    return (("Python", f"{major}.{minor}"), *((name, version(name)) for name in _COMPARED_PACKAGES))
 
 
-def _other(where: str, name: str, there: str | None, wanted: str) -> WorkersError:
+def _release_error(where: str, name: str, there: str | None, wanted: str) -> WorkersError:
     has = f"has {name} {there}" if there else f"lacks {name}"
     return WorkersError(f"--cluster: the worker {where} {has}, and this machine uses {wanted}: install the same there")
 
@@ -188,8 +188,8 @@ def _on_worker(
     """Carry out a task on the worker that it has come to, or refuse it."""
     for (name, wanted), (_, here) in zip(theirs, _versions(), strict=True):
         if wanted != here:
-            raise _other(f"on {platform.node()}", name, here, wanted)
+            raise _release_error(f"on {platform.node()}", name, here, wanted)
     if apart:
         return alone(work, task)
-    with _ALONE:
+    with _TASK_LOCK:
         return work(task)

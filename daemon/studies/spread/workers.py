@@ -88,7 +88,7 @@ def spread(
             yield place, work(task)
         return
     with _pool(workers, len(tasks), apart=apart) as pool:
-        yield from _Hands(pool, work, tasks).results()
+        yield from _TaskDistributor(pool, work, tasks).results()
 
 
 def check_workers(workers: Workers) -> None:
@@ -134,7 +134,7 @@ def _pool(workers: Workers, tasks: int, *, apart: bool) -> AbstractContextManage
     return process_pool(min(workers.jobs, max(tasks, 1)))
 
 
-class _Hands(Generic[Task, Result]):
+class _TaskDistributor(Generic[Task, Result]):
     """Hands out tasks, no more than there is room for: thousands of them would burden a scheduler."""
 
     def __init__(self, pool: Pool, work: Callable[[Task], Result], tasks: Sequence[Task]) -> None:
@@ -142,17 +142,17 @@ class _Hands(Generic[Task, Result]):
         self._work = work
         self._tasks = tasks
         self._waiting = deque(range(len(tasks)))
-        self._out: dict[Future[Result], int] = {}
+        self._places_by_future: dict[Future[Result], int] = {}
         self._deaths: Counter[int] = Counter()
 
     def results(self) -> Generator[tuple[int, Result], None, None]:
-        while self._waiting or self._out:
+        while self._waiting or self._places_by_future:
             dead = self._hand_out()
-            ended = set() if dead else wait(self._out, _LOOKS_EVERY_S, FIRST_COMPLETED).done
+            ended = set() if dead else wait(self._places_by_future, _LOOKS_EVERY_S, FIRST_COMPLETED).done
             if not ended and not dead:
                 self._pool.look()
             for future in ended:
-                place = self._out.pop(future)
+                place = self._places_by_future.pop(future)
                 try:
                     result = future.result()
                 except self._pool.died:
@@ -160,23 +160,23 @@ class _Hands(Generic[Task, Result]):
                 else:
                     yield place, result
             if dead:
-                self._bury(dead)
+                self._requeue_dead(dead)
 
     def _hand_out(self) -> list[int]:
         """Hand out tasks while there is room; return the task that found no worker alive, if there was one."""
-        while self._waiting and len(self._out) < self._pool.room():
+        while self._waiting and len(self._places_by_future) < self._pool.room():
             place = self._waiting.popleft()
             try:
                 future = self._pool.submit(self._work, self._tasks[place])
             except self._pool.died:
                 return [place]
-            self._out[future] = place
+            self._places_by_future[future] = place
         return []
 
-    def _bury(self, dead: list[int]) -> None:
+    def _requeue_dead(self, dead: list[int]) -> None:
         if self._pool.revive():
-            dead += self._out.values()
-            self._out.clear()
+            dead += self._places_by_future.values()
+            self._places_by_future.clear()
         self._deaths.update(dead)
         for place in dead:
             if self._deaths[place] == self._pool.deaths:

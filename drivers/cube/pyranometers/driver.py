@@ -46,7 +46,7 @@ class SensorLine:
         self._bus = bus
         self._within_s = within_s
         self._now = monotonic_s
-        self._turn = 0
+        self._checked_index = 0
         self._failures = 0
         self._open_again_s = 0.0
         for _, sensor in sensors:
@@ -72,12 +72,12 @@ class SensorLine:
         """Read every sensor once, and compare the serial number of one of them, another one each time."""
         if not self.is_open and self._now() >= self._open_again_s:
             await self.open(self._within_s)
-        self._turn = (self._turn + 1) % len(self.sensors)
+        self._checked_index = (self._checked_index + 1) % len(self.sensors)
         samples: list[tuple[int, FaceSample]] = []
         for number, (face, sensor) in enumerate(self.sensors):
             if self.is_open:
                 try:
-                    samples.append((face, await sensor.read(check=number == self._turn)))
+                    samples.append((face, await sensor.read(check=number == self._checked_index)))
                     continue
                 except DeviceError as error:
                     await self.close()

@@ -90,7 +90,7 @@ _SMP_NAMES = {
     **dict.fromkeys((619, 620), "SMP6"),
     633: "SMP12",
 }
-_SMP_KIN = {609: "SGR3 pyrgeometer", 610: "SGR3 pyrgeometer", 613: "SHP1 pyrheliometer", 614: "SHP1 pyrheliometer"}
+_SMP_OTHERS = {609: "SGR3 pyrgeometer", 610: "SGR3 pyrgeometer", 613: "SHP1 pyrheliometer", 614: "SHP1 pyrheliometer"}
 _SMP_MODES = {2: "service mode", 3: "calibration mode", 4: "factory mode", 5: "a fatal error"}
 _SMP_FLAGS = {
     0: "void data",
@@ -143,8 +143,8 @@ class Smp:
         return Told(round(number((value,), "int16") * _SMP_FACTORS[power], 2), None, note)
 
     def _require_kind(self, kind: int) -> None:
-        if kind in _SMP_KIN or not 600 <= kind < 700:
-            raise WrongSensorError(f"is not an SMP pyranometer but {_SMP_KIN.get(kind, f'a device of type {kind}')}")
+        if kind in _SMP_OTHERS or not 600 <= kind < 700:
+            raise WrongSensorError(f"is not an SMP pyranometer but {_SMP_OTHERS.get(kind, f'a device of type {kind}')}")
 
 
 class Hukseflux:
@@ -238,11 +238,11 @@ def make_of(name: MakeName, used: RegisterMapSettings) -> Make:
     if name in ("hukseflux", "hukseflux-pv"):
         return Hukseflux(0x1000 if name == "hukseflux-pv" else 0)
     if name == "map":
-        return _mapped(used)
+        return _registers_of_map(used)
     return _PLAIN[name]
 
 
-def _mapped(used: RegisterMapSettings) -> PlainRegisters:
+def _registers_of_map(used: RegisterMapSettings) -> PlainRegisters:
     first, count = used.register_number, words_of(used.number_type)
     last = first + count - 1
     if used.status_register is not None:

@@ -9,11 +9,11 @@ from drivers.interfaces import FaceFlaw, FaceSample
 from drivers.modbus.client import ModbusBus
 
 # After a lost reply the next scan asks again; a sensor that stays silent is asked ever more rarely.
-_PATIENCE = 2
+_MISSES_BEFORE_PAUSE = 2
 _FIRST_PAUSE_S = 5.0
 _LONGEST_PAUSE_S = 30.0
 # After so many failures in a row people are told of the sensor.
-_WORTH_A_WORD = 3
+_MISSES_BEFORE_NOTE = 3
 
 
 class BusSensor:
@@ -86,27 +86,27 @@ class BusSensor:
     async def read(self, *, check: bool) -> FaceSample:
         """Return what it tells; with `check` its serial number is compared anew. Raises `LinkLostError` alone."""
         if self._now() < self._ask_again_s:
-            return self._without(self._flaw)
+            return self._sample_without_value(self._flaw)
         try:
             return await self._ask(check=check)
         except UnreachedError as error:
-            return self._missed("missing", f"does not answer: {error.message}")
+            return self._note_miss("missing", f"does not answer: {error.message}")
         except DeadlineError as error:
             text = f"answers, but {error.message}" if error.message else "does not answer"
-            return self._missed("missing" if error.message else "late", text)
+            return self._note_miss("missing" if error.message else "late", text)
         except RefusedError as error:
             self.answers = True
-            return self._missed("missing", f"{error.message}: is it of the configured make?", at_once=True)
+            return self._note_miss("missing", f"{error.message}: is it of the configured make?", at_once=True)
         except WrongSensorError as error:
             self.answers = True
-            return self._missed("missing", str(error), at_once=True)
+            return self._note_miss("missing", str(error), at_once=True)
 
     def lost(self, text: str) -> FaceSample:
         """Return the sample of a face whose line is gone."""
         self._proven = False
         self.answers = False
         self.note = self._sentence(text)
-        return self._without("missing")
+        return self._sample_without_value("missing")
 
     async def _ask(self, *, check: bool) -> FaceSample:
         if not self._proven:
@@ -118,7 +118,7 @@ class BusSensor:
         if self._doubtful:
             # A late reply to an earlier question would look like this one: only the next reply is believed.
             self._doubtful = False
-            return self._without("late")
+            return self._sample_without_value("late")
         self._misses = 0
         self.note = self._sentence(told.note) if told.note else ""
         return FaceSample(told.w_m2, self._utc_s(), self._now(), told.flaw, note=self.note)
@@ -151,7 +151,7 @@ class BusSensor:
     async def _read(self, block: Block) -> Words:
         return await self._bus.read(self.unit, *block, self._within_s)
 
-    def _missed(self, flaw: FaceFlaw, why: str, *, at_once: bool = False) -> FaceSample:
+    def _note_miss(self, flaw: FaceFlaw, why: str, *, at_once: bool = False) -> FaceSample:
         if not at_once:
             self.answers = False
             for each in (self, *self.twins):
@@ -159,15 +159,15 @@ class BusSensor:
         self._proven = False
         self._misses += 1
         self._flaw = flaw
-        if self._misses >= _PATIENCE:
+        if self._misses >= _MISSES_BEFORE_PAUSE:
             # Bounded before the power: a sensor may be dead for years.
-            pause_s = _FIRST_PAUSE_S * 2.0 ** min(self._misses - _PATIENCE, 8)
+            pause_s = _FIRST_PAUSE_S * 2.0 ** min(self._misses - _MISSES_BEFORE_PAUSE, 8)
             self._ask_again_s = self._now() + min(pause_s, _LONGEST_PAUSE_S)
-        if at_once or self._misses >= _WORTH_A_WORD:
+        if at_once or self._misses >= _MISSES_BEFORE_NOTE:
             self.note = self._sentence(why)
-        return self._without(flaw)
+        return self._sample_without_value(flaw)
 
-    def _without(self, flaw: FaceFlaw) -> FaceSample:
+    def _sample_without_value(self, flaw: FaceFlaw) -> FaceSample:
         return FaceSample(math.nan, self._utc_s(), self._now(), flaw, note=self.note)
 
     def _sentence(self, text: str) -> str:

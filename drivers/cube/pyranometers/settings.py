@@ -13,8 +13,8 @@ from drivers.settings import CubeDriverSettings, DriverSettings, Positive, Setti
 FACE_NAMES = ("east", "south", "west", "zenith")
 MakeName = Literal["smp", "hukseflux", "hukseflux-pv", "apogee", "eko-ms60s", "delta-ohm", "map"]
 _FURTHEST_STATUS = 60
-_OF_A_FACE = ("function", "register_number", "number_type", "word_order", "scale")
-_WITH_SERIAL = ("smp", "hukseflux", "hukseflux-pv")
+_KEYS_OF_A_FACE = ("function", "register_number", "number_type", "word_order", "scale")
+_MAKES_WITH_SERIAL = ("smp", "hukseflux", "hukseflux-pv")
 
 
 class RegisterMapSettings(DriverSettings):
@@ -145,15 +145,15 @@ class PyranometersSettings(CubeDriverSettings):
     def map_of(self, name: str) -> RegisterMapSettings:
         """Return the map of a face's sensor."""
         face = self.face(name)
-        given = {key: getattr(face, key) for key in _OF_A_FACE}
+        given = {key: getattr(face, key) for key in _KEYS_OF_A_FACE}
         return self.map.model_copy(update={key: value for key, value in given.items() if value is not None})
 
     def conflicts(self) -> Iterator[SettingsConflict]:
         """Yield sensors that cannot be told apart, and maps that cannot be read."""
-        yield from self._shared()
-        yield from self._maps()
+        yield from self._shared_conflicts()
+        yield from self._map_conflicts()
 
-    def _shared(self) -> Iterator[SettingsConflict]:
+    def _shared_conflicts(self) -> Iterator[SettingsConflict]:
         places: dict[tuple[object, ...], str] = {}
         serials: dict[int, str] = {}
         for name in FACE_NAMES:
@@ -171,13 +171,13 @@ class PyranometersSettings(CubeDriverSettings):
                 yield SettingsConflict(f"{name}.serial", reason, (f"{twin}.serial",))
             make = self.make_of(name)
             mapped = make == "map" and self.map.serial_register is not None
-            if face.serial is not None and make not in _WITH_SERIAL and not mapped:
+            if face.serial is not None and make not in _MAKES_WITH_SERIAL and not mapped:
                 reason = f'cannot be checked: a sensor of make "{make}" does not report it; leave it out'
                 if make == "map":
                     reason = "cannot be checked without map.serial_register; set that, or leave it out"
                 yield SettingsConflict(f"{name}.serial", reason, ("map.serial_register",))
 
-    def _maps(self) -> Iterator[SettingsConflict]:
+    def _map_conflicts(self) -> Iterator[SettingsConflict]:
         for name in FACE_NAMES:
             used = self.map_of(name)
             if self.make_of(name) != "map":

@@ -77,7 +77,7 @@ def build(
 ) -> ScanningMeterCube:
     """Return the cube, not yet connected; `SettingsError` if no line is given and none is named."""
     if line is None:
-        line = _line(settings, surroundings)
+        line = _build_line(settings, surroundings)
     return ScanningMeterCube(
         line,
         DIALECTS[settings.meter],
@@ -94,7 +94,7 @@ def channels_of(settings: ScanningMeterSettings) -> tuple[int, int, int, int]:
     return east, south, west, zenith
 
 
-def _line(settings: ScanningMeterSettings, surroundings: CubeSurroundings) -> ScpiLine:
+def _build_line(settings: ScanningMeterSettings, surroundings: CubeSurroundings) -> ScpiLine:
     if settings.resource is None:
         raise SettingsError(
             f"{_SECTION}.resource is missing: name the meter's VISA resource, such as"

@@ -25,7 +25,7 @@ DEVICE = "scanning meter"
 _READING = re.compile(r"\s*([+-]?\d+(?:\.\d+)?(?:E[+-]?\d+)?)\s*(?:VDC)?\s*", re.ASCII | re.IGNORECASE)
 _CHANNEL = re.compile(r"\s*\+?0*(\d{1,3})\s*", re.ASCII)
 # These meters measure to 120 % of their range.
-_BEYOND_RANGE = 1.21
+_OVER_RANGE_FACTOR = 1.21
 _FACES = 4
 
 
@@ -61,11 +61,11 @@ class ScanningMeterCube(ScpiMeter["_ScanSession"]):
         self._channels = channels
         self._range_v = range_v
         self._around = surroundings
-        self._turn = asyncio.Lock()
+        self._scan_lock = asyncio.Lock()
 
     async def read(self) -> CubeReading:
         """Trigger one scan and return it; the faces' times are spread evenly between its begin and its end."""
-        async with self._turn:
+        async with self._scan_lock:
             session = self._session
             if session is None:
                 raise LinkLostError(DEVICE, "has to be opened first")
@@ -175,6 +175,6 @@ def _voltage(text: str, range_v: float) -> tuple[float, FaceFlaw | None]:
     if match is None:
         return math.nan, "missing"
     value_v = float(match[1])
-    if not abs(value_v) <= _BEYOND_RANGE * range_v:
+    if not abs(value_v) <= _OVER_RANGE_FACTOR * range_v:
         return math.nan, "over-range"
     return value_v, None

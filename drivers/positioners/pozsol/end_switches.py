@@ -10,8 +10,8 @@ from drivers.positioners.pozsol.refusals import likely_cause
 from drivers.positioners.pozsol.wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, SWITCH_BITS, StatusWord
 
 # A step by which B moves for certain, and how near in time a status has to be to show that motion.
-_MOVES = 0.1
-_OF_NOW_S = 0.7
+_CERTAIN_STEP = 0.1
+_STATUS_WITHIN_S = 0.7
 # An axis cannot get so far from a switch while the status is under way.
 _FAR_DEG = 4.0
 # How far an axis may run on beyond its target.
@@ -84,7 +84,7 @@ class BLayout:
     bit: int | None
     _position: float | None = None
     _time_s: float = 0.0
-    _way: int = 0
+    _direction: int = 0
 
     def update(self, position: float, time_s: float, word: int, status_s: float) -> None:
         """Take in one look: B's position with its time, and the status word with its own."""
@@ -92,11 +92,11 @@ class BLayout:
             way = 0
             if self._position is not None and time_s - self._time_s <= 1.0:
                 step = position - self._position
-                way = (step > _MOVES) - (step < -_MOVES)
-            if way == self._way and abs(time_s - status_s) <= _OF_NOW_S:
+                way = (step > _CERTAIN_STEP) - (step < -_CERTAIN_STEP)
+            if way == self._direction and abs(time_s - status_s) <= _STATUS_WITHIN_S:
                 self._conclude(way, word)
             if way or self._position is None or time_s - self._time_s > 1.0:
-                self._way, self._position, self._time_s = way, position, time_s
+                self._direction, self._position, self._time_s = way, position, time_s
 
     def _conclude(self, way: int, word: int) -> None:
         first, second, third = (word >> (B_OUT_BIT_STM + place) & 1 for place in range(3))
@@ -113,12 +113,12 @@ class SwitchCheck:
     axis: AxisName
     setup: AxisSetup
     _status_s: float = 0.0
-    _before: bool = False
+    _last_misfit: bool = False
 
     @property
     def suspects(self) -> bool:
         """Whether the next status decides."""
-        return self._before
+        return self._last_misfit
 
     def update(self, position: float, status: StatusWord, status_s: float) -> str:
         """Return what does not fit, seen in two statuses one after the other; empty if all fits."""
@@ -127,7 +127,7 @@ class SwitchCheck:
         self._status_s = status_s
         closed = status.word >> SWITCH_BITS[f"{self.axis}_low"] & 1
         misfit = bool(closed) and abs(position) > self.setup.units(_FAR_DEG)
-        twice, self._before = misfit and self._before, misfit
+        twice, self._last_misfit = misfit and self._last_misfit, misfit
         if not twice:
             return ""
         return f"axis {self.axis.upper()} shows its low end switch closed although its count is {position:.0f}"

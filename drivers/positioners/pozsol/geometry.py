@@ -143,13 +143,16 @@ class AxisSetup:
         wanted = self.geometry.position(angle_deg) - self.zero_offset
         if not (math.isfinite(wanted) and math.isfinite(sum(ends))):
             raise ValueError(f"the axis's geometry has no position for {angle_deg:g} deg or for its limits")
-        lowest, highest = max(math.ceil(min(ends) + self._spare), 0), math.floor(max(ends) - self._spare)
+        lowest, highest = (
+            max(math.ceil(min(ends) + self._run_out_margin), 0),
+            math.floor(max(ends) - self._run_out_margin),
+        )
         if lowest > highest:
             raise ValueError("the axis's geometry has no whole position unit between its limits")
         return min(max(math.floor(wanted + 0.5), lowest), highest)
 
     @property
-    def _spare(self) -> float:
+    def _run_out_margin(self) -> float:
         """How far an axis may run on beyond its destination, in position units."""
         return _RUN_OUT_MM if isinstance(self.geometry, Triangle) else -_HAIR
 
@@ -164,7 +167,7 @@ class AxisSetup:
         except ValueError:
             return math.nan
         first_deg, last_deg = self._angle_of(first), self._angle_of(last)
-        half = math.copysign(0.5 + max(self._spare, 0.0), last - first)
+        half = math.copysign(0.5 + max(self._run_out_margin, 0.0), last - first)
         inside_deg = abs(self._angle_of(first + half) - first_deg), abs(self._angle_of(last - half) - last_deg)
         return max(abs(first_deg - self.minimum_deg), abs(last_deg - self.maximum_deg), *inside_deg)
 

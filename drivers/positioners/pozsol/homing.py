@@ -16,7 +16,7 @@ from drivers.positioners.pozsol.wire import StatusWord
 _MOVED = 1.0
 _STILL_S = 0.5
 # While homing the unit aims at ten units inwards of where it is.
-_AIMS_INWARDS = 2.0
+_AIM_INWARDS_UNITS = 2.0
 # An axis coasts past its switch; a count that differs from 0 by more was not set there.
 _COAST_DEG = 0.4
 # How far off a count may be since the last run without anything being wrong, and how far an axis may have turned since
@@ -95,17 +95,17 @@ class HomingRun:
             self._judge(seen)
 
     def _moved(self, seen: AxisObservation) -> bool:
-        return abs(seen.position - self.start) > _MOVED and not self._at_zero(seen)
+        return abs(seen.position - self.start) > _MOVED and not self._is_at_zero(seen)
 
     def _begins(self, seen: AxisObservation, fresh: bool) -> bool:
-        inwards = seen.destination < seen.position - _AIMS_INWARDS
+        inwards = seen.destination < seen.position - _AIM_INWARDS_UNITS
         # An axis that stands on its switch is home before anybody can look.
-        return (fresh and bool(self._bit(seen.status))) or self._moved(seen) or inwards or self._at_zero(seen)
+        return (fresh and bool(self._bit(seen.status))) or self._moved(seen) or inwards or self._is_at_zero(seen)
 
     def _bit(self, status: StatusWord) -> bool | None:
         return status.a_homing if self.axis == "a" else status.b_homing
 
-    def _at_zero(self, seen: AxisObservation) -> bool:
+    def _is_at_zero(self, seen: AxisObservation) -> bool:
         coast = self.setup.units(_COAST_DEG)
         return abs(seen.position) <= coast and abs(seen.destination) <= coast
 
@@ -113,7 +113,7 @@ class HomingRun:
         name, faults = self.axis.upper(), [fault for fault in seen.status.faults if fault.startswith(self.axis)]
         if faults:
             self.failure = f"the reference run of {name} ended with {', '.join(faults)}"
-        elif not self._at_zero(seen):
+        elif not self._is_at_zero(seen):
             self.failure = f"the reference run of {name} ended at {seen.position:g}, not on its end switch"
         elif f"{self.axis}_low" not in seen.status.end_switches:
             self.failure = f"after the reference run of {name} its low end switch does not show as closed"

@@ -101,7 +101,7 @@ class PozsolPositioner:
         self._nothing_sent = True
         self._sent_s = -math.inf
         self._stops = 0
-        self._has_not: dict[str, frozenset[int]] = {}
+        self._missing: dict[str, frozenset[int]] = {}
 
     async def open(self) -> PositionerIdentity:
         """Connect and identify by listening alone; takes up to one turn of the slow screens, 3.3 s, and any restart."""
@@ -157,7 +157,7 @@ class PozsolPositioner:
             return
         stops = self._stops
         sent_s = await self._send(Field.MODE, wire.TRACKING_OFF, stops)
-        await self._stand(stops)
+        await self._stop_until_standing(stops)
         await self._confirm(
             lambda seen: seen.status_monotonic_s > sent_s and not seen.autonomous,
             "to leave its own tracking",
@@ -217,7 +217,7 @@ class PozsolPositioner:
     async def halt(self) -> None:
         """Send stop now, and again every 0.15 s until fresh telemetry shows both axes standing, within 12 s."""
         self._stops += 1
-        await self._stand(self._stops, give_way=False)
+        await self._stop_until_standing(self._stops, give_way=False)
 
     async def home(self, axis: AxisName) -> None:
         """Halt, start a reference run and wait until it shows, up to 7 s.
@@ -226,7 +226,7 @@ class PozsolPositioner:
         have contradicted each other the axis leaves the switch first: a run without travel would prove nothing.
         """
         stops = self._stops
-        await self._stand(stops)
+        await self._stop_until_standing(stops)
         await self._leave_switch(axis, stops)
         before = self._read()
         self._watch.begin_run(axis, before, self._now() + _UNDER_WAY_S)
@@ -244,7 +244,7 @@ class PozsolPositioner:
         doubts about the reference stay.
         """
         stops, called_s = self._stops, self._now()
-        await self._stand(stops)
+        await self._stop_until_standing(stops)
         seen = await self._confirm(
             lambda seen: seen.status_monotonic_s > called_s, "to report its status", stops, _STATUS_SHOWS_S
         )
@@ -287,10 +287,10 @@ class PozsolPositioner:
 
         What a unit lacks is waited for only once: after a loss of the link an axis may run until the opening is over.
         """
-        deadline_s, wanted = self._now() + self._setup_within_s, SETUP_FIELDS - self._has_not.get(serial, frozenset())
+        deadline_s, wanted = self._now() + self._setup_within_s, SETUP_FIELDS - self._missing.get(serial, frozenset())
         while missing := wanted - self._listen()[0].keys():
             if self._now() >= deadline_s:
-                self._has_not[serial] = missing
+                self._missing[serial] = missing
                 return
             await asyncio.sleep(_LOOK_EVERY_S)
 
@@ -323,11 +323,11 @@ class PozsolPositioner:
         self._watch.tell(axis, way.goes_to)
         await self._send(_TARGET[axis], whole, stops)
         await self._confirm(way.is_over, f"to leave the end switch of axis {axis.upper()}", stops, _LEFT_WITHIN_S)
-        await self._stand(stops)
+        await self._stop_until_standing(stops)
         if way.trouble:
             raise RefusedError(_DEVICE, f"did not leave the end switch of axis {axis.upper()}: {way.trouble}")
 
-    async def _stand(self, stops: int, *, give_way: bool = True) -> None:
+    async def _stop_until_standing(self, stops: int, *, give_way: bool = True) -> None:
         """Send stop again and again until both axes stand and aim at where they stand."""
         begin_s = self._now()
         self._watch.break_off_run()

@@ -81,28 +81,32 @@ class LastKnown:
     """
 
     def __init__(self) -> None:
-        self._seen: dict[AxisName, float] = {}
+        self._seen_positions: dict[AxisName, float] = {}
         # Where each axis may be on its way to: what it last showed, and what it was told and has not shown since.
-        self._shown: dict[AxisName, float] = {}
-        self._told: dict[AxisName, float] = {}
+        self._shown_destinations: dict[AxisName, float] = {}
+        self._told_destinations: dict[AxisName, float] = {}
         # What has to be added to the count; there is no entry until a count could be trusted.
-        self._lost: dict[AxisName, float] = {}
+        self._count_offset: dict[AxisName, float] = {}
         # What has to be added if the end switch that set the count has lied.
-        self._lost_if_lied: dict[AxisName, float] = {}
+        self._offset_if_switch_lied: dict[AxisName, float] = {}
 
     def tell(self, axis: AxisName, destination: float) -> None:
         """Take note of a target that is about to be sent."""
-        self._told[axis] = destination
+        self._told_destinations[axis] = destination
 
     def forget_told(self) -> None:
         """Take note that no axis is on its way any more."""
-        self._told.clear()
+        self._told_destinations.clear()
 
     def strayed(self, axis: AxisName, position: float, slip: float) -> str:
         """Return in words that an axis is where its last known move cannot have led it; empty if it is not."""
-        if axis not in self._seen:
+        if axis not in self._seen_positions:
             return ""
-        way = self._seen[axis], self._shown[axis], self._told.get(axis, self._shown[axis])
+        way = (
+            self._seen_positions[axis],
+            self._shown_destinations[axis],
+            self._told_destinations.get(axis, self._shown_destinations[axis]),
+        )
         if min(way) - slip <= position <= max(way) + slip:
             return ""
         to = f" on its way to {way[1]:.0f}" if abs(way[1] - way[0]) > slip else ""
@@ -116,36 +120,36 @@ class LastKnown:
         if trusted:
             self.referenced(axis)
         elif set_anew:
-            for lost in (self._lost, self._lost_if_lied):
+            for lost in (self._count_offset, self._offset_if_switch_lied):
                 if axis in lost:
-                    lost[axis] += self._seen[axis] - position
-        self._seen[axis], self._shown[axis] = position, destination
-        if abs(destination - self._told.get(axis, destination)) <= SHOWS:
-            self._told.pop(axis, None)
+                    lost[axis] += self._seen_positions[axis] - position
+        self._seen_positions[axis], self._shown_destinations[axis] = position, destination
+        if abs(destination - self._told_destinations.get(axis, destination)) <= SHOWS:
+            self._told_destinations.pop(axis, None)
 
     def of(self, axis: AxisName, position: float) -> float | None:
         """Return where an axis stands whose count is `position`; None where that is unknown."""
-        return position + self._lost[axis] if axis in self._lost else None
+        return position + self._count_offset[axis] if axis in self._count_offset else None
 
     def at_worst(self, axis: AxisName) -> float | None:
         """Return where an axis stands by its newest count, or would if its end switch has lied; None where unknown."""
-        lost = self._lost_if_lied.get(axis, self._lost.get(axis))
-        return None if lost is None or axis not in self._seen else self._seen[axis] + lost
+        lost = self._offset_if_switch_lied.get(axis, self._count_offset.get(axis))
+        return None if lost is None or axis not in self._seen_positions else self._seen_positions[axis] + lost
 
     def recall(self, axis: AxisName, place: float) -> None:
         """Take over where an axis stood before this process began."""
-        self._seen[axis] = self._shown[axis] = place
-        self._lost[axis] = 0.0
+        self._seen_positions[axis] = self._shown_destinations[axis] = place
+        self._count_offset[axis] = 0.0
 
     def referenced(self, axis: AxisName) -> None:
         """Take note that the count was set on the end switch: it is true from there on."""
-        self._lost[axis] = 0.0
-        self._lost_if_lied.pop(axis, None)
+        self._count_offset[axis] = 0.0
+        self._offset_if_switch_lied.pop(axis, None)
 
     def contradicted(self, axis: AxisName, stands: float, position: float) -> None:
         """Take note that an end switch set the count, and that the axis stands at `stands` if the switch has lied."""
-        self._lost_if_lied[axis] = stands - position
+        self._offset_if_switch_lied[axis] = stands - position
 
     def stuck(self, axis: AxisName, stood: float, position: float) -> None:
         """Take note that the count was set where the axis stood, which was not on its end switch."""
-        self._lost[axis] = stood - position
+        self._count_offset[axis] = stood - position

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 STILL_FOR_S = 0.3
 # After a stop the unit aims at where it is; a run-out that the last stop has not caught up with is less than this.
-_AIMS_AT_ITSELF = 1.0
+_AIMLESS_WITHIN = 1.0
 
 
 @dataclass
@@ -52,6 +52,6 @@ class Standstill:
                 anchor.position, anchor.since_s = position, time_s
         self.still = all(time_s - anchor.since_s >= STILL_FOR_S for anchor in self._anchors)
         self.aimless = all(
-            abs(destination - position) <= _AIMS_AT_ITSELF
+            abs(destination - position) <= _AIMLESS_WITHIN
             for destination, position in zip(destinations, positions, strict=True)
         )

@@ -85,7 +85,7 @@ class TelemetryReader:
         self._boot_s = boot_s
         self._banner = banner
         self._gather_s = gather_s
-        self._end = b""
+        self._banner_tail = b""
         self._closing = self._attends = False
         # Released to wake the reader; to wait for it costs a third less than for an event.
         self._bell = threading.Lock()
@@ -101,19 +101,19 @@ class TelemetryReader:
     def attend(self) -> None:
         """Read at once what has come, and for a second each screen as it comes: a command is about to be sent."""
         self._attends = True
-        self._ring()
+        self._wake_reader()
 
     def stop(self) -> None:
         """Ask for the end, without waiting for it."""
         self._closing = True
-        self._ring()
+        self._wake_reader()
 
     def close(self) -> None:
         """Stop listening and close the port; blocks for a fraction of a second."""
         self.stop()
         self._thread.join()
 
-    def _ring(self) -> None:
+    def _wake_reader(self) -> None:
         # It may have been released already.
         with contextlib.suppress(RuntimeError):
             self._bell.release()
@@ -161,6 +161,6 @@ class TelemetryReader:
 
     def _has_banner(self, data: bytes) -> bool:
         """Tell whether these bytes complete the banner, in whatever pieces it comes."""
-        text = self._end + data
-        self._end = text[max(len(text) - len(self._banner) + 1, 0) :]
+        text = self._banner_tail + data
+        self._banner_tail = text[max(len(text) - len(self._banner) + 1, 0) :]
         return self._banner in text

@@ -25,8 +25,8 @@ _SCREENS: dict[int, int] = {
     }.items()
     for code in codes
 }
-_WHOLE = 3
-_ALL = frozenset(range(256))
+_SCREEN_LENGTH = 3
+_ALL_FIELDS = frozenset(range(256))
 
 
 @dataclass(slots=True)
@@ -76,11 +76,11 @@ class FieldTable:
         """Start anew."""
         self._values: dict[int, Value] = {}
         # Values by their token, as the stream has it.
-        self._said: dict[bytes, Value] = {}
-        self._suspect: dict[int, float] = {}
+        self._values_by_token: dict[bytes, Value] = {}
+        self._suspected_jumps: dict[int, float] = {}
         # The axis' screen that is being read, hidden until it is whole; the axes whose angle was not believed.
         self._screen: dict[int, Value] = {}
-        self._held: set[int] = set()
+        self._distrusted_axes: set[int] = set()
 
     def take(self, tokens: Sequence[bytes], now_s: float, waited_s: float = 0.0) -> None:
         """Note what has come, except impossible values: bytes of those were lost, and the next screen has them again.
@@ -97,7 +97,7 @@ class FieldTable:
         if self._values and now_s - self._taken_s > _PAUSE_S + waited_s:
             self._paused_s, self._caught_up_s = self._taken_s, now_s + _BACKLOG_S
         self._taken_s = now_s
-        said, news = self._said, self._news(tokens)
+        said, news = self._values_by_token, self._changed_fields(tokens)
         for token in tokens:
             # A screen that has lost its end is ended by the next field, whatever that says.
             if token[0] in news or self._screen:
@@ -105,14 +105,14 @@ class FieldTable:
             else:
                 said[token].time_s = now_s
 
-    def _news(self, tokens: Sequence[bytes]) -> Set[int]:
+    def _changed_fields(self, tokens: Sequence[bytes]) -> Set[int]:
         """Return the fields that have to be looked at: of a unit at rest hardly any says something new.
 
         All tokens of the other fields repeat what is known, so that no change in between is missed.
         """
-        if self._screen or self._held:
-            return _ALL
-        said = self._said
+        if self._screen or self._distrusted_axes:
+            return _ALL_FIELDS
+        said = self._values_by_token
         news = {token[0] for token in tokens if token not in said}
         return news if news.isdisjoint(_SCREENS) else news | _SCREENS.keys()
 
@@ -122,9 +122,9 @@ class FieldTable:
         if self._screen and (axis not in self._screen or axis == code):
             self._end_screen()
         # While the angle that began a screen is not believed, nothing else of the axis is.
-        if axis != code and axis in self._held:
+        if axis != code and axis in self._distrusted_axes:
             return
-        value = self._believed(token, now_s)
+        value = self._believable_value(token, now_s)
         if axis is not None:
             self._take_of_axis(axis, code, value)
         elif value is not None:
@@ -132,7 +132,7 @@ class FieldTable:
 
     def _take_of_axis(self, axis: int, code: int, value: Value | None) -> None:
         if axis == code:
-            (self._held.add if value is None else self._held.discard)(axis)
+            (self._distrusted_axes.add if value is None else self._distrusted_axes.discard)(axis)
         if value is None:
             return
         if axis != code and not self._screen:
@@ -140,7 +140,7 @@ class FieldTable:
             self._keep({code: value})
             return
         self._screen[code] = value
-        if len(self._screen) == _WHOLE:
+        if len(self._screen) == _SCREEN_LENGTH:
             self._end_screen()
 
     def _end_screen(self) -> None:
@@ -152,17 +152,17 @@ class FieldTable:
             known = self._values.get(code)
             if known is not value:
                 if known is not None:
-                    del self._said[b"%c%b" % (code, known.text)]
-                self._said[b"%c%b" % (code, value.text)] = value
+                    del self._values_by_token[b"%c%b" % (code, known.text)]
+                self._values_by_token[b"%c%b" % (code, value.text)] = value
         # In one step: another thread sees all of them or none.
         self._values.update(values)
 
-    def _believed(self, token: bytes, now_s: float) -> Value | None:
+    def _believable_value(self, token: bytes, now_s: float) -> Value | None:
         """Return what a field says now, or None if that is impossible."""
-        code, known = token[0], self._said.get(token)
+        code, known = token[0], self._values_by_token.get(token)
         if known is not None:
             # The unit repeats the believed value, so a suspected jump has not happened.
-            self._suspect.pop(code, None)
+            self._suspected_jumps.pop(code, None)
             known.time_s = now_s
             return known
         text, number = token[1:], math.nan
@@ -181,20 +181,20 @@ class FieldTable:
         """Tell whether a value is possible; a jump is, once the next value confirms it."""
         known, most = self._values.get(code), self._jumps[code]
         if known is None:
-            self._suspect.pop(code, None)
+            self._suspected_jumps.pop(code, None)
             return True
         passed_s = now_s - (min(known.time_s, self._paused_s) if now_s < self._caught_up_s else known.time_s)
         change = abs(number - known.number)
         if passed_s > _JUMP_WITHIN_S or change <= most + _FASTEST_DEG_PER_S * passed_s:
-            self._suspect.pop(code, None)
+            self._suspected_jumps.pop(code, None)
             if change > most and code in _ANGLES:
                 self.unseen_s = now_s
             return True
-        suspect = self._suspect.get(code)
-        self._suspect[code] = number
+        suspect = self._suspected_jumps.get(code)
+        self._suspected_jumps[code] = number
         if suspect is None or abs(number - suspect) > most:
             return False
-        del self._suspect[code]
+        del self._suspected_jumps[code]
         if code in _ANGLES:
             self.jumped_s = now_s
         return True

@@ -12,16 +12,16 @@ from dataclasses import dataclass
 from drivers.interfaces import AxisName
 from drivers.positioners.pozsol.geometry import AxisSetup, Proportional, Triangle
 
-_FIRST = {"a": 70, "b": 96}
+_FIRST_FIELD = {"a": 70, "b": 96}
 _GEAR = {"a": 78, "b": 104}
 _HIGHEST = {"a": 79, "b": 105}
 _COORDINATE = {"a": 80, "b": 106}
 _MODE = {"a": 83, "b": 107}
 _LOWEST = {"a": 110, "b": 111}
 _OFFSET = {"a": 192, "b": 193}
-_PLACES = (_GEAR, _HIGHEST, _COORDINATE, _MODE, _LOWEST, _OFFSET)
+_FIELD_TABLES = (_GEAR, _HIGHEST, _COORDINATE, _MODE, _LOWEST, _OFFSET)
 _AXES: tuple[AxisName, AxisName] = ("a", "b")
-SETUP_FIELDS = frozenset([*(place[axis] for place in _PLACES for axis in _AXES), *range(70, 78), *range(96, 104)])
+SETUP_FIELDS = frozenset([*(place[axis] for place in _FIELD_TABLES for axis in _AXES), *range(70, 78), *range(96, 104)])
 """The fields that a full comparison needs."""
 
 _TRIANGLES, _DRIVES = (2, 3, 13), (1, 11)
@@ -53,7 +53,7 @@ class _Axis:
 
     def conflicts(self) -> list[str]:
         found = [*self._offset(), *self._range()]
-        mode = self._of(_MODE)
+        mode = self._axis_field(_MODE)
         match self.setup.geometry:
             case Triangle() as triangle:
                 found += self._triangle(triangle, mode)
@@ -62,11 +62,11 @@ class _Axis:
         # What older units that count in impulses print here is not known.
         return found
 
-    def _of(self, place: Mapping[str, int]) -> float:
+    def _axis_field(self, place: Mapping[str, int]) -> float:
         return _number(self.fields, place[self.axis])
 
-    def _at(self, step: int) -> float:
-        return _number(self.fields, _FIRST[self.axis] + step)
+    def _field_from_first(self, step: int) -> float:
+        return _number(self.fields, _FIRST_FIELD[self.axis] + step)
 
     def _sentence(self, code: int | str, says: str, key: str, configured: str, remedy: str) -> str:
         where = f"instruments.positioner.{self.axis}_axis.{key}"
@@ -80,7 +80,7 @@ class _Axis:
 
     def _offset(self) -> list[str]:
         return self._compare(
-            _OFFSET[self.axis], self._of(_OFFSET), self.setup.zero_offset, _OFFSET_UNITS, "zero_offset"
+            _OFFSET[self.axis], self._axis_field(_OFFSET), self.setup.zero_offset, _OFFSET_UNITS, "zero_offset"
         )
 
     def _range(self) -> list[str]:
@@ -89,7 +89,7 @@ class _Axis:
             ends = [self.setup.destination(angle) for angle in (self.setup.minimum_deg, self.setup.maximum_deg)]
         except ValueError as error:
             return [f"instruments.positioner.{self.axis}_axis cannot be right: {error}"]
-        name, low, high = self.axis, self._of(_LOWEST), self._of(_HIGHEST)
+        name, low, high = self.axis, self._axis_field(_LOWEST), self._axis_field(_HIGHEST)
         found = []
         for code, beyond, text in (
             (_LOWEST[name], low > min(ends), f"begins at {low:g}"),
@@ -107,23 +107,23 @@ class _Axis:
             return []
         if mode not in _TRIANGLES:
             return [self._wrong_mode(mode, "mm")]
-        first = _FIRST[self.axis]
+        first = _FIRST_FIELD[self.axis]
         arms, holder, length = ((0, 1), 2, 3) if mode == 2 else ((1, 2), 4, 0)
         found = []
-        unit_arms = [self._at(step) for step in arms]
+        unit_arms = [self._field_from_first(step) for step in arms]
         # The two arms are the same to the triangle.
         straight = abs(unit_arms[0] - mine.arm_1_mm) <= abs(unit_arms[0] - mine.arm_2_mm)
         keys = ("arm_1_mm", "arm_2_mm") if straight else ("arm_2_mm", "arm_1_mm")
         for step, unit, key in zip(arms, unit_arms, keys, strict=True):
             found += self._compare(first + step, unit, getattr(mine, key), _LENGTH_MM, key)
-        found += self._compare(first + holder, self._at(holder), mine.holder_mm, _LENGTH_MM, "holder_mm")
-        found += self._turned(mine, mode)
-        return found or self._length(mine, first + length, self._at(length))
+        found += self._compare(first + holder, self._field_from_first(holder), mine.holder_mm, _LENGTH_MM, "holder_mm")
+        found += self._compare_sense_and_apex(mine, mode)
+        return found or self._length(mine, first + length, self._field_from_first(length))
 
-    def _turned(self, mine: Triangle, mode: float) -> list[str]:
+    def _compare_sense_and_apex(self, mine: Triangle, mode: float) -> list[str]:
         """Compare the sense of extension and the fixed angle."""
-        side, first = self._at(5), _FIRST[self.axis]
-        fixed = self._at(6) + self._at(7)
+        side, first = self._field_from_first(5), _FIRST_FIELD[self.axis]
+        fixed = self._field_from_first(6) + self._field_from_first(7)
         if math.isnan(side + fixed):
             return []
         below = int(side) != 0
@@ -150,11 +150,11 @@ class _Axis:
             return []
         if mode not in _DRIVES:
             return [self._wrong_mode(mode, "deg")]
-        coordinate = self._of(_COORDINATE)
+        coordinate = self._axis_field(_COORDINATE)
         if mode != 1 or math.isnan(coordinate):
             return []
-        low_deg = self._at(0) - (90.0 if coordinate in (2, 4, 6) else 180.0)
-        return self._compare(_FIRST[self.axis], low_deg, mine.low_deg, _ANGLE_DEG, "low_deg")
+        low_deg = self._field_from_first(0) - (90.0 if coordinate in (2, 4, 6) else 180.0)
+        return self._compare(_FIRST_FIELD[self.axis], low_deg, mine.low_deg, _ANGLE_DEG, "low_deg")
 
     def _wrong_mode(self, mode: float, unit: str) -> str:
         return (

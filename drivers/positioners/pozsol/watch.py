@@ -24,7 +24,7 @@ _JUMP_SHOWS_S = 1.0
 # An axis that was out of sight may have run out, or slipped, by less than this.
 _UNSEEN_DEG = 2.0
 # On a reference run the unit aims so many of its position units inwards of where it is.
-_HOMES_AHEAD, _HOMES_WITHIN = 10.0, 1.0
+_HOMING_AIM_AHEAD, _HOMING_AIM_TOLERANCE = 10.0, 1.0
 
 
 class PositionerWatch:
@@ -60,12 +60,12 @@ class PositionerWatch:
         self._last_known = LastKnown()
         self._set_anew = False
         self.run: HomingRun | None = None
-        self._settled_s = -math.inf
+        self._run_ended_s = -math.inf
         self._restarted_s: float | None = None
         self._jumped_s: float | None = None
         self._unseen_s: float | None = None
         self._checks: tuple[SwitchCheck, ...] = ()
-        self._last: _Standing | None = None
+        self._last: _LookAtRest | None = None
         self.start(None)
 
     def start(self, restarted_s: float | None) -> None:
@@ -97,7 +97,7 @@ class PositionerWatch:
         except (KeyError, ValueError) as error:
             raise ProtocolError(_DEVICE, f"sent telemetry that cannot be read: {error}") from error
         at_rest = not any(check.suspects for check in self._checks)
-        self._last = _Standing(state, telemetry) if state.as_of_s > -math.inf and at_rest else None
+        self._last = _LookAtRest(state, telemetry) if state.as_of_s > -math.inf and at_rest else None
         return telemetry
 
     def repeated_s(self, telemetry: Telemetry, state: LinkState) -> float | None:
@@ -186,7 +186,7 @@ class PositionerWatch:
             was_reset=status.was_reset,
             button_pressed=status.button_pressed,
             homing=homing,
-            aims_home=any(abs(way - _HOMES_AHEAD) <= _HOMES_WITHIN for way in (a_at - a_to, b_at - b_to)),
+            aims_home=any(abs(way - _HOMING_AIM_AHEAD) <= _HOMING_AIM_TOLERANCE for way in (a_at - a_to, b_at - b_to)),
             autonomous=status.autonomous,
             own_moves=_own_moves(tuple(known[code].text if code in known else None for code in OWN_MOVES)),
             reference_doubt=self.reference.text,
@@ -211,7 +211,7 @@ class PositionerWatch:
         run.update(seen[run.axis])
         if not run.over:
             return run.begun
-        self.run, self._settled_s = None, self._now()
+        self.run, self._run_ended_s = None, self._now()
         if run.failure:
             self.reference.note(f"{run.axis} failed {run.sent_s}", run.failure, run.axis)
             return False
@@ -238,7 +238,7 @@ class PositionerWatch:
         if state.jumped_s is not None and state.jumped_s != self._jumped_s:
             self._jumped_s = state.jumped_s
             # At the end of a reference run the count is meant to jump.
-            if not homing and state.jumped_s > self._settled_s + _JUMP_SHOWS_S:
+            if not homing and state.jumped_s > self._run_ended_s + _JUMP_SHOWS_S:
                 self._set_anew = True
                 self.reference.note(f"jump {state.jumped_s}", "the positioner's count has jumped")
         if state.unseen_s != self._unseen_s:
@@ -296,7 +296,7 @@ def _details(mode: Value, status: StatusWord, a_left: float, b_left: float) -> d
     return found
 
 
-class _Standing:
+class _LookAtRest:
     """The last look at a unit at rest, which says the same every time."""
 
     def __init__(self, state: LinkState, telemetry: Telemetry) -> None:

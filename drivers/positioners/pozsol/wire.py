@@ -72,16 +72,16 @@ DECIMALS = {
 }
 """How many decimals public firmware prints; older and newer units differ, so a reader takes any number of them."""
 
-_FAR = 99_999.0
+_FARTHEST = 99_999.0
 _RANGES: dict[int, tuple[float, float]] = {
     Field.A_ANGLE: (-360.0, 360.0),
     Field.B_ANGLE: (-360.0, 360.0),
-    Field.A_POSITION: (-_FAR, _FAR),
-    Field.B_POSITION: (-_FAR, _FAR),
-    Field.A_DESTINATION: (-_FAR, _FAR),
-    Field.B_DESTINATION: (-_FAR, _FAR),
-    Field.A_REMAIN: (-_FAR, _FAR),
-    Field.B_REMAIN: (-_FAR, _FAR),
+    Field.A_POSITION: (-_FARTHEST, _FARTHEST),
+    Field.B_POSITION: (-_FARTHEST, _FARTHEST),
+    Field.A_DESTINATION: (-_FARTHEST, _FARTHEST),
+    Field.B_DESTINATION: (-_FARTHEST, _FARTHEST),
+    Field.A_REMAIN: (-_FARTHEST, _FARTHEST),
+    Field.B_REMAIN: (-_FARTHEST, _FARTHEST),
     Field.A_CURRENT: (-50.0, 50.0),
     Field.B_CURRENT: (-50.0, 50.0),
     Field.SUPPLY: (-1.0, 100.0),
@@ -92,7 +92,7 @@ _INTEGER = re.compile(r" *-?[0-9]{1,10} *")
 _LETTERS = {Field.MODE: ("N",), Field.ACTION: ("s", "5", "6"), Field.STATUS: ("0",)}
 _ANGLES = (Field.A_ANGLE, Field.B_ANGLE)
 _DESTINATIONS = (Field.A_DESTINATION, Field.B_DESTINATION)
-_LARGEST = _FAR
+_LARGEST = _FARTHEST
 _ALLOWED = re.compile(rb"\$(?:[,0]-?\d{1,5}\.\d{4}|[.2]\d{1,5}|8N|9[s56]|\x880)\r")
 """Codes 44 and 48 with an angle, 46 and 50 with a whole number that has no sign (the unit takes minus one for a very
 large number and goes to its maximum), 56 N, 57 s, 5 or 6, and 136."""
@@ -321,19 +321,19 @@ def parse_status(text: str, b_out_bit: int | None = None) -> StatusWord:
 # For a position only "off" (stored as 1000) means that there is none: 0 is a place to go to.
 _NO_POSITION = ("", "off", "1000", "1000.0")
 _NO_DAYS = ("", "off", "0", "0.0")
-_SETTINGS = {
+_OWN_MOVE_SETTINGS = {
     "a night position": ((108, 109), _NO_POSITION),
     "a reference run every few days": ((117, 118), _NO_DAYS),
     "a snow position": ((126, 127), _NO_POSITION),
 }
-OWN_MOVES = tuple(code for codes, _ in _SETTINGS.values() for code in codes)
+OWN_MOVES = tuple(code for codes, _ in _OWN_MOVE_SETTINGS.values() for code in codes)
 """The fields of these settings."""
 
 
 def own_moves(fields: Mapping[int, str]) -> tuple[str, ...]:
     """Name the settings that are on, with their fields, such as ``a night position (108=-50, 109=off)``."""
     found = []
-    for name, (codes, off) in _SETTINGS.items():
+    for name, (codes, off) in _OWN_MOVE_SETTINGS.items():
         if any(fields.get(code, "").lower() not in off for code in codes):
             found.append(f"{name} ({', '.join(f'{code}={fields[code]}' for code in codes if code in fields)})")
     return tuple(found)

@@ -95,16 +95,16 @@ class _Peer(asyncio.Protocol):
         self._place = place
         self._tap = tap
         self._stream = ReplyStream()
-        self._asked: deque[asyncio.Future[RotctldReply]] = deque()
+        self._pending_replies: deque[asyncio.Future[RotctldReply]] = deque()
         self._transport: asyncio.Transport | None = None
         self._lost: Exception | None = None
-        self._ended = asyncio.Event()
+        self._end_event = asyncio.Event()
 
     async def ask(self, command: bytes) -> RotctldReply:
         if self._lost is not None or self._transport is None:
             raise self._lost or LinkLostError(_DEVICE, "has to be opened first")
         future: asyncio.Future[RotctldReply] = asyncio.get_running_loop().create_future()
-        self._asked.append(future)
+        self._pending_replies.append(future)
         self._transport.write(command)
         self._tap(">", command)
         return await future
@@ -112,7 +112,7 @@ class _Peer(asyncio.Protocol):
     async def end(self) -> None:
         if self._transport is not None:
             self._transport.abort()
-            await self._ended.wait()
+            await self._end_event.wait()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)  # noqa: S101 - narrowing for the type checker
@@ -126,22 +126,22 @@ class _Peer(asyncio.Protocol):
             self._fail(ProtocolError(_DEVICE, f"{self._place} is not a rotctld: {error}"))
             return
         for reply in replies:
-            if not self._asked:
+            if not self._pending_replies:
                 self._fail(ProtocolError(_DEVICE, f"{self._place} sent an answer that nobody asked for"))
                 return
-            future = self._asked.popleft()
+            future = self._pending_replies.popleft()
             if not future.done():
                 future.set_result(reply)
 
     def connection_lost(self, error: Exception | None) -> None:
         reason = f": {error.strerror}" if isinstance(error, OSError) and error.strerror else ""
         self._fail(LinkLostError(_DEVICE, f"rotctld at {self._place} has closed the connection{reason}"))
-        self._ended.set()
+        self._end_event.set()
 
     def _fail(self, error: Exception) -> None:
         self._lost = self._lost or error
-        while self._asked:
-            future = self._asked.popleft()
+        while self._pending_replies:
+            future = self._pending_replies.popleft()
             if not future.done():
                 future.set_exception(error)
         if self._transport is not None:

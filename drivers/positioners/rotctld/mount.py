@@ -81,7 +81,7 @@ class Mount:
             reached = elevation_deg >= 90.0 - FLAT_WITHIN_DEG
         else:
             elevation_deg = wanted.elevation_deg
-            azimuth_deg = self._turned(wanted.azimuth_deg)
+            azimuth_deg = self._in_best_turn(wanted.azimuth_deg)
             reached = self.elevation_min_deg <= elevation_deg <= self.elevation_max_deg
         if azimuth_deg is None or not reached:
             where = f"azimuth {wanted.azimuth_deg:z.1f}, elevation {wanted.elevation_deg:z.1f} deg"
@@ -114,7 +114,7 @@ class Mount:
             f" elevation {self.elevation_min_deg:g} to {self.elevation_max_deg:g} deg"
         )
 
-    def _turned(self, azimuth_deg: float) -> float | None:
+    def _in_best_turn(self, azimuth_deg: float) -> float | None:
         """Return the azimuth in the turn that holds the whole day, or else nearest to the middle of the range.
 
         If two hold it, it is the one without negative azimuths: Yaesu's controllers, which Hamlib gives -180 to 450,

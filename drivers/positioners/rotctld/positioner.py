@@ -34,7 +34,7 @@ _DEVICE = "positioner"
 _DUMMY = 1
 _STOP_EVERY_S = 0.5
 _LOOK_EVERY_S = 0.15
-_PART_WITHIN_S = 0.2
+_LAST_STOP_WITHIN_S = 0.2
 _STAND_WITHIN_S = 12.0
 _WITHOUT_STOP = (protocol.NOT_IMPLEMENTED, protocol.NOT_AVAILABLE)
 _MOST_AZIMUTH_DEG, _LEAST_ELEVATION_DEG, _MOST_ELEVATION_DEG = 720.0, -90.0, 180.0
@@ -194,7 +194,7 @@ class RotctldPositioner:
                 # rotctld refuses, and if the rotator goes on `halt` sees it. Far outside its range no stop may turn it.
                 return
         if reply.error:
-            raise self._unreached(reply.command, reply.error)
+            raise self._unreached_error(reply.command, reply.error)
 
     async def halt(self) -> None:
         """Send stop every 0.5 s until positions show that the rotator stands, within 12 s plus `still_for_s`."""
@@ -248,7 +248,7 @@ class RotctldPositioner:
     async def _position(self) -> RotatorPosition:
         reply = await self._ask(protocol.GET_POSITION)
         if reply.error:
-            raise self._unreached(protocol.GET_POSITION, reply.error)
+            raise self._unreached_error(protocol.GET_POSITION, reply.error)
         try:
             azimuth_deg, elevation_deg = reply.number(protocol.AZIMUTH), reply.number(protocol.ELEVATION)
         except ValueError as error:
@@ -265,21 +265,21 @@ class RotctldPositioner:
             reply = await self._line.ask(protocol.command(name, *arguments), self._reply_within_s)
         except DeadlineError as error:
             # The answer may still come, and would be taken for that of another command.
-            await self._part()
+            await self._stop_and_close()
             raise LinkLostError(_DEVICE, f"{error.message}: is it rotctld, and does its rotator answer?") from None
         if reply.command != name:
-            await self._part()
+            await self._stop_and_close()
             raise ProtocolError(_DEVICE, f"answers {reply.command or 'without a name'} to {name}: is it rotctld?")
         return reply
 
-    async def _part(self) -> None:
+    async def _stop_and_close(self) -> None:
         """Close the line, after a stop if a target was sent: that also ends a target which rotctld has yet to read."""
         if self._aim is not None:
             with contextlib.suppress(DeviceError):
-                await self._line.ask(protocol.command(protocol.STOP), _PART_WITHIN_S)
+                await self._line.ask(protocol.command(protocol.STOP), _LAST_STOP_WITHIN_S)
         await self._line.close()
 
-    def _unreached(self, name: str, error: int) -> DeviceError:
+    def _unreached_error(self, name: str, error: int) -> DeviceError:
         return LinkLostError(
             _DEVICE,
             f"rotctld answers {name} with {protocol.error_text(error)}: look at the rotator and its cable, then restart"

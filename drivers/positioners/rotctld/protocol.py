@@ -112,12 +112,12 @@ class ReplyStream:
     """Cuts what comes from rotctld into replies."""
 
     def __init__(self) -> None:
-        self._rest = b""
+        self._incomplete_line = b""
         self._lines: list[str] = []
 
     def feed(self, data: bytes) -> list[RotctldReply]:
         """Take in bytes and return the replies that they complete; `ValueError` for what never becomes one."""
-        *complete, self._rest = (self._rest + data).split(b"\n")
+        *complete, self._incomplete_line = (self._incomplete_line + data).split(b"\n")
         replies = []
         for line in complete:
             text = line.decode("latin-1").strip()
@@ -127,7 +127,7 @@ class ReplyStream:
             else:
                 replies.append(_reply(self._lines, int(end[1])))
                 self._lines = []
-        if len(self._rest) + sum(map(len, self._lines)) > _MOST_BYTES:
+        if len(self._incomplete_line) + sum(map(len, self._lines)) > _MOST_BYTES:
             raise ValueError("it sends without end, but never a whole reply")
         return replies
 

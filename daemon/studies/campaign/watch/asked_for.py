@@ -7,7 +7,7 @@ from daemon.config.settings import Settings
 from daemon.rigs.campaign.plant import PlantTracker
 from solar.frames import Angles
 
-_BESIDE_DEG = 0.5
+_BEYOND_TOLERANCE_DEG = 0.5
 """How far beyond a move's tolerance an axis that has arrived may stand."""
 
 
@@ -25,7 +25,7 @@ def is_there(at: Angles, place: tuple[float, ...], settings: Settings) -> bool:
     """Tell whether axes that have arrived at a place [deg] may stand where they do."""
     a_deg, b_deg = place
     away_deg = max(abs(at.a_deg - a_deg), abs(at.b_deg - b_deg))
-    return away_deg <= settings.motion.tolerance_deg + _BESIDE_DEG
+    return away_deg <= settings.motion.tolerance_deg + _BEYOND_TOLERANCE_DEG
 
 
 def check_asked_for(mount: PlantTracker, target: tuple[float, float], fails: Callable[[str, str], None]) -> None:

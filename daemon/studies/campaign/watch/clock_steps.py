@@ -21,28 +21,28 @@ class ClockSteps:
 
     def __init__(self, fails: Callable[[str, str], None]) -> None:
         self._fails = fails
-        self._set = [(-math.inf, 0.0)]
+        self._clock_offsets = [(-math.inf, 0.0)]
 
     def note(self, off_s: float, now_s: float) -> None:
         """Take note by how much the clock is off from now on."""
-        self._set.append((now_s, off_s))
+        self._clock_offsets.append((now_s, off_s))
 
     def check(self, mount: PlantTracker, target: tuple[float, float], now_s: float, begun_s: float) -> None:
         """Look at a target [deg] that a service, begun at `begun_s`, sends by the clock."""
         clock, control = mount.clock, mount.control
         # A process that began after a step has never known another time, and believes that one.
-        began_off_s = next(off_s for at_s, off_s in reversed(self._set) if at_s <= begun_s)
+        began_off_s = next(off_s for at_s, off_s in reversed(self._clock_offsets) if at_s <= begun_s)
         known = min(abs(clock.step_s), abs(clock.step_s - began_off_s)) > CLOCK_STEP_S
-        wrong = known and now_s - self._set[-1][0] > _NOTICED_WITHIN_S
+        wrong = known and now_s - self._clock_offsets[-1][0] > _NOTICED_WITHIN_S
         # Parking is right while it is truly night, or while it is night by the clock that the service started with.
         true_s, sun_deg = clock.utc() - clock.step_s, mount.service.sun_elevation_deg
         parked = control.mode is Mode.NIGHT and min(sun_deg(true_s), sun_deg(true_s + began_off_s)) < 0.0
-        if wrong and not parked and not _ordered_before(mount):
+        if wrong and not parked and not _is_from_earlier_mode(mount):
             text = f"{target} is sent in mode {control.mode} with the clock off by {clock.step_s:g} s: {control.why}"
             self._fails("clock", text)
 
 
-def _ordered_before(mount: PlantTracker) -> bool:
+def _is_from_earlier_mode(mount: PlantTracker) -> bool:
     """Tell whether the move that is sent was ordered in an earlier mode: the present one did not decide it."""
     changes = (record for record in reversed(mount.records) if isinstance(record, ModeChange))
     latest = next(changes, None)

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 _LATE_S = 1.0
 # A goto may have arrived although the axes truly stand this far beyond a move's tolerance.
-_NEARER_DEG = 0.7
+_ARRIVAL_MARGIN_DEG = 0.7
 _SAME_DEG = 0.01
-_DECIDES = (Mode.TRACKING, Mode.FALLBACK)
+_DECIDING_MODES = (Mode.TRACKING, Mode.FALLBACK)
 
 
 class Decided:
@@ -37,11 +37,11 @@ class Decided:
         self._fails = fails
         self.steps = ClockSteps(fails)
         self._woke_s = -math.inf
-        self._goto: Wish | None = None
+        self._unarrived_goto: Wish | None = None
 
     def service_begins(self) -> None:
         """Take note of a new process: it knows nothing from before its start."""
-        self._woke_s, self._goto = -math.inf, None
+        self._woke_s, self._unarrived_goto = -math.inf, None
 
     def wakes(self, mount: PlantTracker, slept_s: float, now_s: float) -> None:
         """Take note that the machine has slept for `slept_s`, until now."""
@@ -50,7 +50,9 @@ class Decided:
             hold, truth = mount.control.wishes.hold if mount.is_served else None, mount.truth()
             if hold is not None and hold.goto_deg is not None:
                 ways_deg = (abs(here - there) for here, there in zip(truth, hold.goto_deg, strict=True))
-                self._goto = hold if max(ways_deg) > mount.settings.motion.tolerance_deg + _NEARER_DEG else None
+                self._unarrived_goto = (
+                    hold if max(ways_deg) > mount.settings.motion.tolerance_deg + _ARRIVAL_MARGIN_DEG else None
+                )
 
     def check(self, mount: PlantTracker, target: tuple[float, float], now_s: float, begun_s: float) -> None:
         """Look at a target [deg] that is sent, by a service that began at `begun_s`."""
@@ -74,11 +76,11 @@ class Decided:
             self._fails("slept", f"{target} is sent {awake}, and nobody has looked where the unit stands since")
         if mode in FREE and mount.wind_silent_since_s <= woke_s:
             self._fails("slept", f"{target} is sent in mode {mode} {awake}, and the wind has not been heard since")
-        if mode is Mode.HOLD and self._goto is not None and mount.control.wishes.hold is self._goto:
+        if mode is Mode.HOLD and self._unarrived_goto is not None and mount.control.wishes.hold is self._unarrived_goto:
             self._fails("slept", f"{target} is sent {awake}, by a goto of before it that had not arrived")
         decision = mount.control.state.decision
         # A move ordered in another mode goes on, and may be tried again, until the law has decided.
-        if mode not in _DECIDES or decision is None or not _is_of(decision, target):
+        if mode not in _DECIDING_MODES or decision is None or not _is_for_target(decision, target):
             return
         since_s = decision.time_monotonic_s - woke_s
         if since_s < 0.0:
@@ -90,7 +92,7 @@ class Decided:
                 self._fails("slept", f"{target} is sent {awake} by {covers_s:.0f} s of readings")
 
 
-def _is_of(decision: Decision, target: tuple[float, float]) -> bool:
+def _is_for_target(decision: Decision, target: tuple[float, float]) -> bool:
     decided = (decision.target.a_deg, decision.target.b_deg)
     return all(abs(one - other) < _SAME_DEG for one, other in zip(decided, target, strict=True))
 

@@ -58,9 +58,9 @@ class Explained:
     def __init__(self) -> None:
         self._destination: dict[AxisName, float | None] = {"a": None, "b": None}
         self._homing: set[AxisName] = set()
-        self._sent_off: set[AxisName] = set()
+        self._ordered_axes: set[AxisName] = set()
         self._run_out_s = -math.inf
-        self._held = False
+        self._button_held = False
         self._released_s = -math.inf
         self.by_position = False
         self.packets = 0
@@ -71,36 +71,36 @@ class Explained:
         if data.startswith(_ROTCTLD):
             self.by_position = True
             if SET_POSITION.encode() in data:
-                self._send_off("a", now_s)
-                self._send_off("b", now_s)
+                self._begin_order("a", now_s)
+                self._begin_order("b", now_s)
             else:
-                self._take_back(now_s)
+                self._cancel_orders(now_s)
             return
         at = data.find(b"$")
         if not 0 <= at < len(data) - 1:
             return
         code, value = data[at + 1], data[at + 2 : at + 3].lower()
         if code in _TARGETS:
-            self._send_off(_TARGETS[code], now_s)
+            self._begin_order(_TARGETS[code], now_s)
         elif code == Field.ACTION and value in _HOMES:
-            self._take_back(now_s)
+            self._cancel_orders(now_s)
             self._homing.add(_HOMES[value])
         elif code == Field.STATUS or (code == Field.ACTION and value == wire.STOP.encode()):
-            self._take_back(now_s)
+            self._cancel_orders(now_s)
 
-    def _send_off(self, axis: AxisName, now_s: float) -> None:
+    def _begin_order(self, axis: AxisName, now_s: float) -> None:
         if self._destination[axis] is not None:
             # An axis that reverses runs on the old way first.
             self._run_out_s = now_s + RUN_OUT_S
         self._destination[axis] = None
-        self._sent_off.add(axis)
+        self._ordered_axes.add(axis)
 
-    def _take_back(self, now_s: float) -> None:
+    def _cancel_orders(self, now_s: float) -> None:
         if self._homing or any(destination is not None for destination in self._destination.values()):
             self._run_out_s = now_s + RUN_OUT_S
         self._destination = {"a": None, "b": None}
         self._homing.clear()
-        self._sent_off.clear()
+        self._ordered_axes.clear()
 
     def confirmed(self, a: Counted, b: Counted) -> None:
         """Take the unit's destinations for ours from now on: the driver has seen it take a target."""
@@ -108,12 +108,12 @@ class Explained:
 
     def held(self, *, is_held: bool, now_s: float) -> None:
         """Note that a person holds a button at the unit, or lets it go."""
-        self._held = is_held
+        self._button_held = is_held
         self._released_s = now_s
 
     def by_hand(self, now_s: float) -> bool:
         """Tell whether a person's hand may move an axis."""
-        return self._held or now_s - self._released_s < RUN_OUT_S
+        return self._button_held or now_s - self._released_s < RUN_OUT_S
 
     def why(
         self, axis: AxisName, counted: Counted, now_s: float, *, counts_up: bool, homing: bool, heading: bool
@@ -136,7 +136,7 @@ class Explained:
         if axis in self._homing and homing:
             return "home"
         off_switch = 0.0 < counted.destination <= _LEAVES_SWITCH_DEG * counted.per_deg
-        if homing and axis in self._sent_off and off_switch and counts_up:
+        if homing and axis in self._ordered_axes and off_switch and counts_up:
             return "order"
         if heading and self._is_ordered(axis, counted, counts_up=counts_up):
             return "order"

@@ -85,7 +85,7 @@ class Reporting:
             self._fails("false-alarm", f"nothing has moved by itself, but: {blocked}")
         self._blocked = blocked
         jumped = _JUMPED in (mount.motion.doubt or "")
-        if jumped and not self._jumped and now_s - self._cause_s > CAUSE_WITHIN_S and _counts(mount, now_s):
+        if jumped and not self._jumped and now_s - self._cause_s > CAUSE_WITHIN_S and _has_true_count(mount, now_s):
             self._fails("false-alarm", f"the unit has kept its count, but: {mount.motion.doubt}")
         self._jumped = jumped
         ends_s = max(MOVE_ENDS_WITHIN_S, mount.settings.motion.attempts * ATTEMPT_ENDS_WITHIN_S)
@@ -93,7 +93,7 @@ class Reporting:
         while self._unreported and now_s - self._unreported[0][0] > within_s:
             begun_s, turned_deg = self._unreported.pop(0)
             late = islice(reversed(mount.records), _LATE_RECORDS)
-            if not blocked and not any(_reports(record, begun_s) for record in late):
+            if not blocked and not any(_is_report_since(record, begun_s) for record in late):
                 self._fails(
                     "unreported",
                     f"from {begun_s:.1f} s on an axis turned {turned_deg:.1f} deg, and nothing was reported",
@@ -105,13 +105,13 @@ class Reporting:
         self._begun_s = None
 
 
-def _counts(mount: PlantTracker, now_s: float) -> bool:
+def _has_true_count(mount: PlantTracker, now_s: float) -> bool:
     at = mount.axes()
     shown_deg = mount.unit.shown_deg("a", now_s), mount.unit.shown_deg("b", now_s)
     return max(abs(shown_deg[0] - at.a_deg), abs(shown_deg[1] - at.b_deg)) < COUNTED_DEG
 
 
-def _reports(record: Record, since_s: float) -> bool:
+def _is_report_since(record: Record, since_s: float) -> bool:
     told = isinstance(record, Event) and record.subject in _SUBJECTS
     # A fault may be over before its alarm is raised, for example on a reference run: then only the mode tells of it.
     faulty = isinstance(record, ModeChange) and record.after is Mode.FAULT

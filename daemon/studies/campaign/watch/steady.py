@@ -40,26 +40,26 @@ class Steady:
     """Knows what the last close look depended on."""
 
     def __init__(self) -> None:
-        self._known: tuple[object, ...] | None = None
+        self._last_state: tuple[object, ...] | None = None
         self._turning = STANDS
         self._until_s = -math.inf
 
     def forget(self) -> None:
         """Look closely next: something is about to change."""
-        self._known = None
+        self._last_state = None
 
     def note(self, mount: PlantTracker, now_s: float, turns: Turning, until_s: float) -> None:
         """Take note of a close look, whose findings hold until `until_s` if nothing changes."""
-        self._known, self._turning, self._until_s = _depends_on(mount, now_s), turns, until_s
+        self._last_state, self._turning, self._until_s = _watched_state(mount, now_s), turns, until_s
 
     def goes_on(self, mount: PlantTracker, turns: Turning, now_s: float) -> bool:
         """Tell whether a close look would find what the last one did."""
-        if self._known is None or now_s >= self._until_s or turns != self._turning:
+        if self._last_state is None or now_s >= self._until_s or turns != self._turning:
             return False
-        return self._known == _depends_on(mount, now_s)
+        return self._last_state == _watched_state(mount, now_s)
 
 
-def _depends_on(mount: PlantTracker, now_s: float) -> tuple[object, ...]:
+def _watched_state(mount: PlantTracker, now_s: float) -> tuple[object, ...]:
     motion = mount.motion
     return (
         motion.connected,

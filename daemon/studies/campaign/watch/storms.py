@@ -39,14 +39,14 @@ class Storms:
     def __init__(self, fails: Callable[[str, str], None]) -> None:
         self._fails = fails
         self._storm_s: float | None = None
-        self._waits_s: float | None = None
-        self._undisturbed_s = -math.inf
+        self._unsent_since_s: float | None = None
+        self._undisturbed_since_s = -math.inf
         self.gust_s = -math.inf
         self.excused = False
 
     def disturbed(self, now_s: float) -> None:
         """Note that a fault or a person's command comes in between: a stow may take longer."""
-        self._undisturbed_s = now_s
+        self._undisturbed_since_s = now_s
 
     def waits(self, now_s: float) -> bool:
         """Tell whether time alone may break a promise: in a storm, or shortly after a gust."""
@@ -74,11 +74,11 @@ class Storms:
         since_s = max(self._storm_s, reachable_s)
         if now_s - since_s > STORM_S and mount.control.mode in FREE and live:
             self._fails("storm", f"mode {mount.control.mode} {now_s - since_s:.0f} s into a wind of {wind} m/s")
-        since_s = max(since_s, self._undisturbed_s)
+        since_s = max(since_s, self._undisturbed_since_s)
         if live and not self.excused and mount.control.mode is Mode.STOW:
             self._check_stow(mount, at, now_s, since_s)
         else:
-            self._waits_s = None
+            self._unsent_since_s = None
 
     def _check_stow(self, mount: PlantTracker, at: Angles, now_s: float, since_s: float) -> None:
         last = mount.motion.last_move
@@ -88,8 +88,8 @@ class Storms:
         # A move that has failed waits to be tried again.
         failed = last is not None and last.outcome not in (MoveOutcome.ARRIVED, MoveOutcome.INTERRUPTED)
         if there or failed or mount.motion.target is not None:
-            self._waits_s = None
-        elif self._waits_s is None:
-            self._waits_s = now_s
-        elif now_s - max(self._waits_s, since_s) > SENT_WITHIN_S:
+            self._unsent_since_s = None
+        elif self._unsent_since_s is None:
+            self._unsent_since_s = now_s
+        elif now_s - max(self._unsent_since_s, since_s) > SENT_WITHIN_S:
             self._fails("stow", f"the tracker stands at {at} in a storm, and is not sent to the stow position")

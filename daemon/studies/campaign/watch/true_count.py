@@ -46,7 +46,7 @@ class TrueCount:
 
     def is_wrong(self, mount: PlantTracker, at: Angles, now_s: float) -> bool:
         """Tell whether the unit's count is not where the axes are."""
-        shown = _shown(mount, now_s)
+        shown = _shown_angles(mount, now_s)
         return max(abs(shown.a_deg - at.a_deg), abs(shown.b_deg - at.b_deg)) > REFERENCE_DEG
 
     def check(self, mount: PlantTracker, at: Angles, now_s: float, since_s: float, *, blind: bool, live: bool) -> None:
@@ -76,9 +76,9 @@ class TrueCount:
         tracks = control.mode in (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT)
         late = now_s - max(self.wrong_s, since_s) > DOUBTS_WITHIN_S
         if tracks and late and not self.excused and mount.motion.doubt is None and live:
-            text = f"the unit says {_shown(mount, now_s)}, the truth is {at}; mode {control.mode}, no doubt"
+            text = f"the unit says {_shown_angles(mount, now_s)}, the truth is {at}; mode {control.mode}, no doubt"
             self._fails("believes-a-wrong-count", text)
 
 
-def _shown(mount: PlantTracker, now_s: float) -> Angles:
+def _shown_angles(mount: PlantTracker, now_s: float) -> Angles:
     return Angles(mount.unit.shown_deg("a", now_s), mount.unit.shown_deg("b", now_s))

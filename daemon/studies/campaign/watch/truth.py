@@ -69,19 +69,19 @@ class TruthWatch:
         self.moving: dict[AxisName, bool] = {"a": False, "b": False}
         self.blind: set[AxisName] = set()
         self.lasting = 0
-        self._at: Angles | None = None
+        self._pose: Angles | None = None
         self._sampled_s = -math.inf
         self._wake = asyncio.Event()
         self._fast_until_s = 0.0
-        self._headed_s = -math.inf
+        self._last_target_s = -math.inf
         self._unexplained_s: dict[AxisName, float | None] = {"a": None, "b": None}
         self._self_moved_s = -math.inf
         self._stop_s: float | None = None
         self._stop_measured = True
         self._maintenance_s: float | None = None
-        self._sendings = 0
+        self._being_sent = 0
         self._sent_s = -math.inf
-        self._noted: set[tuple[str, int]] = set()
+        self._noted_failures: set[tuple[str, int]] = set()
 
     def attach(self, mount: PlantTracker) -> None:
         """Watch a tracker. Its plant is built with this watch, so the watch exists before the tracker."""
@@ -95,8 +95,8 @@ class TruthWatch:
     def fails(self, promise: str, text: str) -> None:
         """Take note of a broken promise, the first time in a minute."""
         key = (promise, int(self.now_s // 60))
-        if key not in self._noted:
-            self._noted.add(key)
+        if key not in self._noted_failures:
+            self._noted_failures.add(key)
             self.violations.append(Violation(promise, self.now_s, f"{self.mount.called}{text}"))
 
     # What the taps, the faults and the persons report.
@@ -110,17 +110,17 @@ class TruthWatch:
     def sending(self, target: tuple[float, float]) -> Iterator[None]:
         """Watch a target while it is sent; it counts once the driver says that the unit has taken it."""
         self._check_target(target)
-        self._sendings += 1
+        self._being_sent += 1
         try:
             yield
         finally:
-            self._sendings -= 1
+            self._being_sent -= 1
             self._sent_s = self.now_s
-        self.explained.confirmed(*self._counted())
+        self.explained.confirmed(*self._unit_counts())
 
     def homes(self, axis: AxisName) -> None:
         """Take note that a reference run is ordered."""
-        if self._sendings:
+        if self._being_sent:
             self.fails("two-targets", f"a reference run of {axis} is ordered while a target is being sent")
 
     def service_begins(self) -> None:
@@ -137,7 +137,7 @@ class TruthWatch:
         """Take note that the machine has slept for `slept_s`: nobody could see where the axes went meanwhile."""
         self.decided.wakes(self.mount, slept_s, self.now_s)
         self.link_changes()
-        self._at = None
+        self._pose = None
 
     def deaf(self, *, is_deaf: bool) -> None:
         """Take note that the unit takes no commands, or takes them again."""
@@ -236,10 +236,10 @@ class TruthWatch:
     def sample(self) -> None:
         """Compare truth and promises once."""
         now_s, at = self.now_s, self.mount.axes()
-        before, gone_s, self._at = self._at, now_s - self._sampled_s, at
+        before, gone_s, self._pose = self._pose, now_s - self._sampled_s, at
         self._sampled_s = now_s
         if self.mount.motion.target is not None:
-            self._headed_s = now_s
+            self._last_target_s = now_s
         if before is None or gone_s <= 0:
             self._look_closely(at, at, 0.0, now_s)
             return
@@ -287,10 +287,10 @@ class TruthWatch:
             self._unexplained_s[axis] = None
             return math.inf
         self._note_motion(now_s)
-        counted = self._counted_of(axis)
+        counted = self._unit_count(axis)
         motion, left_deg = self.mount.motion, counted.left_deg
         # A move has arrived once it is within its tolerance; the axis may still turn through the rest.
-        heads_until_s = self._headed_s + RUN_OUT_S
+        heads_until_s = self._last_target_s + RUN_OUT_S
         has_arrived = left_deg <= self.mount.settings.motion.tolerance_deg
         heading = motion.target is not None or (has_arrived and now_s < heads_until_s)
         counts_up = (turned_deg > 0.0) is not self.mount.is_lowered(axis)
@@ -304,7 +304,7 @@ class TruthWatch:
         if why is None:
             self._check_unexplained(axis, at_deg, now_s)
             # One axis may have taken a target that the other did not take: the move fails, and that is reported.
-            if not self._sendings and now_s - self._sent_s > UNEXPLAINED_S and self._counts(axis, at_deg):
+            if not self._being_sent and now_s - self._sent_s > UNEXPLAINED_S and self._counts(axis, at_deg):
                 self.reporting.unexplained(turned_deg, now_s, by_position=self.explained.by_position)
             return -math.inf
         self._unexplained_s[axis] = None
@@ -318,11 +318,11 @@ class TruthWatch:
     def _live(self, now_s: float) -> bool:
         return self.reach.live(self.mount, now_s)
 
-    def _counted(self) -> tuple[Counted, Counted]:
+    def _unit_counts(self) -> tuple[Counted, Counted]:
         """Return what the unit itself says of the axes A and B."""
-        return self._counted_of("a"), self._counted_of("b")
+        return self._unit_count("a"), self._unit_count("b")
 
-    def _counted_of(self, axis: AxisName) -> Counted:
+    def _unit_count(self, axis: AxisName) -> Counted:
         return Counted(*self.mount.unit.course(axis, self.now_s), self.mount.units_per_deg(axis))
 
     # The promises.
@@ -367,7 +367,7 @@ class TruthWatch:
             axes = " and ".join(axis for axis, moves in self.moving.items() if moves)
             self.fails(
                 f"moves-under-{kind}",
-                f"axis {axes} moves {now_s - since_s:.1f} s after {kind} and stands at {self._at};"
+                f"axis {axes} moves {now_s - since_s:.1f} s after {kind} and stands at {self._pose};"
                 f" mode {self.mount.control.mode}: {self.mount.control.why}",
             )
 
@@ -376,7 +376,7 @@ class TruthWatch:
 
     def is_wrong(self) -> bool:
         """Tell whether the unit's count is wrong."""
-        return self.reference.is_wrong(self.mount, self._at or self.mount.axes(), self.now_s)
+        return self.reference.is_wrong(self.mount, self._pose or self.mount.axes(), self.now_s)
 
     def _check_reference(self, at: Angles, now_s: float) -> None:
         if not any(self.moving.values()) and self.mount.is_served:
@@ -386,10 +386,10 @@ class TruthWatch:
     def _check_target(self, target: tuple[float, float]) -> None:
         control, now_s = self.mount.control, self.now_s
         check_asked_for(self.mount, target, self.fails)
-        if self._sendings:
+        if self._being_sent:
             self.fails("two-targets", f"{target} is sent while another target is being sent")
         itself = now_s - self._self_moved_s < 10.0 or self.explained.by_hand(now_s)
-        seen = self._at is not None and self._counts("a", self._at.a_deg) and self._counts("b", self._at.b_deg)
+        seen = self._pose is not None and self._counts("a", self._pose.a_deg) and self._counts("b", self._pose.b_deg)
         # Without Hall pulses an axis seems to stand, until the unit notices.
         moves = any(moves for axis, moves in self.moving.items() if axis not in self.blind)
         if moves and now_s - self._sampled_s <= SAMPLING_S and seen and not itself and self._live(now_s):
