@@ -195,7 +195,7 @@ def _cause(error: BaseException) -> str:
 def write_csv(rows: Sequence[EnergyRow], path: Path, *, simulated: bool) -> None:
     """Write the rows, one line each, with whether the weather was simulated."""
     with whole_file(path) as file:
-        writer = csv.writer(file)
+        writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("sky", "law", *CSV_NUMBERS, "simulated"))
         writer.writerows((row.sky, row.law, *csv_cells(row), "true" if simulated else "false") for row in rows)
 

@@ -134,7 +134,7 @@ def as_text(found: Sequence[Losses], weather: DaylightWeather, terms: Terms, *, 
 def write_csv(found: Sequence[Losses], path: Path, *, simulated: bool) -> None:
     """Write a line for each cause and type of day, with whether the weather was simulated."""
     with whole_file(path) as file:
-        writer = csv.writer(file)
+        writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("sky", "law", "cause", "day_type", "lost_kwh_m2", "points", "simulated"))
         for each in found:
             for cause, lost in zip((*CAUSES, KEPT), (*each.lost_kwh_m2, each.kept_kwh_m2), strict=True):

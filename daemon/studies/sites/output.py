@@ -28,7 +28,7 @@ def is_simulated(outcomes: Sequence[SiteOutcome]) -> bool:
 def write_csv(outcomes: Sequence[SiteOutcome], path: Path) -> None:
     """Write a line for each site, sky and law; a site that could not be used has one line with the reason."""
     with whole_file(path) as file:
-        writer = csv.writer(file)
+        writer = csv.writer(file, lineterminator="\n")
         writer.writerow((*_COLUMNS, *CSV_NUMBERS, "simulated", "refused"))
         for outcome in outcomes:
             site = outcome.site

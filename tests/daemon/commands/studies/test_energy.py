@@ -331,7 +331,9 @@ def test_a_site_that_cannot_be_used_is_listed_and_does_not_stop_the_others(monke
     table.write_text(f"name,latitude,longitude,weather\ngood,55.7906412,12.5250501,{weather.name}\nbad,1,2,bad.csv\n")
     assert energy(monkeypatch, "--sites", table, "--out", tmp_path / "o", "--laws", "flat") == 2
     assert capsys.readouterr().err.endswith(f"heliocube: 1 of 2 sites could not be used: {tmp_path / 'o'} says why\n")
-    good, bad = csv.DictReader((tmp_path / "o" / "energy-sites.csv").read_text().splitlines())
+    written = (tmp_path / "o" / "energy-sites.csv").read_bytes()
+    assert b"\r" not in written
+    good, bad = csv.DictReader(written.decode().splitlines())
     assert (good["name"], good["law"], good["refused"], good["simulated"]) == ("good", "flat", "", "false")
     assert (good["latitude_deg"], good["longitude_deg"]) == ("55.7906412", "12.5250501"), "as the table has them"
     assert bad["name"] == "bad"

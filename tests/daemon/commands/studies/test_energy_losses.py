@@ -45,7 +45,9 @@ def energy(monkeypatch, *arguments):
 
 def points_in(out):
     """Return the CSV's points by sky, law, cause and type of day."""
-    rows = list(csv.DictReader((out / "energy-losses.csv").read_text().splitlines()))
+    table = (out / "energy-losses.csv").read_bytes()
+    assert b"\r" not in table
+    rows = list(csv.DictReader(table.decode().splitlines()))
     points = {(row["sky"], row["law"], row["cause"], row["day_type"]): float(row["points"]) for row in rows}
     assert len(points) == len(rows)
     return points
@@ -100,7 +102,9 @@ def test_the_kept_share_plus_noise_and_gaps_equals_the_share_of_the_energy_bench
     monkeypatch, weather, tmp_path, points
 ):
     assert energy(monkeypatch, weather, "--site", SITE, "--laws", "optimal", "--out", tmp_path / "b") == 0
-    (row,) = csv.DictReader((tmp_path / "b" / "energy.csv").read_text().splitlines())
+    table = (tmp_path / "b" / "energy.csv").read_bytes()
+    assert b"\r" not in table
+    (row,) = csv.DictReader(table.decode().splitlines())
     kept = of(points, "kept") + of(points, "noise") + of(points, "gaps")
     assert kept == pytest.approx(float(row["share_pct"]), abs=0.01)
 
