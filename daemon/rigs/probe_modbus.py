@@ -150,13 +150,13 @@ class ModbusProbe:
             if answer.strip().lower() == "s":
                 return
             found = await self._find(bus, line, units)
-            garbled = [str(each.unit) for each in found if each.text == _GARBLED]
+            garbled = [each.unit for each in found if each.text == _GARBLED]
             if len(found) == 1 and not garbled:
                 break
             many = f"{len(found)} devices answer, at {', '.join(str(each.unit) for each in found)}: take the others off"
             if garbled:
                 # A write to this address would reach all sensors that have it.
-                many = f"the answer at {', '.join(garbled)} is garbage: leave one sensor on the line, not two"
+                many = _two_sensors_text(garbled)
             self._say(f"  {many if found else 'nothing answers: is it on, and are speed and parity right?'}")
         sensor = found[0]
         self._say(f"  address {sensor.unit}: {sensor.text}")
@@ -188,10 +188,16 @@ class ModbusProbe:
         while True:
             ask("Written. Switch the sensor off and on, wait ten seconds, and press Enter")
             found = await self._find(bus, line, [wanted])
-            if found and found[0].serial == sensor.serial and found[0].text != _GARBLED:
+            if not found:
+                self._say(f"  nothing answers at {wanted}")
+            elif found[0].text == _GARBLED:
+                self._say(f"  {_two_sensors_text([wanted])}")
+            elif found[0].serial != sensor.serial:
+                numbers = f"{found[0].serial}, not {sensor.serial}"
+                self._say(f"  another sensor answers at {wanted}: it has the serial number {numbers}")
+            else:
                 self._say(f"  it answers at {wanted} now")
                 return
-            self._say(f"  nothing answers at {wanted}")
             if ask("Try again? Enter, or n and Enter").strip().lower() == "n":
                 return
 
@@ -317,3 +323,7 @@ def unit_range(text: str) -> range:
     if not units or not set(units) <= set(range(1, 248)):
         raise UserError(f"--addresses {text!r} is not a range of addresses from 1 to 247, such as 1-32")
     return units
+
+
+def _two_sensors_text(units: Sequence[int]) -> str:
+    return f"the answer at {', '.join(map(str, units))} is garbage: leave one sensor on the line, not two"

@@ -188,6 +188,34 @@ def test_a_sensor_that_is_silent_when_its_address_is_written_is_named():
         bus.run(lambda probe: probe.set_addresses(person, range(1, 9)))
 
 
+@pytest.mark.parametrize(
+    ("there", "why"),
+    [
+        ([], "nothing answers at 1"),
+        ([SimulatedHukseflux(1, 555, bright)], "another sensor answers at 1: it has the serial number 555, not 101"),
+        (
+            [SimulatedHukseflux(1, 101, bright), SimulatedHukseflux(1, 555, bright)],
+            "the answer at 1 is garbage: leave one sensor on the line, not two",
+        ),
+    ],
+    ids=["nothing", "another one", "two"],
+)
+def test_after_a_write_the_probe_says_why_it_does_not_find_the_sensor_at_its_new_address(there, why):
+    bus = Bus(make="hukseflux")
+
+    class Confusing(Person):
+        def __call__(self, question):
+            answer = super().__call__(question)
+            if question.startswith("Written"):
+                bus.core.sensors[:] = there
+            return "n" if question.startswith("Try") else answer
+
+    person = Confusing(bus, [[SimulatedHukseflux(7, 101, bright)], [], [], []])
+    said = bus.run(lambda probe: probe.set_addresses(person, range(1, 9)))
+    assert f"  {why}\n" in said
+    assert "it answers at" not in said
+
+
 def test_with_two_new_sensors_on_the_line_at_once_no_address_is_written():
     new = [SimulatedHukseflux(5, 101, bright), SimulatedHukseflux(6, 102, bright)]
     bus = Bus(make="hukseflux")
