@@ -195,9 +195,8 @@ class Operators:
             raise CommandError(
                 f"{self._unknown_tracker_text(command)}; so the stop is for all: all are stopped", wrong=True
             )
-        text = (
-            f"the tracker is {stops[0]}; so many stops wait for their answers that this one does not wait for telemetry"
-        )
+        stopped = f"the tracker is {stops[0]}" if len(stops) == 1 else f"all {len(stops)} trackers are stopped"
+        text = f"{stopped}; so many stops wait for their answers that this one does not wait for telemetry"
         return answer_json(command.name, command.identifier, Answer(Seen.NOT_SEEN, text))
 
     def _is_stop_for_unknown_tracker(self, command: Command) -> bool:

@@ -257,6 +257,20 @@ def test_in_a_flood_a_stop_for_an_unknown_tracker_is_skipped_only_once_all_track
     run_rig(scenario, tracker=TWO)
 
 
+def test_in_a_flood_a_repeated_stop_for_all_is_answered_for_all_trackers(run_rig):
+    async def scenario(rig):
+        await both_track(rig)
+        await give(rig, "stop", why="fire")
+        operators = Operators(rig.service.trackers, 1.0)
+        of_all, of_one = (
+            operators.stopped_already(parse("stop", body, "test")) for body in (b"", b'{"tracker": "west"}')
+        )
+        assert of_all["text"].startswith("all 2 trackers are stopped; so many stops wait")
+        assert re.match("the tracker is stopped by .*: fire; so many stops wait", of_one["text"])
+
+    run_rig(scenario, tracker=TWO)
+
+
 def test_refusals_of_commands_name_the_remedy_command_with_the_option_of_their_tracker(run_rig):
     async def scenario(rig):
         await both_track(rig)
