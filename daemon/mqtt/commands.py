@@ -32,7 +32,7 @@ class Commands:
     operators
         Carry them out, with the same checks as for commands that come in by other ways.
     reply
-        Called with the name of the command and what came of it.
+        Called with the answer as one JSON object, which has the name of the command.
     settings
         Whether a command must bear a time, and how old it may be.
     clock

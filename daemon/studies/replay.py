@@ -45,7 +45,8 @@ _SLOWEST_S, _QUICKEST_S = 60.0, 0.5
 # Slow polling is enough: nothing fails here that polling a resting tracker, or polling a move more often, would show.
 _POLLING = Polling(idle_s=300.0, moving_s=1.0)
 _STALE_AFTER_ROWS = 2.5
-# With the sun below `_DEEP_NIGHT_DEG`, a gap is skipped in steps of `_SKIP_S`, up to `_AWAKE_S` before its end.
+# With the sun below `_DEEP_NIGHT_DEG`, a gap is skipped up to `_AWAKE_S` before its end: in whole days while two are
+# left, then in steps of `_SKIP_S`.
 _SKIP_S = 600.0
 _AWAKE_S = 120.0
 _DEEP_NIGHT_DEG = -1.0
