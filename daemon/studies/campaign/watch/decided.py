@@ -38,6 +38,7 @@ class Decided:
         self.steps = ClockSteps(fails)
         self._woke_s = -math.inf
         self._unarrived_goto: Wish | None = None
+        self._undecided_move_s = math.nan
 
     def service_begins(self) -> None:
         """Take note of a new process: it knows nothing from before its start."""
@@ -78,9 +79,14 @@ class Decided:
             self._fails("slept", f"{target} is sent in mode {mode} {awake}, and the wind has not been heard since")
         if mode is Mode.HOLD and self._unarrived_goto is not None and mount.control.wishes.hold is self._unarrived_goto:
             self._fails("slept", f"{target} is sent {awake}, by a goto of before it that had not arrived")
+        if mode not in _DECIDING_MODES:
+            self._undecided_move_s = mount.motion.last_move_started_s
+            return
         decision = mount.control.state.decision
-        # A move ordered in another mode goes on, and may be tried again, until the law has decided.
-        if mode not in _DECIDING_MODES or decision is None or not _is_for_target(decision, target):
+        # A move ordered in another mode goes on, and may be tried again, until the law has decided. It may lead where
+        # the last decision led.
+        tried_again = mount.motion.last_move_started_s == self._undecided_move_s
+        if tried_again or decision is None or not _is_for_target(decision, target):
             return
         since_s = decision.time_monotonic_s - woke_s
         if since_s < 0.0:

@@ -47,6 +47,35 @@ def sent(
     return " ".join(found)
 
 
+def sent_first_by_night(second_move_s):
+    """Send a target after a sleep by night, and again while tracking; return what is found wrong with it."""
+    found = []
+    decision = SimpleNamespace(time_monotonic_s=990.0, irradiances=None, target=Angles(0.0, 60.0))
+    state = SimpleNamespace(scan_age_s=1.0, decision=decision)
+    mount = SimpleNamespace(
+        control=SimpleNamespace(mode=Mode.NIGHT, wishes=Wishes(), state=state),
+        motion=SimpleNamespace(telemetry=SimpleNamespace(time_monotonic_s=1030.0), last_move_started_s=1035.0),
+        settings=Settings(),
+        wind_silent_since_s=math.inf,
+        is_served=True,
+        truth=lambda: Angles(0.0, 60.0),
+        clock=SimpleNamespace(utc=lambda: 0.0),
+    )
+    watch = Decided(lambda promise, text: found.append(f"{promise}: {text}"))
+    watch.wakes(mount, 3600.0, WOKE_S)
+    watch.check(mount, (0.0, 60.0), 1037.0, 0.0)
+    mount.control.mode, mount.motion.last_move_started_s = Mode.TRACKING, second_move_s
+    watch.check(mount, (0.0, 60.0), 1080.0, 0.0)
+    return " ".join(found)
+
+
+@pytest.mark.parametrize(("second_move_s", "is_breach"), [(1035.0, False), (1079.5, True)])
+def test_the_second_try_of_a_move_by_night_is_allowed_and_a_new_move_by_an_old_decision_is_not(
+    second_move_s, is_breach
+):
+    assert ("was decided before it" in sent_first_by_night(second_move_s)) is is_breach
+
+
 @pytest.mark.parametrize(
     ("what", "said"),
     [
