@@ -14,66 +14,52 @@ from solar.frames import Angles
 WOKE_S = 1000.0
 
 
-def sent(
-    at_s,
-    *,
-    seen_s,
-    decided_s,
-    coverage=0.1,
-    silent_s=math.inf,
-    mode=Mode.TRACKING,
-    slept_s=3600.0,
-    goto_deg=None,
-    aim_deg=(0.0, 60.0),
-):
-    """Send a target after a sleep; return what is found wrong with it."""
-    found = []
-    irradiances = SimpleNamespace(coverage=coverage)
-    decision = SimpleNamespace(time_monotonic_s=decided_s, irradiances=irradiances, target=Angles(*aim_deg))
-    hold = None if goto_deg is None else Wish(why="test", by="ana", since_utc_s=900.0, goto_deg=goto_deg)
-    wishes = Wishes(hold=hold)
-    control = SimpleNamespace(mode=mode, wishes=wishes, state=SimpleNamespace(scan_age_s=1.0, decision=decision))
-    mount = SimpleNamespace(
-        control=control,
-        motion=SimpleNamespace(telemetry=SimpleNamespace(time_monotonic_s=seen_s), last_move_started_s=0.0),
-        settings=Settings.model_validate({"windows": {"mean_s": 60.0}}),
-        wind_silent_since_s=silent_s,
-        is_served=True,
-        truth=lambda: Angles(0.0, 60.0),
-    )
-    watch = Decided(lambda promise, text: found.append(f"{promise}: {text}"))
-    watch.wakes(mount, slept_s, WOKE_S)
-    watch.check(mount, (0.0, 60.0), at_s, 0.0)
-    return " ".join(found)
+class Woken:
+    """A tracker whose machine has slept until `WOKE_S`, and what the watch finds wrong with targets that are sent."""
 
+    def __init__(
+        self,
+        *,
+        seen_s,
+        decided_s,
+        coverage=0.1,
+        silent_s=math.inf,
+        mode=Mode.TRACKING,
+        slept_s=3600.0,
+        goto_deg=None,
+        aim_deg=(0.0, 60.0),
+    ):
+        irradiances = SimpleNamespace(coverage=coverage)
+        decision = SimpleNamespace(time_monotonic_s=decided_s, irradiances=irradiances, target=Angles(*aim_deg))
+        hold = None if goto_deg is None else Wish(why="test", by="ana", since_utc_s=900.0, goto_deg=goto_deg)
+        state = SimpleNamespace(scan_age_s=1.0, decision=decision)
+        self.mount = SimpleNamespace(
+            control=SimpleNamespace(mode=mode, wishes=Wishes(hold=hold), state=state),
+            motion=SimpleNamespace(telemetry=SimpleNamespace(time_monotonic_s=seen_s), last_move_started_s=0.0),
+            settings=Settings.model_validate({"windows": {"mean_s": 60.0}}),
+            wind_silent_since_s=silent_s,
+            is_served=True,
+            truth=lambda: Angles(0.0, 60.0),
+        )
+        self.found = []
+        self._watch = Decided(lambda promise, text: self.found.append(f"{promise}: {text}"))
+        self._watch.wakes(self.mount, slept_s, WOKE_S)
 
-def sent_first_by_night(second_move_s):
-    """Send a target after a sleep by night, and again while tracking; return what is found wrong with it."""
-    found = []
-    decision = SimpleNamespace(time_monotonic_s=990.0, irradiances=None, target=Angles(0.0, 60.0))
-    state = SimpleNamespace(scan_age_s=1.0, decision=decision)
-    mount = SimpleNamespace(
-        control=SimpleNamespace(mode=Mode.NIGHT, wishes=Wishes(), state=state),
-        motion=SimpleNamespace(telemetry=SimpleNamespace(time_monotonic_s=1030.0), last_move_started_s=1035.0),
-        settings=Settings(),
-        wind_silent_since_s=math.inf,
-        is_served=True,
-        truth=lambda: Angles(0.0, 60.0),
-        clock=SimpleNamespace(utc=lambda: 0.0),
-    )
-    watch = Decided(lambda promise, text: found.append(f"{promise}: {text}"))
-    watch.wakes(mount, 3600.0, WOKE_S)
-    watch.check(mount, (0.0, 60.0), 1037.0, 0.0)
-    mount.control.mode, mount.motion.last_move_started_s = Mode.TRACKING, second_move_s
-    watch.check(mount, (0.0, 60.0), 1080.0, 0.0)
-    return " ".join(found)
+    def send(self, at_s, move_s=0.0):
+        """Send a target, at first or again, in a move that began at `move_s`."""
+        self.mount.motion.last_move_started_s = move_s
+        self._watch.check(self.mount, (0.0, 60.0), at_s, 0.0)
 
 
 @pytest.mark.parametrize(("second_move_s", "is_breach"), [(1035.0, False), (1079.5, True)])
 def test_the_second_try_of_a_move_by_night_is_allowed_and_a_new_move_by_an_old_decision_is_not(
     second_move_s, is_breach
 ):
-    assert ("was decided before it" in sent_first_by_night(second_move_s)) is is_breach
+    tracker = Woken(seen_s=1030.0, decided_s=990.0, mode=Mode.NIGHT)
+    tracker.send(1037.0, move_s=1035.0)
+    tracker.mount.control.mode = Mode.TRACKING
+    tracker.send(1080.0, move_s=second_move_s)
+    assert ("was decided before it" in " ".join(tracker.found)) is is_breach
 
 
 @pytest.mark.parametrize(
@@ -104,6 +90,8 @@ def test_the_second_try_of_a_move_by_night_is_allowed_and_a_new_move_by_an_old_d
     ],
 )
 def test_the_watch_notices_a_target_after_a_sleep_that_goes_by_anything_from_before_it(what, said):
-    found = sent(1040.0, **what)
+    tracker = Woken(**what)
+    tracker.send(1040.0)
+    found = " ".join(tracker.found)
     assert said in found
     assert bool(found) is bool(said)
