@@ -29,7 +29,10 @@ async def answering(answer):
 
     async def noted(reader, writer):
         answers.add(asyncio.current_task())
-        await answer(reader, writer)
+        try:
+            await answer(reader, writer)
+        finally:
+            writer.close()
 
     async with await asyncio.start_server(noted, "127.0.0.1", 0) as server:
         yield "{}:{}".format(*server.sockets[0].getsockname())
@@ -75,13 +78,11 @@ async def much(reader, writer):
         writer.write(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\nConnection: close\r\n\r\n" % len(ANSWER) + ANSWER)
     with suppress(ConnectionError):
         await writer.drain()
-    writer.close()
 
 
-async def nothing(reader, writer):
+async def nothing(reader, _writer):
     """Never answer."""
     await reader.read()
-    writer.close()
 
 
 @pytest.mark.usefixtures("_few_places")
