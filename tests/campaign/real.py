@@ -195,8 +195,10 @@ class Attack:
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=5.0)
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--minutes", type=float, default=5.0, help="how long faults and commands go on (default: %(default)g)"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="seed of the schedule (default: %(default)s)")
     parser.add_argument("--firmware", type=Path, help="directory of the firmware's server, in place of the bench")
     parser.add_argument("--build", default="micro", help="which build of the firmware")
     parser.add_argument("--log", type=Path, help="keep the service's log here")

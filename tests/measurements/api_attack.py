@@ -324,13 +324,27 @@ def measure(service, kinds, chosen):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--clients", type=int, default=40)
-    parser.add_argument("--idle", type=int, default=64)
+    parser.add_argument("--clients", type=int, default=40, help="how many clients fetch pages (default: %(default)s)")
+    parser.add_argument(
+        "--idle",
+        type=int,
+        default=64,
+        help="how many connections send nothing, or half of a request (default: %(default)s)",
+    )
     parser.add_argument("--processes", type=int, default=1, help="attacking processes, each with that many clients")
-    parser.add_argument("--stops", type=int, default=20)
+    parser.add_argument(
+        "--stops",
+        type=int,
+        default=20,
+        help="how many stops are timed under each kind of attack (default: %(default)s)",
+    )
     parser.add_argument("--fill", type=float, default=180.0, help="seconds at 60 times real speed before the attack")
-    parser.add_argument("--seed", type=int, default=random.randrange(2**32))
-    parser.add_argument("--only", nargs="*", choices=KINDS, default=KINDS)
+    parser.add_argument(
+        "--seed", type=int, default=random.randrange(2**32), help="seed of the attack (default: drawn and printed)"
+    )
+    parser.add_argument(
+        "--only", nargs="*", choices=KINDS, default=KINDS, help="these kinds of attack only (default: all)"
+    )
     parser.add_argument("--attack", choices=KINDS, help=argparse.SUPPRESS)
     parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--seconds", type=float, help=argparse.SUPPRESS)

@@ -288,9 +288,17 @@ def report(server, senders, caught_up_s):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("what", choices=("rate", "kill", "hour"))
-    parser.add_argument("--trackers", type=int, default=50)
-    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument(
+        "what",
+        choices=("rate", "kill", "hour"),
+        help="rate: rows a second; kill: records after kills; hour: an hour without a database",
+    )
+    parser.add_argument(
+        "--trackers", type=int, default=50, help="how many trackers write, with kill and hour (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--minutes", type=float, default=10.0, help="how long they write, with kill (default: %(default)g)"
+    )
     parser.add_argument("--rounds", type=int, default=20, help="how many times 50,000 rows are written")
     asked = parser.parse_args()
     if asked.what == "rate":

@@ -128,9 +128,16 @@ def measure(service, chosen):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--browsers", type=int, default=12)
-    parser.add_argument("--seed", type=int, default=random.randrange(2**32))
+    parser.add_argument("--minutes", type=float, default=60.0, help="how long the storm lasts (default: %(default)g)")
+    parser.add_argument(
+        "--browsers", type=int, default=12, help="how many browsers, of six connections each (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=random.randrange(2**32),
+        help="seed of what they ask for (default: drawn and printed)",
+    )
     parser.add_argument("--storm", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
     chosen = parser.parse_args()

@@ -181,11 +181,15 @@ def foreseen(days, price):
 def main():
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("site")
-    parser.add_argument("weather", nargs="+", type=Path)
-    parser.add_argument("--sky", default="perez1990")
-    parser.add_argument("--prices", default="0.5,1,2,4")
-    parser.add_argument("--without-trees", action="store_true")
+    parser.add_argument("site", help="LAT,LON,ALT in degrees and metres")
+    parser.add_argument("weather", nargs="+", type=Path, help="weather files, as `heliocube energy` takes them")
+    parser.add_argument("--sky", default="perez1990", help="model of the sky (default: %(default)s)")
+    parser.add_argument(
+        "--prices",
+        default="0.5,1,2,4",
+        help="prices of a degree in W min/m2, for the plan that knows the day (default: %(default)s)",
+    )
+    parser.add_argument("--without-trees", action="store_true", help="leave out the trees, which need scikit-learn")
     arguments = parser.parse_args()
     site = Site(*parse_site(arguments.site))
     days = days_of(arguments.weather, site, arguments.sky)

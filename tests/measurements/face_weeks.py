@@ -228,18 +228,46 @@ def say(name, share, of_healthy, worst, lost, how):
 def main() -> None:
     """Print a row for each fault, one table for each month and law."""
     logging.disable()
-    parser = argparse.ArgumentParser()
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--law", nargs="+", default=["optimal"])
-    parser.add_argument("--month", nargs="+", type=int, default=[6, 12])
-    parser.add_argument("--kind", nargs="*", choices=(*KINDS, "swapped"), default=[*KINDS, "swapped"])
-    parser.add_argument("--scan", type=float, default=30.0)
-    parser.add_argument("--day", type=int, default=8)
-    parser.add_argument("--still", type=float, default=12.0)
-    parser.add_argument("--soiled", type=float, default=SOILED)
-    parser.add_argument("--sky", nargs="+", choices=SKIES, default=["perez1990"])
-    parser.add_argument("--site", default=",".join(map(str, LYNGBY)))
-    parser.add_argument("--quick", action="store_true")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "folder", type=Path, help="folder with the months of a year, or clear, overcast, variable or broken"
+    )
+    parser.add_argument("--law", nargs="+", default=["optimal"], help="laws that drive the tracker (default: optimal)")
+    parser.add_argument("--month", nargs="+", type=int, default=[6, 12], help="months by number (default: 6 12)")
+    parser.add_argument(
+        "--kind",
+        nargs="*",
+        choices=(*KINDS, "swapped"),
+        default=[*KINDS, "swapped"],
+        help="faults of a face (default: all); none runs only the healthy week",
+    )
+    parser.add_argument("--scan", type=float, default=30.0, help="seconds between two scans (default: %(default)g)")
+    parser.add_argument(
+        "--day", type=int, default=8, help="first of the seven days in each month (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--still",
+        type=float,
+        default=12.0,
+        help="hour (UTC) of the first day at which `frozen` and `held` begin (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--soiled",
+        type=float,
+        default=SOILED,
+        help="share of the light that a soiled face keeps (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--sky", nargs="+", choices=SKIES, default=["perez1990"], help="models of the sky (default: perez1990)"
+    )
+    parser.add_argument(
+        "--site", default=",".join(map(str, LYNGBY)), help="LAT,LON,ALT of the weather (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="the watch alone, with `optimal`: a third of the time, some three points off",
+    )
     arguments = parser.parse_args()
     for month in arguments.month:
         if not _is_made_up(arguments.folder) and len(_files_of(arguments.folder, month)) != 1:

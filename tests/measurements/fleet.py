@@ -278,11 +278,19 @@ def ms(seconds):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--trackers", type=int, nargs="+", default=NUMBERS)
-    parser.add_argument("--law", nargs="+", default=LAWS)
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, help="how long each line is measured (default: %(default)g)"
+    )
+    parser.add_argument(
+        "--trackers",
+        type=int,
+        nargs="+",
+        default=NUMBERS,
+        help="numbers of trackers, a line for each (default: %(default)s)",
+    )
+    parser.add_argument("--law", nargs="+", default=LAWS, help="laws, a line for each (default: %(default)s)")
     parser.add_argument("--virtual", action="store_true", help="virtual time, for a busy machine")
-    parser.add_argument("--profile", action="store_true")
+    parser.add_argument("--profile", action="store_true", help="print which functions took the time")
     parser.add_argument("--child", nargs=2, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.child:

@@ -68,10 +68,10 @@ def say(name, days, faces, law=optimal_live, **settings):
 def main():
     """Print a line for each burden."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("site")
-    parser.add_argument("weather", nargs="+", type=Path)
-    parser.add_argument("--sky", default="perez1990")
-    parser.add_argument("--scan", type=float, default=60.0)
+    parser.add_argument("site", help="LAT,LON,ALT in degrees and metres")
+    parser.add_argument("weather", nargs="+", type=Path, help="weather files, as `heliocube energy` takes them")
+    parser.add_argument("--sky", default="perez1990", help="model of the sky (default: %(default)s)")
+    parser.add_argument("--scan", type=float, default=60.0, help="seconds between two readings (default: %(default)g)")
     asked = parser.parse_args()
     site = Site(*parse_site(asked.site))
     light = interpolated(measured_minutes(asked.weather, site), asked.scan)

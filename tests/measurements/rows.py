@@ -48,14 +48,30 @@ class Field(NamedTuple):
 
 def main() -> None:
     """Print a table for shade that costs its area, and for shade that costs groups of cells."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--columns", type=int, default=5)
-    parser.add_argument("--rows", type=int, default=2)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, help="folder with the months of weather at Lyngby")
+    parser.add_argument(
+        "--columns", type=int, default=5, help="trackers side by side, from east to west (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--rows", type=int, default=2, help="rows of trackers, from south to north (default: %(default)s)"
+    )
     parser.add_argument("--pitch", type=float, default=2.5, help="distance between trackers, in widths of the module")
     parser.add_argument("--every", type=int, default=4, help="drive only every so many-th day")
-    parser.add_argument("--laws", nargs="+", choices=LAWS, default=list(LAWS))
-    parser.add_argument("--shade-costs", nargs="+", choices=COSTS, default=list(COSTS))
+    parser.add_argument(
+        "--laws",
+        nargs="+",
+        choices=LAWS,
+        default=list(LAWS),
+        help="laws that drive the trackers (default: all of them)",
+    )
+    parser.add_argument(
+        "--shade-costs",
+        nargs="+",
+        choices=COSTS,
+        default=list(COSTS),
+        help="what shade costs: its area, or the thirds or all of the module that it touches (default: all of them)",
+    )
     asked = parser.parse_args()
     weather = five_minutes(sorted(asked.folder.glob("*.csv*")), asked.every)
     light = build_sky(weather, "perez1990")

@@ -82,7 +82,7 @@ def one_run(served, turn):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("--runs", type=int, default=10, help="how many stops are timed (default: %(default)s)")
     parser.add_argument("--fsync-s", type=float, default=3.0, help="how long each fsync is held back")
     asked = parser.parse_args()
     for fsync_s in (0.0, asked.fsync_s):

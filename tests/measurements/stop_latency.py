@@ -86,7 +86,12 @@ def measure(unit, tracker, runs):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument(
+        "--runs",
+        type=int,
+        default=10,
+        help="how many stops are timed by POST, and as many from a shell (default: %(default)s)",
+    )
     parser.add_argument("--load", type=int, default=0, help="other processes that keep the processors busy")
     parser.add_argument("--firmware", type=Path, help="directory of the firmware's server, in place of the bench")
     chosen = parser.parse_args()

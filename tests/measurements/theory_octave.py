@@ -114,8 +114,10 @@ file = fopen("{out}", "w"); fprintf(file, "%.17g %.17g\\n", [real(least(:))'; im
 def main() -> int:
     """Run the scripts and print times and the largest difference."""
     arguments = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    arguments.add_argument("--latitudes", type=float, nargs="+", default=[45.0])
-    arguments.add_argument("--days", type=int, default=365)
+    arguments.add_argument(
+        "--latitudes", type=float, nargs="+", default=[45.0], help="latitudes in degrees (default: 45)"
+    )
+    arguments.add_argument("--days", type=int, default=365, help="days of the year (default: %(default)s)")
     given = arguments.parse_args()
     octave = shutil.which("octave-cli") or shutil.which("octave")
     if octave is None:

@@ -84,17 +84,27 @@ def spoilt(faces, case, light, rng):
 
 def main():
     """Replay every case and print a line for each."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("site")
-    parser.add_argument("weather", nargs="+")
-    parser.add_argument("--law", default="optimal")
-    parser.add_argument("--every", type=int, default=15)
-    parser.add_argument("--from", dest="begin", type=int, default=0)
-    parser.add_argument("--days", type=int, default=24)
-    parser.add_argument("--scan", type=float, default=10.0)
-    parser.add_argument("--sky", default="perez1990")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--case", nargs="+", default=["healthy", "gaps"])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("site", help="LAT,LON,ALT in degrees and metres")
+    parser.add_argument("weather", nargs="+", help="weather files, as `heliocube energy` takes them")
+    parser.add_argument("--law", default="optimal", help="law that drives the tracker (default: %(default)s)")
+    parser.add_argument("--every", type=int, default=15, help="replay only every so many-th day (default: %(default)s)")
+    parser.add_argument(
+        "--from",
+        dest="begin",
+        type=int,
+        default=0,
+        help="number of the first day that is replayed (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--days", type=int, default=24, help="how many days are replayed at most (default: %(default)s)"
+    )
+    parser.add_argument("--scan", type=float, default=10.0, help="seconds between two scans (default: %(default)g)")
+    parser.add_argument("--sky", default="perez1990", help="model of the sky (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of gaps and noise (default: %(default)s)")
+    parser.add_argument(
+        "--case", nargs="+", default=["healthy", "gaps"], help="cases, as told above (default: healthy gaps)"
+    )
     arguments = parser.parse_args()
     light = daylight_of(arguments)
     sky = build_sky(light, arguments.sky)
